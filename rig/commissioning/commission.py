@@ -29,7 +29,7 @@ from rig.wiring.teardown import SafeState, words_of
 
 MOST_CORRECTIONS: Final = 12
 HOMING: Final = "homing"
-"""Name of the step that is there only where a homing is asked for."""
+"""Name of the step that exists only if a homing is requested."""
 STILL: Final = "Nothing moves, and the drive stays off."
 Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
 
@@ -40,7 +40,7 @@ class Step:
 
     Attributes:
         name: Short name.
-        announced: What moves and what is under power.
+        announced: Text for the operator on what moves and what is under power.
         do: Function that carries out the step.
         asks: Whether the step needs the operator's consent.
     """
@@ -91,9 +91,9 @@ STEPS: Final = (
 
 
 def steps_of(setup: Setup) -> Iterator[Step]:
-    """Yield the steps with the requested homing: a homing without motion comes before the drive
-    follows a position, any other homing after units, watchdog and stop are proven. The drive is
-    asked which homing it supports only when the homing is the next step.
+    """Yield the steps with the requested homing: a homing without motion comes before the first
+    step in which the drive follows a position, any other homing after the steps on units, watchdog
+    and stop. The drive is asked which homing it supports only when the homing is the next step.
     """
     home = setup.home
     before = "" if home is None else "limits" if home.in_place else "stop"
@@ -114,9 +114,9 @@ class Commissioning:
         words: Message on the ending, for the operator.
         text: Text of the bench file with all corrections.
         changes: All corrections, in order.
-        sessions: Steps of each connection; a correction begins a new one.
-        safe: State in which the drive was left, or None if it was never energised.
-        error: A defect of this program, to be raised once everything is stored.
+        sessions: Steps of each connection; after a correction, a new connection begins.
+        safe: State in which the drive was left, or None if the drive was never energised.
+        error: A defect of this program, which is raised after all results are stored.
     """
 
     ending: Ending
@@ -129,12 +129,12 @@ class Commissioning:
 
     @property
     def not_homed(self) -> str:
-        """Sentence that a requested homing was not done; empty if the homing was done or was not
+        """Sentence on why a requested homing was not done; empty if the homing was done or not
         requested.
         """
         for step in self.sessions[-1]:
             if step.name == HOMING and step.verdict is Verdict.SKIPPED:
-                return f"the homing that --home asks for was not done: {step.words}"
+                return f"the homing requested by --home was not done: {step.words}"
         return ""
 
     @property
@@ -175,10 +175,10 @@ def commission(
         stop: Stop button.
         record_in: Creates the recording of a connection, by its number from 1.
         fastest_deg_s: Limit on the joint speed, deg/s.
-        home: The homing that is asked for; None to set no zero by homing.
+        home: The requested homing, or None to set no zero by homing.
 
     Raises:
-        InputError: The bench cannot be connected to.
+        InputError: A connection to the bench is impossible.
         DeviceError: A device does not answer when the bench is connected.
         StorageError: The recording cannot be written.
     """
@@ -194,7 +194,7 @@ def commission(
             break
         changes = tuple(c for c in wrong.changes if patched(result.text, (c,)) != result.text)
         if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
-            result.words += "; this value was already corrected once: check the bench itself"
+            result.words += "; this value was already corrected once: check the machine itself"
             break
         if not _agreed(interview, changes, result):
             break
@@ -207,7 +207,7 @@ def commission(
 
 
 def _agreed(interview: Interview, changes: tuple[Change, ...], result: Commissioning) -> bool:
-    """Ask whether to go on with corrected values."""
+    """Ask whether to repeat the steps with corrected values."""
     shown = ", ".join(map(str, changes))
     try:
         return interview.agrees(f"Go on from the start with {shown} in a new bench file?")
@@ -268,7 +268,7 @@ def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> Wron
             return None
         except StorageError:
             raise
-        except BaseException as defect:  # noqa: BLE001 the drive is safe; the command raises it again
+        except BaseException as defect:  # noqa: BLE001 - raised again by the command
             record.verdict, record.words = Verdict.WRONG, words_of(defect)
             result.ending, result.error = Ending.CRASHED, defect
             result.words = f"{step.name}: the program broke down ({words_of(defect)})"

@@ -26,21 +26,26 @@ from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError
 
 SETTLE_S: Final = 0.3
-"""Time after the start before the statusword is believed: until then it may show what was before.
+"""Time, s, after the start during which the statusword is ignored, because it may still show the
+state before the start.
 """
 STILL_S: Final = 0.2
-"""Time for which the joint is watched after the end of a homing."""
+"""Time, s, for which the joint is monitored after the end of a homing."""
 IN_PLACE_LIMIT_S: Final = 5.0
 SPARE_S: Final = 20.0
 MOVED_DEG: Final = 0.2
 """Largest motion of the joint in a homing without motion."""
 NEAR_DEG: Final = 1.0
-"""Largest distance from the home position at the end of a homing with motion: it brakes there."""
+"""Largest distance from the home position at the end of a homing with motion, which brakes at the
+home position.
+"""
 ZERO_DEG_S: Final = 1.0
 FASTER: Final = 3.0
-"""Ratio of the speed from which a change of the drive's position is a new zero, to its limit."""
+"""Ratio to the speed limit of the speed above which a change of the drive's position counts as a
+new zero.
+"""
 ACCELERATION_S: Final = 0.2
-"""Time in which the speed is reached."""
+"""Time, s, in which the drive reaches the speed of the homing."""
 UNSET: Final = (
     "The zero of the drive counts as not set: home again, or leave --home out and give the true "
     "angle (--angle)"
@@ -57,7 +62,7 @@ _LOOK_FOR: Final[Mapping[Check, str]] = {
     Check.TORQUE: "look for a joint that is blocked, and an end stop before the switch",
     Check.DISAGREEMENT: "check the joint encoder, its cable and its coupling",
 }
-"""Check that failed to what to look for; the rest have words of their own."""
+"""Advice for checks that fail during a homing, by check."""
 _ORDINARY: Final = "look for a fault of the drive (603Fh)"
 
 
@@ -84,8 +89,8 @@ def homing(setup: Setup, step: StepRecord) -> None:
 
     Raises:
         SkippedError: The drive cannot home by this method.
-        WrongError: The homing failed, took too long, or the position is not what it should be.
-        OperatorStopError: The operator stopped it.
+        WrongError: The homing failed, took too long, or ended at a wrong position.
+        OperatorStopError: The operator stopped the homing.
     """
     home = setup.home
     assert home is not None
@@ -118,11 +123,11 @@ def _tolerance(home: HomeRequest) -> float:
 
 
 def _home_rad(setup: Setup, home: HomeRequest) -> float:
-    """Return the joint angle of the home position; if the homing shall find the home position, the
-    angle of position 0.
+    """Return the joint angle of the home position, as given or by the joint encoder; if the homing
+    must find the home position first, return the joint angle at which the drive reads zero.
 
     Raises:
-        WrongError: It is not given, and the joint encoder gives no angle.
+        WrongError: The angle is not given, and the joint encoder gives no angle.
     """
     if home.home_deg is not None:
         return math.radians(home.home_deg)
@@ -143,8 +148,8 @@ def _homed(
     off.
 
     Raises:
-        WrongError: It failed.
-        OperatorStopError: The operator stopped it.
+        WrongError: The homing failed.
+        OperatorStopError: The operator stopped the homing.
     """
     search = min(0.5 * setup.limits.speed, math.radians(0.5 * FASTEST_DEG_S))
     zero = min(search, math.radians(ZERO_DEG_S))
@@ -181,7 +186,9 @@ def _fault(setup: Setup, tripped: TripError) -> str:
 
 
 def _left_on(setup: Setup, home: HomeRequest) -> str:
-    """Return what a drive without a watchdog may be doing if its power could not be read back."""
+    """Return a warning if a drive without a watchdog may still be under power, because its state
+    could not be read back.
+    """
     safe = setup.safe
     if safe is None or safe.verified or safe.watched:
         return ""
@@ -193,13 +200,13 @@ class _Travels:
     """Compares the travel of the joint that the drive reports with the travel that the joint
     encoder reports.
 
-    Before the zero is set the drive's angle has no meaning, but the changes of this angle are
-    valid. A change in one cycle that is faster than the limits allow is due to the new zero, and
-    does not count as travel.
+    Before the zero is set, the drive's angle has no meaning, but changes of the angle are valid. A
+    change in one cycle that is faster than the limits allow is caused by the new zero, and does not
+    count as travel.
 
     Args:
-        setup: The bench; units, signs and ratio are proven by motion before.
-        begun: Sample at the start.
+        setup: The bench; earlier moves have confirmed units, signs and ratio.
+        begun: Sample at the start of the homing.
     """
 
     def __init__(self, setup: Setup, begun: Sample) -> None:
@@ -210,7 +217,7 @@ class _Travels:
         self._travel = 0.0
 
     def require_same(self, sample: Sample) -> None:
-        """Take the sample of a cycle.
+        """Compare the travels up to the sample of a cycle.
 
         Raises:
             TripError: The travels differ.
@@ -240,10 +247,10 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
     """Start the homing and monitor it until its end.
 
     Raises:
-        WrongError: The drive reports an error, the joint moves where it must not, or it takes too
-            long.
+        WrongError: The drive reports an error, the joint moves although it must not, or the homing
+            takes too long.
         TripError: A sample is outside a limit.
-        OperatorStopError: The operator stopped it.
+        OperatorStopError: The operator stopped the homing.
         DeviceError: A device or the bus failed.
     """
     servo, cycle, clock = setup.devices.servo, setup.cycle, setup.devices.link.clock
@@ -276,12 +283,12 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
         what = (
             "the drive reports a homing error (6041h bit 13)"
             if state is HomingState.FAILED
-            else "the drive did not start the homing, or broke it off (6041h bits 10 and 12)"
+            else "the drive did not start or did not finish the homing (6041h bits 10 and 12)"
         )
         raise WrongError(
             f"{what} at {angle:.4g} deg, method {home.method}, statusword "
-            f"{sample.statusword:04X}h; look for a joint that is blocked, switches and their "
-            f"wiring, and the error history (603Fh, 1003h)"
+            f"{sample.statusword:04X}h; look for a joint that is blocked, check the switches and "
+            f"their wiring, and read the error history (603Fh, 1003h)"
         )
     for _ in range(max(1, round(STILL_S / setup.bench.cycle_s))):
         _require_still(home, begun, cycle.attend(limits))
@@ -294,7 +301,7 @@ def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
         raise WrongError(
             f"the joint moved by {moved:.3g} deg in a homing without motion (method "
             f"{home.method}); it may move by at most {MOVED_DEG:g} deg: check the drive's gains, "
-            "and this method in the drive's manual"
+            "and look for this method in the drive's manual"
         )
 
 
@@ -302,13 +309,13 @@ def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint
     """Compare the angles of drive and joint encoder with the home position.
 
     Raises:
-        WrongError: They differ.
+        WrongError: The angles differ from the home position.
     """
     near = _tolerance(home)
     zero = math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
     if not abs(drive - home_rad) <= near:
         found = f"the drive shows {math.degrees(drive):.4g} deg after homing"
-        # A drive that takes the offset the other way round is right with an offset of 0.
+        # A drive that uses the offset with the opposite sign is right with an offset of 0.
         if abs(drive - (2.0 * zero - home_rad)) <= near:
             value = float(f"{math.degrees(home_rad):.4f}")
             change = Change("servo", "offset_deg", value)

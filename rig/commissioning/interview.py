@@ -35,7 +35,7 @@ class AutomaticInterview:
     """Agrees to every step (``--yes``, simulated benches only).
 
     Args:
-        screen: Where messages go.
+        screen: Screen for messages.
         angle_deg: The true joint angle, or None if it is not given.
     """
 
@@ -63,7 +63,7 @@ class TypedInterview:
     """Asks the operator at the terminal.
 
     Args:
-        screen: Where messages go.
+        screen: Screen for messages.
         asker: Asks and reads answers.
         stop: Stop button; a stop signal interrupts a question.
         angle_deg: The true joint angle, if given on the command line.
@@ -87,7 +87,7 @@ class TypedInterview:
         """Ask until yes, no or abort is typed; an empty answer means no.
 
         Raises:
-            OperatorStopError: Ctrl-C, ``abort``, or the input ended.
+            OperatorStopError: The operator pressed Ctrl-C or typed ``abort``, or the input ended.
         """
         while True:
             typed = self._ask(f"{words} yes, no or abort [no]: ").lower()
@@ -101,7 +101,7 @@ class TypedInterview:
         """Ask for an angle in degrees; an empty answer means None.
 
         Raises:
-            OperatorStopError: As :meth:`agrees`.
+            OperatorStopError: See :meth:`agrees`.
         """
         if self._angle_deg is not None:
             return self._angle_deg

@@ -18,18 +18,18 @@ from rig.control.safety import Check
 
 HOLD_S: Final = 0.5
 DRIFT_DEG: Final = 0.2
-"""Largest motion of a joint that is to stand still."""
+"""Largest motion, deg, of a joint that must stand still."""
 SILENCES: Final = (2.0, 5.0)
-"""Durations of silence of this program, in units of the drive's time-out; after the longest one the
-drive must be off. The drive is queried only after each silence, because it may count a query as a
-sign of life.
+"""Durations for which this program sends nothing, in units of the drive's time-out; after the
+longest duration the drive must be off. The drive is queried only after each duration, because a
+query may restart the drive's time-out.
 """
 SMALL_DEG: Final = 0.5
 LARGE_DEG: Final = 5.0
 GROWTH: Final = 2.0
 SLOW_DEG_S: Final = 1.0
 LARGE_TOLERANCE: Final = 0.02
-"""Relative difference of the encoders' travels that the large move may show."""
+"""Relative difference of the encoders' travels that is allowed in the large move."""
 STOP_S: Final = 1.0
 
 
@@ -82,7 +82,7 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
             state = servo.state()
             if state.energised:
                 # Some drives report their state only in answer to a target; this target is the
-                # angle that they hold.
+                # angle that the drive holds.
                 with suppress(DeviceError):
                     setup.cycle.watch()
                 state = servo.state()
@@ -92,9 +92,9 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
             raise WrongError(
                 f"the drive is still in state {state.value!r} {silent_s:.3g} s after this "
                 f"program went silent, but must be off within {servo.watch_s:g} s: the drive "
-                "would continue if the program died. Set its reaction (6007h, 1016h) with the "
-                "maker's tool, or set servo.stops_alone: false, with which the program uses "
-                "lower limits"
+                "would continue if the program died. Set the drive's reaction (6007h, 1016h) "
+                "with the maker's tool; if the drive has no such reaction, set "
+                "servo.stops_alone: false, which reduces the limits"
             )
     step.measure("power off within", silent_s, "s")
     step.measure("state", state.value)
@@ -126,7 +126,7 @@ def large_move(setup: Setup, step: StepRecord) -> None:
     """Move the joint further, to measure the ratio more accurately.
 
     Raises:
-        WrongError: As for :func:`small_move`.
+        WrongError: See :func:`small_move`.
     """
     if not _move(setup, step, LARGE_DEG, _fastest_deg_s(setup), LARGE_TOLERANCE):
         raise WrongError(
@@ -166,8 +166,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:
         raise WrongError(
-            "the drive did not execute the quick stop and is in fault, because of its watchdog "
-            "or of another cause; check 605Ah and 6085h"
+            "the drive did not execute the quick stop and is in fault, by its watchdog or by "
+            "another cause; check 605Ah and 6085h"
         )
     step.measure("time to the end of the stop", took_s, "s")
     step.measure("way", way, "deg")
@@ -183,8 +183,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
 
 
 def _fastest_deg_s(setup: Setup) -> float:
-    """Return the speed of the larger moves: half the limit, so that the faster motion after a
-    breakaway stays below the limit.
+    """Return the speed of the larger moves, deg/s: half the speed limit, so that the faster motion
+    after a breakaway stays below the limit.
     """
     return min(0.5 * math.degrees(setup.limits.speed), 0.5 * FASTEST_DEG_S)
 

@@ -14,7 +14,7 @@ def patched(text: str, changes: tuple[Change, ...]) -> str:
     """Return the text of a bench file with these values set; a value of None removes its key.
 
     Raises:
-        InputError: A section is no mapping, so that nothing can be set in it.
+        InputError: A section is not a mapping, so that no key can be set in the section.
     """
     for change in changes:
         text = _set(text, change)

@@ -24,7 +24,7 @@ class Measured:
     Attributes:
         name: Name of the quantity.
         value: The value as text.
-        unit: Its unit; empty if it has none.
+        unit: Unit of the quantity; empty if it has no unit.
     """
 
     name: str

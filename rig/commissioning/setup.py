@@ -30,18 +30,18 @@ FASTEST_DEG_S: Final = 12.0
 """Default limit on the joint speed, deg/s; at most a quarter of the limit of the bench."""
 SPEED_SHARE: Final = 0.25
 TORQUE_SHARE: Final = 0.6
-"""Share of the bench's torque and current limits that a commissioning uses."""
+"""Torque and current limits of a commissioning, as a share of those of the bench."""
 REST_S: Final = 0.2
 
 
 @dataclass(frozen=True)
 class HomeRequest:
-    """A homing that the operator asks for.
+    """A homing that the operator requests.
 
     Attributes:
         method: Value of 6098h.
         home_deg: True joint angle of the home position, or None if it is not known.
-        time_limit_s: Longest time of a homing, or None for the usual one.
+        time_limit_s: Longest time of a homing, or None for the default.
     """
 
     method: int
@@ -50,7 +50,7 @@ class HomeRequest:
 
     @property
     def in_place(self) -> bool:
-        """Whether nothing moves."""
+        """Whether the joint does not move in this homing."""
         return self.method in IN_PLACE
 
 
@@ -73,18 +73,18 @@ class Setup:
 
     Attributes:
         bench: The bench file.
-        devices: Its devices, on an open link.
+        devices: Devices of the bench, on an open link.
         interview: The person at the bench.
         stop: Stop button, read every cycle.
         recorder: Records samples and events.
         limits: Limits in force.
         cycle: The control cycle.
         own: Limits stored in the drive before the commissioning; None until they are read.
-        safe: State in which the drive was left after it was last energised; None before the first
-            time.
+        safe: State in which the drive was left after it was last energised, or None if the drive
+            was never energised.
         steps: Steps so far.
-        home: The homing that was asked for, or None for none.
-        true_deg: True joint angle as the operator gave it, or None if it is not known.
+        home: The requested homing, or None.
+        true_deg: True joint angle as given by the operator, or None if unknown.
     """
 
     bench: Bench
@@ -153,7 +153,7 @@ class Setup:
         yields the joint angle that is held, rad.
 
         Raises:
-            WrongError: It could not be verified that the power is off.
+            WrongError: The drive could not be verified to be without power.
         """
         cycle, servo = self.cycle, self.devices.servo
         with self._energised(what, servo.enable):
@@ -164,15 +164,15 @@ class Setup:
 
     @contextmanager
     def homing(self, order: HomingOrder, step: StepRecord) -> Iterator[None]:
-        """Energise in homing mode; at the end, whatever happens, take the power off, select the
-        bench's mode again and read it back (6061h).
+        """Energise in homing mode; at the end, also after an error, take the power off, select the
+        bench's mode again and read the mode back (6061h).
 
         Args:
             order: The homing, which is not started yet.
-            step: Takes what was written and the mode that was read back.
+            step: Record to which the written values and the mode read back are added.
 
         Raises:
-            WrongError: It could not be verified that the power is off.
+            WrongError: The drive could not be verified to be without power.
             DeviceError: The mode could not be selected.
         """
         servo = self.devices.servo
@@ -205,10 +205,10 @@ class Setup:
 
     @contextmanager
     def _energised(self, what: str, energise: Callable[[], None]) -> Iterator[None]:
-        """Energise, and take the power off at the end, whatever happens.
+        """Energise, and take the power off at the end, also after an error.
 
         Raises:
-            WrongError: It could not be verified that the power is off.
+            WrongError: The drive could not be verified to be without power.
         """
         cycle, servo = self.cycle, self.devices.servo
         self.recorder.event(cycle.now_ns, "power on", step=what)

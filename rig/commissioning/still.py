@@ -16,14 +16,14 @@ from rig.wiring.drive_limits import compare, show
 from rig.wiring.preflight import device_findings
 
 ZERO_TOLERANCE_DEG: Final = 0.1
-"""Greatest difference of a reading from the true angle that needs no correction."""
+"""Greatest difference, deg, of a reading from the true angle that needs no correction."""
 
 
 def identity(setup: Setup, step: StepRecord) -> None:
     """Read the identities of the devices, and compare them with their EDS files.
 
     Raises:
-        WrongError: A device does not answer, is another one, or was not confirmed.
+        WrongError: A device does not answer, is another device, or was not confirmed.
     """
     devices = setup.devices
     found = {"drive": devices.servo.identity(), "joint encoder": devices.encoder.identity()}
@@ -71,10 +71,12 @@ def readings(setup: Setup, step: StepRecord) -> None:
 
 
 def zero(setup: Setup, step: StepRecord) -> None:
-    """Compare both angles with the true angle, or with each other if the true angle is unknown.
+    """Compare the angles of drive and joint encoder with the true angle, or with each other if the
+    true angle is unknown.
 
     Raises:
-        WrongError: They differ; with the offsets to be set where the true angle is known.
+        WrongError: The angles differ; the error states the offsets to be set if the true angle is
+            known.
     """
     bench = setup.bench
     _say_offer(setup)
@@ -102,7 +104,7 @@ def zero(setup: Setup, step: StepRecord) -> None:
     step.measure("true angle", true, "deg")
     if not bench.limits.angle_min_deg <= true <= bench.limits.angle_max_deg:
         raise WrongError(
-            f"the joint is at {true:g} deg, outside of {bench.limits.angle_min_deg:g} to "
+            f"the joint is at {true:g} deg, outside the limits {bench.limits.angle_min_deg:g} to "
             f"{bench.limits.angle_max_deg:g} deg: turn the joint by hand"
         )
     changes = []
@@ -120,10 +122,10 @@ def zero(setup: Setup, step: StepRecord) -> None:
 
 
 def _say_offer(setup: Setup) -> None:
-    """Show whether the drive can set its zero by itself, and whether this is done."""
+    """Show whether the drive can set its zero by a homing, and whether this will be done."""
     offer, home = setup.homing_offer, setup.home
     if home is None:
-        then = "--home METHOD does that" if offer.methods else "the zero is typed in"
+        then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"
         setup.interview.tell(f"  note: {offer.words}; {then}")
     elif why := offer.refusal(home.method):
         setup.interview.tell(f"  note: {why}; the zero is typed in instead")

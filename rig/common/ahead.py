@@ -10,9 +10,10 @@ from threading import Thread
 
 @contextmanager
 def imported_ahead(module: str) -> Iterator[None]:
-    """Import a module in a thread during the block; compiled kernels leave the interpreter free.
+    """Import a module in a thread while the block runs; compiled code in the block releases the
+    interpreter.
 
-    An error of this import is not raised; the later import statement raises it again.
+    An error of this import is ignored; a later import statement raises the error again.
     """
 
     def load() -> None:

@@ -6,18 +6,18 @@ import ctypes
 import sys
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Parameters of mallopt, malloc.h."""
+"""Numbers of parameters of mallopt, from malloc.h."""
 _KEPT_BYTES = 1 << 30
 _LARGEST_BYTES = 1 << 25
-"""Largest allocation that the C library serves from its heap."""
+"""Size of the largest allocation, bytes, for which the C library uses its heap."""
 
 
 def keep_freed_memory() -> None:
     """Have the C library keep memory freed by numpy, instead of returning each array to the system.
 
-    A series of 30 s is 240 kB; arrays beyond 128 kB would each be mapped, zeroed on first use and
-    unmapped, which takes ten times as long as the computation. Has an effect only on Linux with
-    glibc.
+    A series of 30 s takes 240 kB. By default, each array above 128 kB is mapped, zeroed on first
+    use and unmapped, which takes ten times as long as the computation. The function has an effect
+    only on Linux with glibc.
     """
     if sys.platform != "linux":
         return

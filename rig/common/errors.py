@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 
 class InputError(Exception):
-    """A file the user wrote, or pointed at, cannot be used; the command line exits with status 2.
+    """A file that the user wrote or named cannot be used; the command line exits with status 2.
 
     Attributes:
         problems: All problems found, one line each: ``file:line:column: path: message (got VALUE)``

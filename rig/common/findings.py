@@ -31,8 +31,8 @@ class Finding:
     Attributes:
         cause: Subject of the finding.
         text: Message with remedy; for a refusal, the message of the run.
-        refused: Whether a run would refuse; otherwise it is a warning.
-        connectable: Whether the bench can be connected to in spite of it.
+        refused: Whether a run would refuse to start; otherwise the finding is a warning.
+        connectable: Whether a connection to the bench is possible in spite of the finding.
     """
 
     cause: Cause
@@ -52,7 +52,7 @@ def warnings(findings: Sequence[Finding]) -> list[str]:
 
 
 def verdict(findings: Sequence[Finding]) -> str:
-    """Return the verdict as text: good, or the subjects at fault."""
+    """Return the verdict as text: good, or the causes for which a run would refuse to start."""
     causes = list(dict.fromkeys(finding.cause.value for finding in findings if finding.refused))
     if not causes:
         return "good: a run would start"

@@ -15,7 +15,7 @@ def read_bytes(path: Path) -> bytes:
     """Return the content of a regular file.
 
     Raises:
-        OSError: It cannot be read; ``strerror`` states the reason.
+        OSError: The file cannot be read; ``strerror`` states the reason.
     """
     require_plain(path)
     return path.read_bytes()
@@ -26,10 +26,11 @@ def read_json(path: Path, remedy: str = "") -> Any:
 
     Args:
         path: The file.
-        remedy: Remedy in the message if it cannot be read.
+        remedy: Remedy for the message if the file cannot be read.
 
     Raises:
-        InputError: It cannot be read, is no JSON, or has a number beyond the floating-point range.
+        InputError: The file cannot be read, is not JSON, or has a number beyond the floating-point
+            range.
     """
     return parse_json(path, read_utf8(path, remedy))
 
@@ -38,7 +39,7 @@ def read_utf8(path: Path, remedy: str = "") -> str:
     """Return the text of a file in UTF-8.
 
     Raises:
-        InputError: It cannot be read, or is in another encoding.
+        InputError: The file cannot be read, or has another encoding.
     """
     try:
         return read_bytes(path).decode("utf-8-sig")
@@ -56,7 +57,7 @@ def parse_json(path: Path, text: str) -> Any:
     """Return the content of JSON text.
 
     Raises:
-        InputError: It is no JSON, or has a number beyond the floating-point range.
+        InputError: The text is not JSON, or has a number beyond the floating-point range.
     """
     try:
         return json.loads(text, parse_int=_whole)
@@ -72,15 +73,15 @@ def source_name(source: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether ``path`` is an existing regular file, after following links; false where
-    access is denied. Unlike :meth:`pathlib.Path.is_file` it never raises.
+    """Return whether ``path`` is an existing regular file, after following links; false if access
+    is denied. Unlike :meth:`pathlib.Path.is_file`, this function never raises an exception.
     """
     return os.path.isfile(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether ``path`` is an existing folder, after following links; false where access is
-    denied. Unlike :meth:`pathlib.Path.is_dir` it never raises.
+    """Return whether ``path`` is an existing folder, after following links; false if access is
+    denied. Unlike :meth:`pathlib.Path.is_dir`, this function never raises an exception.
     """
     return os.path.isdir(path)
 

@@ -1,4 +1,4 @@
-"""Instants in configuration files."""
+"""Reads dates and times in configuration files."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 
 
 def instant(text: str) -> datetime:
-    """Return an ISO 8601 date and time; without a zone it counts as UTC.
+    """Return the date and time that an ISO 8601 text states; a text without a zone is in UTC.
 
     Raises:
-        ValueError: It is no such time, or a date alone.
+        ValueError: The text is not an ISO 8601 date and time, or is a date without a time.
     """
     try:
         found = datetime.fromisoformat(text)
@@ -26,7 +26,7 @@ def iso_time(text: str) -> str:
     """Return the text if it is an ISO 8601 date and time.
 
     Raises:
-        ValueError: It is not.
+        ValueError: The text is not an ISO 8601 date and time.
     """
     instant(text)
     return text

@@ -1,4 +1,6 @@
-"""Holder of a lock: written to the lock file as JSON, read back with validation, shown as text."""
+"""Describes the holder of a lock: written to the lock file as JSON, read back with validation, and
+shown as text.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from typing import Any, Final, Self
 from rig.common.provenance import utc_now
 
 _LONGEST: Final = 300
-"""Number of characters of a text that are shown; anyone may write a lock file."""
+"""Greatest number of characters of a text that are shown, because anyone may write a lock file."""
 _GREATEST_PID: Final = 2**31 - 1
 _STEPS: Final = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 
@@ -24,12 +26,12 @@ class Holder:
     """A program that holds a lock.
 
     Attributes:
-        pid: Its process identifier.
-        command: Its name, such as ``rig run``.
+        pid: Process identifier of the program.
+        command: Name of the program, such as ``rig run``.
         what: Locked object: ``bench NAME`` or ``run folder PATH``.
-        user: Who started it.
-        host: The computer it runs on.
-        since: When it took the lock, ISO 8601 in UTC.
+        user: User who started the program.
+        host: Computer on which the program runs.
+        since: Time at which the program took the lock, ISO 8601 in UTC.
     """
 
     pid: int
@@ -73,13 +75,13 @@ class Holder:
         except ProcessLookupError:
             return False
         except OSError:
-            # It belongs to another user.
+            # The process exists and belongs to another user.
             return True
         return True
 
     def words(self, what: str, now: datetime) -> str:
-        """Return a description of the holder with its start time, and with the holder's purpose if
-        it is not ``what``.
+        """Return a description of the holder with its start time, and with the object that it has
+        locked if this is not ``what``.
         """
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""
@@ -90,7 +92,7 @@ class Holder:
         )
 
     def _when(self, now: datetime) -> str:
-        """Return the start time and how long ago it was; empty if the file lacks the start time."""
+        """Return the start time and the time since then; empty if the file has no start time."""
         try:
             since = datetime.fromisoformat(self.since).astimezone(UTC)
         except (ValueError, OverflowError):
@@ -123,7 +125,7 @@ def is_held(file: Path) -> bool:
 
 
 def _ago(seconds: float) -> str:
-    """Return how long ago a time was; empty if a clock was set back meanwhile."""
+    """Return the time that has passed, as text; empty if the clock was set back meanwhile."""
     for length_s, unit in _STEPS:
         if seconds >= length_s:
             return f", {int(seconds // length_s)} {unit} ago"

@@ -1,9 +1,9 @@
 """Advisory locks, with the name of their holder, for exclusive use of benches and run folders.
 
 A lock is an ``flock`` of the operating system. The lock ends when the last process that has the
-file open ends, however that happens; a suspended process keeps the lock, and so does a child that
-inherits the descriptor. The content of the file names the holder. The content is used only for
-messages, so that damaged content does no harm.
+file open ends, in any way; a suspended process keeps the lock, and so does a child that inherits
+the descriptor. The content of the file names the holder. The content is used only for messages, so
+that damaged content does no harm.
 
 The lock files of benches remain; such a file is empty while no program holds the lock. The lock
 file of a run folder is removed by its holder; a process that locks this file then checks that the
@@ -39,7 +39,7 @@ _READABLE: Final = 40
 _CONTENT_BYTES: Final = 16_384
 _ATTEMPTS: Final = 25
 _PAUSE_S: Final = 0.02
-"""Time that a refusal waits for the holder to write its name."""
+"""Time, s, between two attempts to read the holder's name before a lock is refused."""
 
 
 @dataclass(frozen=True, order=True)
@@ -71,11 +71,13 @@ class Lock:
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """File descriptors; a child process that inherits them holds the lock until it ends."""
+        """File descriptors of the locks; a child that inherits these holds the locks to its end."""
         return tuple(item.descriptor for item in self._held)
 
     def note(self, command: str) -> None:
-        """Write this process to the lock files as holder, under a name; no error is raised."""
+        """Write this process, under the name ``command``, to the lock files as their holder; no
+        error is raised.
+        """
         for item in self._held:
             before = Holder.parse(item.read())
             holder = Holder.here(command, "" if before is None else before.what)
@@ -103,13 +105,13 @@ def hold_bench(
 
     Args:
         name: Name of the bench.
-        resources: Its parts; see :func:`rig.wiring.resources.resources`. If empty, nothing is
-            locked.
+        resources: Parts of the bench; see :func:`rig.wiring.resources.resources`. If empty,
+            nothing is locked.
         command: The locking command, such as ``rig run``.
         folder: Folder of the lock files; :data:`LOCK_FOLDER` by default.
 
     Raises:
-        InUseError: Another program holds a part of it.
+        InUseError: Another program holds the lock of a part of the bench.
         StorageError: A lock file cannot be used.
     """
     what, folder = f"bench {name}", folder or LOCK_FOLDER
@@ -129,9 +131,9 @@ def hold_folder(folder: Path, command: str) -> Lock:
         command: The locking command, such as ``rig resume``.
 
     Raises:
-        InputError: There is no such folder.
-        InUseError: Another program holds it.
-        StorageError: It cannot be written.
+        InputError: The folder does not exist.
+        InUseError: Another program holds the lock.
+        StorageError: The lock file cannot be written.
     """
     if not os.path.isdir(folder):
         raise InputError(f"{folder}: no such folder; give the folder of a run")
@@ -146,7 +148,7 @@ def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
 
     Args:
         descriptors: Descriptors of all inherited lock files.
-        folder: The run folder, if its lock is among them.
+        folder: The run folder, if its lock is among the inherited locks.
     """
     return Lock(
         [_Held(descriptor) for descriptor in descriptors],
@@ -167,8 +169,8 @@ class _Place:
     Attributes:
         subject: The locked object in messages to the operator.
         what: The locked object as written in the file.
-        folder: Its folder.
-        file: Its name in the folder.
+        folder: Folder of the lock file.
+        file: Name of the lock file in the folder.
         shared: Whether the folder is for all users of this computer.
     """
 
@@ -193,15 +195,15 @@ class _Held:
         return b""
 
     def write(self, holder: Holder) -> None:
-        """Write the holder's name, if the disk has room."""
+        """Write the holder to the file; an error, such as a full disk, is ignored."""
         self._written = holder.content()
         with suppress(OSError):
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, self._written, 0)
 
     def close(self) -> None:
-        """Erase the content of this process, and release the lock."""
-        # No LOCK_UN: that would take the lock from a child that holds the same open file.
+        """Erase the content that this process wrote, and release the lock."""
+        # No LOCK_UN, which would also release the lock of a child that has inherited the file.
         with suppress(OSError):
             if self._written.startswith(self.read()):
                 os.ftruncate(self.descriptor, 0)
@@ -210,7 +212,7 @@ class _Held:
 
 
 def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> Lock:
-    """Lock all these files, in this order, or none."""
+    """Lock all of these files, in this order, or none of them."""
     held: list[_Held] = []
     taken_over: list[str] = []
     try:
@@ -235,7 +237,7 @@ def _take(place: _Place) -> tuple[_Held, bytes]:
         try:
             found = _attempt(place)
         except FileExistsError:
-            # Another program made the file at the same moment.
+            # Another program created the file at the same moment.
             continue
         except OSError as error:
             raise StorageError(_unusable(place, error.strerror or str(error))) from error
@@ -270,11 +272,11 @@ def _fcntl(place: _Place) -> ModuleType:
     try:
         import fcntl
     except ImportError as error:
-        # Windows lacks it; a bench is not used without a lock.
+        # Windows has no fcntl; a bench is not used without a lock.
         raise StorageError(
             f"{place.subject}: this system cannot lock files; use Linux or macOS. Without fcntl "
             f"two programs could drive one bench. Recordings can be identified, diagnosed, "
-            f"simulated, exported and looked at here"
+            f"simulated, exported and inspected on this system"
         ) from error
     return fcntl
 
@@ -290,7 +292,7 @@ def _locked(descriptor: int, fcntl: ModuleType) -> bool:
 
 @contextmanager
 def _folder(place: _Place) -> Iterator[int]:
-    """Open the folder of a lock file; the shared folder is made if missing, and must not be a
+    """Open the folder of a lock file; the shared folder is created if missing, and must not be a
     link.
     """
     flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
@@ -311,15 +313,15 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
     """Open or create a lock file; returns a descriptor above the standard streams."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        # First without O_CREAT: in a sticky folder fs.protected_regular refuses that for a file
-        # of another user.
+        # First without O_CREAT, because in a sticky folder, fs.protected_regular refuses to open a
+        # file of another user with O_CREAT.
         descriptor = os.open(place.file, flags, dir_fd=folder)
     except FileNotFoundError:
         descriptor = os.open(place.file, flags | os.O_CREAT | os.O_EXCL, _FILE_MODE, dir_fd=folder)
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode) or (place.shared and status.st_nlink > 1):
-            raise StorageError(_unusable(place, "no plain file of its own"))
+            raise StorageError(_unusable(place, "not a regular file with one name"))
         _open_to_all(descriptor, _FILE_MODE)
         # If a standard stream is closed, the lock could get its number, and printed text would go
         # into the file.
@@ -362,23 +364,23 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
     if holder is None:
         file = place.folder / place.file
         return (
-            f"{place.subject} is in use by another program, which has not given its name; "
-            f"`fuser {file}` finds it"
+            f"{place.subject} is in use by a program that has not written its name; "
+            f"`fuser {file}` finds the program"
         )
     who = holder.words(place.what, utc_now())
     if holder.alive():
         return f"{place.subject} is in use by {who}; wait for it to end, or stop it"
     return (
-        f"{place.subject} is in use: {who} is gone, but a process that it started still holds "
-        "it, as the guardian of a drive does until the drive is off; wait for that process to "
-        "end"
+        f"{place.subject} is in use: {who} is gone, but a process that it started, such as the "
+        "guardian of a drive that is not off yet, still holds the lock; wait for the end of that "
+        "process"
     )
 
 
 def _left_words(place: _Place, left: bytes) -> str:
     """Return a message on the lock taken over."""
     holder = Holder.parse(left)
-    who = "a program that is not known" if holder is None else holder.words(place.what, utc_now())
+    who = "an unknown program" if holder is None else holder.words(place.what, utc_now())
     return (
         f"{place.subject} was left locked by {who}, which no longer holds the lock; the lock is "
         "taken over"
@@ -389,8 +391,8 @@ def _unusable(place: _Place, reason: str) -> str:
     """Return the problem of a lock file or its folder, and the remedy."""
     if place.shared:
         remedy = (
-            f"{place.folder} must be a folder that everyone may write to (mode 1777); remove "
-            f"what is in the way"
+            f"{place.folder} must be a folder that everyone may write to (mode 1777); remove or "
+            f"rename what has this name"
         )
     else:
         remedy = "let this user write to it, or use a folder on a local disk"

@@ -15,31 +15,31 @@ from rig.common.text import valid, valid_record
 
 
 def require_folder(path: Path, option: str) -> None:
-    """Check before the work that a folder exists or can be made; creates nothing.
+    """Check before the work that a folder exists or can be created; the function creates nothing.
 
     Args:
         path: The folder.
-        option: Option that set it, for the message.
+        option: Option that names the folder, for the message.
 
     Raises:
-        InputError: It cannot be made; names the parent folder that prevents it.
+        InputError: The folder cannot be made; the message names the parent folder that prevents it.
     """
     above = path
     while not os.path.exists(above) and above != above.parent:
         above = above.parent
     if not is_folder(above):
         raise InputError(
-            f"{path}: cannot be created, as {above} is a file; give {option} another place"
+            f"{path}: cannot be created, because {above} is a file; give {option} another place"
         )
     if not os.access(above, os.W_OK | os.X_OK):
         raise InputError(f"{path}: no permission to write to {above}; give {option} another place")
 
 
 def require_file(path: Path | None, option: str) -> None:
-    """Check before the work that a file can be written; creates nothing.
+    """Check before the work that a file can be written; the function creates nothing.
 
     Raises:
-        InputError: Its folder is missing or read-only, or it is a folder itself.
+        InputError: The file's folder is missing or read-only, or the path is that of a folder.
     """
     if path is None:
         return
@@ -47,8 +47,8 @@ def require_file(path: Path | None, option: str) -> None:
         raise InputError(f"{path}: is a folder; give {option} a file")
     if not is_folder(path.parent):
         raise InputError(
-            f"{path}: the folder {path.parent} does not exist; make it, or give {option} another "
-            f"place"
+            f"{path}: the folder {path.parent} does not exist; create the folder, or give "
+            f"{option} another place"
         )
     judged = path.parent if is_file(path) or not os.path.exists(path) else path
     if not os.access(judged, os.W_OK):
@@ -59,9 +59,9 @@ def require_file(path: Path | None, option: str) -> None:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary name; the file replaces ``path`` at the end, or is removed after an error.
 
-    Readers never see half a file, and an earlier version survives a full disk or Ctrl-C. A link is
-    followed; a path that is no plain file (a pipe, ``/dev/stdout``) is written directly, never
-    replaced.
+    Readers never see an incomplete file, and an earlier version survives a full disk or Ctrl-C. A
+    link is followed; a path that is not a regular file (a pipe, ``/dev/stdout``) is written
+    directly and never replaced.
     """
     if os.path.exists(path) and not is_file(path):
         yield path
@@ -71,7 +71,7 @@ def replacing(path: Path) -> Iterator[Path]:
     draft = target.with_name(f".{target.name}.new")
     try:
         yield draft
-        # For writing: Windows flushes no other descriptor to the disk.
+        # Opened for writing, because Windows flushes no other descriptors to the disk.
         with open(draft, "r+b") as stream:
             os.fsync(stream.fileno())
         os.replace(draft, target)
@@ -83,7 +83,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file in one step.
 
     Raises:
-        OSError: It cannot be written; an earlier version is kept.
+        OSError: The file cannot be written; an earlier version is kept.
     """
     with replacing(path) as draft, open(draft, "w", encoding="utf-8") as stream:
         stream.write(valid(text))
@@ -93,11 +93,11 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
     """Write JSON in one step.
 
     Raises:
-        OSError: It cannot be written; an earlier version is kept.
+        OSError: The file cannot be written; an earlier version is kept.
     """
     text = json.dumps(record, indent=1)
     if "\\ud" in text:
-        # The text may have escapes of undecoded bytes, which strict JSON readers refuse.
+        # The text may have undecoded bytes as lone surrogates, which strict JSON readers refuse.
         text = json.dumps(valid_record(record), indent=1)
     write_text(path, text + "\n")
 
@@ -106,7 +106,7 @@ def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
     """Write the file of ``--json``; do nothing if the path is None.
 
     Raises:
-        InputError: It cannot be written; an earlier version is kept.
+        InputError: The file cannot be written; an earlier version is kept.
     """
     if path is None:
         return

@@ -22,7 +22,7 @@ def sha256_file(path: Path) -> str:
     """Return the SHA-256 of a file in hexadecimal.
 
     Raises:
-        OSError: It cannot be read.
+        OSError: The file cannot be read.
     """
     require_plain(path)
     with open(path, "rb") as stream:
@@ -30,12 +30,12 @@ def sha256_file(path: Path) -> str:
 
 
 def utc_now() -> datetime:
-    """Return the date and time, for labels only; never used for timing."""
+    """Return the date and time in UTC, which are used for labels only and never for timing."""
     return datetime.now(UTC)
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this program and its dependencies, with the commit if there is one."""
+    """Return the versions of this program and its dependencies, and the commit of a work tree."""
     found = dict(_installed())
     commit = git_commit(Path(__file__).parents[2])
     if commit:
@@ -68,5 +68,5 @@ def _text(path: Path) -> str | None:
     try:
         return path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):
-        # No work tree, or one of another project.
+        # ``root`` is not a work tree, or is one of another project.
         return None

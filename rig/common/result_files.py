@@ -1,4 +1,4 @@
-"""Makes the common head of all result files, and numbers in plain JSON form."""
+"""Makes the keys that all result files begin with, and converts numbers to plain JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rig.common.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 RESULT_FILE = "identify.json"
-"""Name of such a result file in a run folder."""
+"""Name of the result file of this kind in a run folder."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Provenance:
 
     Attributes:
         seed: Seed of the random generator.
-        inputs: File to its SHA-256.
+        inputs: SHA-256 of the input files, by path.
         seconds: Wall-clock time spent.
         created: Time of creation, ISO 8601 in UTC.
         versions: Versions of this program and its dependencies.
@@ -50,7 +50,7 @@ class Provenance:
             recordings: The recordings used.
             seconds: Wall-clock time spent.
             described_by: The campaign file or a run's ``run.json`` that describes the recordings.
-            tables: Tables that list them: file to SHA-256.
+            tables: SHA-256 of the tables that list the recordings, by path.
 
         Raises:
             OSError: ``described_by`` cannot be read.
@@ -61,7 +61,7 @@ class Provenance:
         return cls(seed, inputs, seconds, utc_now().isoformat(timespec="seconds"), versions())
 
     def record(self, schema: str) -> dict[str, Any]:
-        """Return the head of a result file."""
+        """Return the keys that a result file begins with."""
         return {
             "schema": schema,
             "version": self.versions["loadrig"],

@@ -9,7 +9,8 @@ from typing import NamedTuple
 class Sample(NamedTuple):
     """One cycle in SI units; the field order is the order of the tags in the recording.
 
-    ``command`` is the target that the cycle sent; everything else was latched at that cycle's SYNC.
+    ``command`` is the target that the cycle sent; all other values were latched at the SYNC of this
+    cycle.
 
     Attributes:
         time: Start of the cycle since the start of the run, s.

@@ -1,6 +1,7 @@
-"""Rows of a table as trees of values: each column names a key, with dots for a key inside another.
+"""Reads the rows of a table as trees of values: each column names a key; a dot separates a key from
+a key inside it.
 
-A cell is read as the same text in a YAML file would be; an empty cell leaves its key out.
+A cell is read as text in a YAML file is; the key of an empty cell is left out.
 """
 
 from __future__ import annotations
@@ -29,16 +30,17 @@ class _Entry(NamedTuple):
 def csv_rows(text: str, path: Path) -> list[Node]:
     """Return the rows of a CSV file as mappings.
 
-    The first line that is no comment names the columns; the delimiter is a semicolon, a tab or a
-    comma, whichever the header has. Lines that are empty or begin with ``#`` are left out.
+    The first line that is not a comment is the header, which names the columns; the delimiter is
+    the semicolon, tab or comma that the header has. Lines that are empty or begin with ``#`` are
+    left out.
 
     Args:
         text: Content of the file.
         path: The file, for the places of the values.
 
     Raises:
-        DocumentError: It is no CSV, the header names no or equal columns, or a row has another
-            number of cells; its mark names the file.
+        DocumentError: The text is not CSV, the header is empty or has equal names, or the number of
+            cells of a row differs from that of the header; the error's mark names the file.
     """
     lines = text.split("\n")
     used = [n for n, line in enumerate(lines) if line.strip() and not line.startswith("#")]
@@ -85,13 +87,13 @@ def row(header: Sequence[Node], cells: Sequence[Node], place: Mark) -> Node:
     names = [name.value for name in header]
     if len(cells) != len(header):
         raise DocumentError(
-            f"{len(cells)} cells under {len(header)} columns; add or remove some", place
+            f"{len(cells)} cells under {len(header)} columns; add or remove cells", place
         )
     for name, node in zip(names, header, strict=True):
         if not isinstance(name, str) or not all(name.split(".")):
             raise DocumentError(f"a column must be named by a key (got {name!r})", node.mark)
         if names.count(name) > 1:
-            raise DocumentError(f"two columns are named {name!r}; remove one", node.mark)
+            raise DocumentError(f"two columns are named {name!r}; remove one column", node.mark)
     entries = [
         _Entry(str(name).split("."), node.mark, _value(cell))
         for name, node, cell in zip(names, header, cells, strict=True)

@@ -21,7 +21,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
         right: Indices of the columns aligned to the right (numbers).
 
     Raises:
-        ValueError: A row of another length.
+        ValueError: The number of cells of a row differs from that of the titles.
     """
     for number, row in enumerate(rows):
         if len(row) != len(header):
@@ -39,7 +39,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
 
 
 def number(value: float | None, digits: int = 5) -> str:
-    """Return a number with this many significant digits, or a dash for None."""
+    """Return a number with ``digits`` significant digits, or a dash for None."""
     return "-" if value is None else f"{value:.{digits}g}"
 
 

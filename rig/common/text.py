@@ -47,5 +47,5 @@ def _bytes(text: str) -> bytes:
     try:
         return text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:
-        # Half of a UTF-16 character, which never stands for bytes.
+        # A surrogate that is half of a UTF-16 character does not represent a byte.
         return text.encode("utf-8", "replace")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 EDGES_US = (0, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
-"""Upper ends of the bins, microseconds; one more bin holds longer durations."""
+"""Upper ends of the bins, microseconds; a further bin is for longer durations."""
 _EDGES_NS = tuple(edge * 1000 for edge in EDGES_US)
 
 
@@ -32,7 +32,7 @@ class Histogram:
         """Return the upper end of the bin at the quantile ``share``, or the longest duration if the
         quantile is beyond the last bin.
 
-        None if nothing was counted.
+        The result is None if no duration was counted.
         """
         total = sum(self.counts)
         if not total:
@@ -62,7 +62,7 @@ class Timing:
         lateness: Lateness of cycle starts; by the real clock for a simulated bench in real time.
         answer: Time from a cycle's start until its sample was received: the sample's age at its
             check.
-        missed_syncs: Cycles skipped because an earlier one was more than a period late.
+        missed_syncs: Cycles that were skipped because an earlier cycle was more than a period late.
         lost_servo: Cycles in which the drive's answer was missing or bad.
         lost_encoder: Cycles in which the joint encoder's answer was missing or bad.
         oldest_s: The greatest age of the last fresh sample, s.
@@ -77,7 +77,7 @@ class Timing:
         self.oldest_s = 0.0
 
     def record(self) -> dict[str, Any]:
-        """Return everything for ``run.json``."""
+        """Return all statistics for ``run.json``."""
         return {
             "lateness": self.lateness.record(),
             "answer": self.answer.record(),
@@ -89,7 +89,7 @@ class Timing:
 
 
 def summary(timing: Mapping[str, Any]) -> str:
-    """Return one line for the terminal, from a record."""
+    """Return the statistics of a record as one line for the terminal."""
     late, answer = timing["lateness"], timing["answer"]
     if late["p99_us"] is None or answer["p99_us"] is None:
         return "no cycle was completed"

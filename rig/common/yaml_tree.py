@@ -40,7 +40,7 @@ class Mark:
     Attributes:
         line: Line.
         column: Column.
-        file: The file, where it is another than the one that the tree was read from.
+        file: The file of the place, if it is not the file from which the tree was read.
     """
 
     line: int
@@ -50,10 +50,10 @@ class Mark:
 
 @dataclass(frozen=True)
 class Node:
-    """One value and where it starts.
+    """One value and the place at which it starts.
 
     Attributes:
-        value: A scalar, a list of nodes, or a mapping of key to node.
+        value: A scalar, a list of nodes, or a mapping of keys to nodes.
         mark: Where the value starts.
         keys: For a mapping: where each key starts.
     """
@@ -104,7 +104,7 @@ class _Resolver(Resolver):
 
 
 class _Loader(Reader, Scanner, Parser, _Composer, _Resolver):
-    """Reads with the parser in Python, whose error messages are the ones that are reported."""
+    """Reads with the parser in Python, whose error messages are reported to the user."""
 
     def __init__(self, text: str) -> None:
         Reader.__init__(self, text)
@@ -128,7 +128,7 @@ def _root(text: str) -> yaml.Node | None:
 
 @cache
 def _quick_loader() -> Callable[[str], _Composer]:
-    # A class that PyYAML lacks where it was built without libyaml.
+    # PyYAML has this base class only if it was built with libyaml.
     class _QuickLoader(_Composer, _Resolver, yaml.CSafeLoader):
         def __init__(self, text: str) -> None:
             yaml.CSafeLoader.__init__(self, text)
@@ -138,7 +138,9 @@ def _quick_loader() -> Callable[[str], _Composer]:
 
 
 _READ_OTHERWISE = re.compile(r"[\t?!\ufeff]|:\s+[,\]}]")
-"""What libyaml accepts where the parser in Python refuses it, or places otherwise."""
+"""Text that libyaml accepts but the parser in Python refuses, or to which the two parsers give
+different places.
+"""
 _SCALARS = (
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
@@ -164,7 +166,7 @@ def read_text(path: Path) -> str:
     """Return the text of a UTF-8 file.
 
     Raises:
-        DocumentError: It is missing, not a file, unreadable, too large or not UTF-8.
+        DocumentError: The file is missing, not a file, unreadable, too large or not UTF-8.
     """
     try:
         if path.is_dir():
@@ -191,11 +193,12 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
     """Parse one YAML document whose top level is a mapping.
 
     Returns:
-        The tree, and the duplicate keys as (mark, key, message); the first of the duplicates is the
-        one in the tree.
+        The tree, and the duplicate keys as (mark, key, message); the tree has the first of the
+        duplicates.
 
     Raises:
-        DocumentError: Bad syntax, an empty document, or another top level.
+        DocumentError: The syntax is wrong, the document is empty, or its top level is not a
+            mapping.
     """
     try:
         root = _root(text)

@@ -26,7 +26,7 @@ from rig.planning.reference import moment_per_kg, read_identification
 UNLOADED = ("Mc", "sigma_2", "J")
 LOADED = ("mu_c", "mu_2")
 RISES = STRIBECK_TERMS[:2]
-"""Names of sliding level, static level and Stribeck speed of eq. 9 and 12."""
+"""Parameter names of Coulomb level, static level and Stribeck speed in eq. 9 and in eq. 12."""
 CATCH_UP_SHARE = 0.1
 """Speed, as a share of the speed limit, at which damping balances the greatest stiffness torque."""
 
@@ -55,14 +55,14 @@ class Feedforward:
 
     @property
     def remark(self) -> str | None:
-        """Message to the operator."""
+        """Message to the operator on undetermined parameters, or None."""
         if not self.left_open:
             return None
         return (
             f"feed-forward: {self.source} leaves {', '.join(self.left_open)} undetermined: the "
-            "feed-forward torque contains no rise of friction toward rest, and stiffness replaces "
-            "it; a run without feed-forward, in which the joint comes to rest and breaks away "
-            "again, determines the rise"
+            "feed-forward torque contains no rise of friction toward rest, and a stiffness "
+            "replaces the rise; a run without feed-forward, in which the joint comes to rest and "
+            "breaks away again, determines the rise"
         )
 
     def missing(self, loaded: bool) -> tuple[str, ...]:
@@ -116,8 +116,8 @@ class Compensator:
         """Return the next torque offset, N m, within its limit.
 
         Args:
-            sample: Sample of the previous cycle; None in the first. An incomplete sample gives no
-                feedback; damping needs two successive complete samples.
+            sample: Sample of the previous cycle; None in the first cycle. An incomplete sample
+                gives no feedback; damping needs two successive complete samples.
         """
         torque, stiffness, damping, commanded, speed = next(self._rows)
         angle = (
@@ -136,8 +136,9 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: The file cannot be read, is not such a result, or does not determine the
-            unloaded joint, except the rise of friction toward rest.
+        InputError: The file cannot be read, is not a result of ``rig identify``, or does not
+            determine the parameters of the unloaded joint other than the rise of friction toward
+            rest.
     """
     raw = read_identification(path)
     try:
@@ -182,8 +183,8 @@ def require_torque_offset(bench: Document[Bench]) -> None:
         raise InputError(bench.problem(("servo", "torque_offset"), text))
     if not isinstance(value.bus, Bus):
         text = (
-            "feed-forward needs the torque offset at the time of the target, but a serial line "
-            "transmits it later"
+            "feed-forward needs target and torque offset at one time, but a serial line "
+            "transmits the offset later"
         )
         raise InputError(
             bench.problem(
@@ -192,8 +193,8 @@ def require_torque_offset(bench: Document[Bench]) -> None:
         )
     mode = value.servo.commanded(value.servo.device_data(bench.path.parent))
     if mode != "csp":
-        text = f"feed-forward needs servo.mode csp, and this drive is commanded in {mode}"
-        raise InputError(bench.problem(("servo", "mode"), f"{text}: run without it"))
+        text = f"feed-forward needs servo.mode csp, but this drive is commanded in {mode}"
+        raise InputError(bench.problem(("servo", "mode"), f"{text}: run without feed-forward"))
     bench.require(
         (("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value)
     )
@@ -228,8 +229,8 @@ def stage_offsets(
     speed = friction_feedforward.commanded_speed(targets, cycle_s)
     gains = feedback.gains(model.values["J"], cycle_s)
     share = np.abs(friction_feedforward.motion(targets, cycle_s))
-    # When cycle k is sent, the last sample belongs to cycle k - 1, in which the joint should reach
-    # target k - 2.
+    # When target k is sent, the last sample belongs to cycle k - 1, in which the joint should
+    # reach target k - 2.
     return Offsets(
         torque,
         gains.stiffness * share,

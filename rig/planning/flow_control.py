@@ -54,7 +54,7 @@ class LawState:
 
 
 def make_law(controller: FlowController, cycle_s: float, speed_rad_s: float) -> FlowLaw:
-    """Return the controller of a sequence file for this cycle time, with speed limit
+    """Return the controller of a sequence file for the cycle time ``cycle_s``, with the speed limit
     ``speed_rad_s``.
     """
     gain = math.radians(controller.gain_deg)
@@ -105,13 +105,13 @@ class Regulator:
         self._wanted = 0.0
 
     def targets(self) -> Iterator[float]:
-        """Yield the angle of each cycle, rad; :meth:`see` must be called after each."""
+        """Yield the angle of each cycle, rad; :meth:`see` must be called after each angle."""
         for wanted in self._pressures:
             self._wanted = wanted
             yield self._state.angle
 
     def see(self, sample: Sample) -> None:
-        """Receive the sample of the last target."""
+        """Process the sample that followed the last target."""
         state = self._state
         if state.pressure == 0.0:
             state = replace(state, pressure=max(sample.pressure, _LEAST_PRESSURE_PA))

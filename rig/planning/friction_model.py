@@ -50,7 +50,8 @@ class FrictionModel:
         """Return whether the friction torques of a stage were measured on this bench.
 
         Args:
-            loaded: Whether the stage has a load, so that the load coefficients count too.
+            loaded: Whether the stage has a load, so that its friction also depends on the load
+                parameters.
         """
         needed = _UNLOADED_FRICTION + (_LOAD_FRICTION if loaded else ())
         return self.measured and not set(needed) & set(self.from_paper)
@@ -68,7 +69,7 @@ def friction_model(
             ``named`` is None.
 
     Raises:
-        InputError: ``named`` cannot be read, or is not such a result.
+        InputError: ``named`` cannot be read, or is not a result of ``rig identify``.
     """
     if named is not None:
         return _identified(named, bench)
@@ -80,7 +81,7 @@ def friction_model(
             continue  # an incomplete run folder does not state its bench
     words = (
         f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
-        f"because there is no identification of this bench; give one with --identification"
+        f"because there is no identification of this bench; give a result with --identification"
     )
     arm = bench.moment_arm or 0.0
     per_kg = moment_per_kg(bench)
@@ -90,7 +91,7 @@ def friction_model(
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
-    """Return a warning if an identification belongs to a run on a bench with other constants.
+    """Return a warning if an identification is of a run on a bench with other constants, else None.
 
     Args:
         path: Result of ``rig identify --json``.
@@ -109,8 +110,8 @@ def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
         if getattr(recorded, field.name) != getattr(bench, field.name)
     ]
     return (
-        f"{path}: identified on a bench of other constants ({'; '.join(differing)}); "
-        "identify a run on this bench, or check the bench file"
+        f"{path}: identified on a bench with other constants ({'; '.join(differing)}); check the "
+        "bench file and, if it is right, identify a run on this bench"
     )
 
 
@@ -143,7 +144,7 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     missing = [name for name in NOMINAL if name not in known]
     words = f"the identification {path}"
     if missing:
-        words += f"; {', '.join(missing)}, which it does not determine, from the paper"
+        words += f"; {', '.join(missing)}, not determined by the result, from the paper"
     arm = bench.moment_arm or 0.0
     per_kg = moment_per_kg(bench)
     return FrictionModel(

@@ -17,7 +17,7 @@ from rig.planning.limits import GasLimits
 NEEDS_PRESSURE = (
     "a hot firing is loaded by its chamber pressure, and this bench has no pressure transmitter; "
     "add the sections "
-    "`pressure` and `gas_generator` to the bench file, or use practical_hot"
+    "`pressure` and `gas_generator` to the bench file, or use the bench practical_hot"
 )
 
 
@@ -81,7 +81,7 @@ def _steady(targets: Array, generator: GasGenerator) -> Array:
 def hot_objections(
     section: StageSection, targets: Array, bench: Bench
 ) -> Iterator[tuple[tuple[str | int, ...], str, object]]:
-    """Yield key, message and value of each request of a hot firing that exceeds a limit."""
+    """Yield key, message and value for each quantity of a hot firing that exceeds a limit."""
     if section.stage != "hot_fire":
         return
     generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
@@ -129,9 +129,7 @@ def _flow_range(section: StageSection, generator: GasGenerator) -> Array:
 
 
 def gas_limits(bench: Bench) -> GasLimits | None:
-    """Return the limits on the gas generator. The result is None on a bench without a pressure
-    transmitter.
-    """
+    """Return the limits on the gas generator; None for a bench without pressure transmitter."""
     generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
     if bench.pressure is None or generator is None or limit_MPa is None:
         return None

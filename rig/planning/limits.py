@@ -26,7 +26,8 @@ class Limits:
 
     ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without a
     pressure transmitter. ``reports_temperature`` and ``reports_supply`` are False for a drive that
-    has no object for them; these limits, and infinite limits, are not checked.
+    does not report its temperature or supply voltage; limits on values that the drive does not
+    report, and infinite limits, are not checked.
     """
 
     angle_min: float

@@ -253,7 +253,7 @@ _Objection = tuple[tuple[str | int, ...], str, object]
 def _objections(
     section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench
 ) -> Iterator[_Objection]:
-    """Yield key, message and value of each request of a stage that exceeds a limit."""
+    """Yield key, message and value for each quantity of a stage that exceeds a limit."""
     if len(stage.targets) < 2:
         yield (
             ("duration_s",),
@@ -281,7 +281,7 @@ def _objections(
         and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque
     ):
         text = (
-            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m "
+            f"feed-forward needs {peak:.4g} N m, above the limit torque_N_m "
             f"{limits.torque:g} N m; use less weight"
         )
         yield ("weight_kg",), text, section.weight_kg
@@ -298,7 +298,7 @@ def _objections(
 def _motion_objections(
     section: StageSection, stage: PlannedStage, limits: Limits
 ) -> Iterator[_Objection]:
-    """Yield targets outside the angle range or above the speed limit."""
+    """Yield key, message and value if targets exceed the angle range or the speed limit."""
     way: tuple[str, ...]
     pace: tuple[str, ...]
     way, pace, slower = (
@@ -330,7 +330,7 @@ def _motion_objections(
 
 
 def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:
-    """Merge the sequence's limits into those of the bench, and collect limits that are wider."""
+    """Merge the limits of the sequence into those of the bench; collect errors on wider limits."""
     values: dict[str, float] = {}
     problems: list[str] = []
     for name in _LIMIT_NAMES:
@@ -338,20 +338,20 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
         asked: float | None = getattr(sequence.value.limits, name)
         values[name] = allowed if asked is None else asked
         if asked is not None and (asked < allowed if name in _LOWER_BOUNDS else asked > allowed):
-            text = f"wider than the bench's {allowed:g}; a sequence may only tighten a limit"
+            text = f"wider than the bench's limit {allowed:g}; a sequence may only tighten a limit"
             problems.append(sequence.problem(("limits", name), text, asked))
         elif asked is not None and name in bench.unreported:
             problems.append(sequence.problem(("limits", name), NOT_REPORTED, asked))
     if values["angle_min_deg"] >= values["angle_max_deg"]:
         text = (
             f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is "
-            "empty; swap the limits or widen the range"
+            "empty; angle_min_deg must be below angle_max_deg"
         )
         problems.append(sequence.problem(("limits",), text))
     if values["supply_min_V"] >= values["supply_max_V"]:
         text = (
             f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; "
-            "swap the limits or widen the range"
+            "supply_min_V must be below supply_max_V"
         )
         problems.append(sequence.problem(("limits",), text))
     return values, problems

@@ -19,7 +19,7 @@ from rig.planning.limits import Limits
 from rig.planning.plan import Plan, PlannedStage
 
 WARNING_SHARE = 0.8
-"""Predicted peak, as a share of its limit, above which there is a warning."""
+"""Predicted peak, as a share of its limit, above which the program warns."""
 LOOP_S = 0.005
 """Time in which a drive with stiff gains follows a step of the commanded speed, s; with softer
 gains the torque is less.
@@ -48,17 +48,17 @@ class PredictedPeak:
 
     @property
     def torque_share(self) -> float:
-        """Peak as a share of its limit."""
+        """Peak torque as a share of its limit."""
         return self.torque_N_m / self.torque_limit_N_m
 
     @property
     def current_share(self) -> float:
-        """Peak as a share of its limit."""
+        """Peak current as a share of its limit."""
         return self.current_A / self.current_limit_A
 
     @property
     def share(self) -> float:
-        """The greater of two shares: torque over its limit, and current over its limit."""
+        """The greater of peak torque over its limit and peak current over its limit."""
         return max(self.torque_share, self.current_share)
 
 
@@ -97,7 +97,7 @@ def _peaks(
 def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
     """Return the joint angles of each move to the start of a part of a stage, rad.
 
-    The first move starts at 0. A part that starts at the present angle has no move.
+    The first move starts at angle 0. A part that starts at the present angle has no move.
     """
     parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
     moves, here = [], 0.0
@@ -117,7 +117,8 @@ def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionMod
     """Return the greatest torque at the joint while it follows commanded angles, N m.
 
     The torque balances static friction at a breakaway, and friction, working load and inertia in
-    motion (eq. 15). The prediction does not contain feedback torque, as in stick-slip.
+    motion (eq. 15). The prediction does not contain the feedback torque of the drive, which is
+    large in stick-slip.
 
     Args:
         angle: Commanded joint angles, rad, one per cycle, shape (n,), at least two.
@@ -146,7 +147,7 @@ def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
     """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static friction at
     speed 0.
     """
-    # The sign of eq. 9 and 12 is 0 at rest, so that the smallest speed replaces zero.
+    # The sign function in eq. 9 and 12 is 0 at rest; therefore the smallest speed replaces zero.
     speed = np.maximum(speed, np.finfo(np.float64).tiny)
     return np.asarray(
         system_friction(speed, model.values, model.alpha)

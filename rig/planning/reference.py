@@ -62,8 +62,8 @@ def load_reference(path: Path, bench: Bench) -> Reference:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: The file cannot be read, is not such a result, or does not determine a parameter
-            that the check needs.
+        InputError: The file cannot be read, is not a result of ``rig identify``, or does not
+            determine a parameter that the weight check needs.
     """
     raw = read_identification(path)
     try:
@@ -76,19 +76,22 @@ def read_identification(path: Path) -> dict[str, Any]:
     """Read the result file of ``rig identify`` on a rotary bench.
 
     Raises:
-        InputError: The file cannot be read, or is not such a result.
+        InputError: The file cannot be read, or is not a result of ``rig identify`` on a rotary
+            bench.
     """
     raw = read_json(path)
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(
-            f"{path}: schema: a result of `rig identify` ({IDENTIFY_SCHEMA}) is needed (got "
+            f"{path}: schema: must be that of a result of `rig identify`, {IDENTIFY_SCHEMA} (got "
             f"{found!r})"
         )
     if "motion" not in raw:
         raise InputError(f"{path}: damaged: no 'motion'; run `rig identify` again")
     if raw["motion"] != "rotary":
-        raise InputError(f"{path}: motion: a rotary bench is needed (got {raw['motion']!r})")
+        raise InputError(
+            f"{path}: motion: the result must be of a rotary bench (got {raw['motion']!r})"
+        )
     alpha = raw.get("alpha", 2.0)
     if (
         isinstance(alpha, bool)
@@ -104,8 +107,8 @@ def read_identification(path: Path) -> dict[str, Any]:
 def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
     found = raw["parameters"]
     problems = [
-        f"{path}: parameters.{name}: not identified; the weight check needs a run with stages "
-        f"unloaded and loaded"
+        f"{path}: parameters.{name}: not identified; the weight check needs the result of a run "
+        f"with an unloaded and a loaded stage"
         for name in NEEDED
         if name not in found or not _finite(found[name])
     ]

@@ -13,16 +13,16 @@ import numpy as np
 from rig.config.sequence import Array
 
 EDGES = np.geomspace(2e-3, 4.0, 67)
-"""Ends of the speed bins, rad/s; the same for every motion, so that levels can be compared bin by
-bin.
+"""Edges of the speed bins, rad/s; all motions have these bins, so that levels can be compared bin
+by bin.
 """
 SPEED_WINDOW_S = 0.006
 """Time over which the speed is computed, s: shorter than the slips of a loaded joint (about 20
 ms).
 """
 SLOWEST_SHARE = 0.2
-"""Least speed used, as a share of the greatest: at lower ones friction is steep and encoder
-quantisation large.
+"""Least speed that is used, as a share of the greatest speed; at lower speeds friction changes
+steeply with speed, and the encoder quantisation is large.
 """
 FEWEST_SAMPLES = 100
 
@@ -33,8 +33,8 @@ class FrictionLevel:
 
     Attributes:
         speed: Mean speed in each bin, rad/s, shape (66,); 0 in empty bins.
-        torque: Mean friction torque there, N m, shape (66,).
-        path: Distance moved there, rad, shape (66,); the weight of the bin.
+        torque: Mean friction torque in each bin, N m, shape (66,).
+        path: Distance moved in each bin, rad, shape (66,), which is the weight of the bin.
     """
 
     speed: Array

@@ -16,18 +16,17 @@ from rig.weighing.weight_check import LoadedLevel, suspects
 def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
     """Find the recordings of a run or campaign whose mass differs from their label.
 
-    Without a reference this requires stages of two different masses in addition to the stage that
-    is judged.
+    Without a reference, the check of a stage requires further stages of two different masses.
 
     Returns:
-        The recordings that are or may be wrong; empty also if nothing can be compared.
+        The recordings whose label is or may be wrong; also empty if nothing can be compared.
     """
     return suspects(_levels(dataset.recordings), reference)
 
 
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
-    """Whether masses can be judged: either by a reference, or by three stages that have two masses
-    or more and of which two are loaded.
+    """Whether masses can be judged: by a reference, or by at least two loaded stages if the stages
+    have at least two different masses.
     """
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
     return reference is not None or (

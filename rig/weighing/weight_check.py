@@ -19,19 +19,19 @@ from rig.runs.run_record import Verdict, Weighing
 from rig.weighing.friction_level import FrictionLevel
 
 TOLERANCE = 0.075
-"""Tolerance of the measured mass as a share of the confirmed one: half of the smallest error to
-be detected, 15 %.
+"""Tolerance of the measured mass as a share of the confirmed mass. The smallest error of the mass
+that the check must detect is twice this tolerance, 15 %.
 """
 EMPTY_TOLERANCE_KG = 1.0
-"""Mass that an empty lever may seem to carry."""
+"""Largest measured mass, kg, with which an empty lever counts as empty."""
 UNCERTAINTY_SHARE = 0.4
 """Largest standard error, as a share of the tolerance, for which the check can decide."""
 
 
 _LEAST_FREEDOM = 0.5
 SIGMAS = 2.0
-"""Number of standard errors beyond the tolerance at which a finished stage contradicts the
-others; a false alarm costs a whole run.
+"""Number of standard errors beyond the tolerance at which a finished stage contradicts the other
+stages; it is high, because a false alarm makes a whole run useless.
 """
 
 
@@ -57,9 +57,9 @@ def weigh(
         return _against_reference(item, reference)
     if len({other.weight_kg for other in earlier}) < 2:
         text = (
-            "the weight cannot be checked yet: that takes an accepted identification of this "
+            "the weight cannot be checked yet: the check needs an accepted identification of this "
             "bench (--identification), "
-            "or stages of two different masses before this one; look at the weight again"
+            "or earlier stages of two different masses; look at the weight again"
         )
         return Weighing(
             item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, f"stage {item.stage}: {text}"
@@ -110,9 +110,9 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
         f"{item.weight_kg:g} kg"
         if alone
         else (
-            f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; "
-            f"one of {', '.join(candidates)} is wrong, and an identification or one more mass "
-            "would show which"
+            f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; the "
+            f"label of one of {', '.join(candidates)} is wrong, and an identification or a stage "
+            "with one more mass would show which label"
         )
     )
     return Weighing(
@@ -126,8 +126,8 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the line through the other stages; true if there is no
-    line.
+    """Whether every loaded stage agrees with the straight line of friction over mass through the
+    other stages; true if these determine no line.
 
     A stage with too large a standard error agrees with any line.
     """
@@ -151,7 +151,7 @@ def _against_reference(item: LoadedLevel, reference: Reference) -> Weighing:
 
 
 def _mass(level: FrictionLevel, reference: Reference) -> float:
-    """Return the mass for which the reference friction gives the measured work."""
+    """Return the mass for which the friction of the reference gives the measured work, kg."""
     seen = level.path > 0.0
     speed, path = level.speed[seen], level.path[seen]
     excess = float(np.sum(path * (level.torque[seen] - reference.unloaded(speed))))
@@ -172,7 +172,7 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, reference: str) -> Weig
     elif abs(mass - item.weight_kg) <= allowed:
         verdict, rest = Verdict.RIGHT, "the weight is taken as right"
     else:
-        # No weight rubs on an empty lever: then it is the bench, or the unit of its torque.
+        # An empty lever has no friction by a weight: the cause is the bench or its torque unit.
         first = (
             "hang the right weight, or look for what else rubs"
             if item.weight_kg
@@ -187,12 +187,13 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[flo
     """Return the mass at which the straight lines through other stages' levels give the measured
     work, and its standard error.
 
-    None if there are no such lines. The standard error follows from the scatter over speeds; this
-    scatter includes the inertia's exchange of work between speeds, and the slope of friction.
+    The result is None if there are no such lines. The standard error is computed from the scatter
+    over the speed bins, which includes the work that the inertia exchanges between speeds, and the
+    slope of friction.
 
-    Each speed bin has its own line, fitted by least squares to the stages with that bin. The weight
-    of a bin is the reciprocal of the sum of the stages' reciprocal distances there, so that the
-    stage with the shortest distance dominates.
+    Each speed bin has its own line, fitted by least squares to the stages with motion in this bin.
+    The weight of a bin is the reciprocal of the sum of the stages' reciprocal distances in this
+    bin, so that the stage with the shortest distance dominates.
     """
     stages = list(others)
     masses = np.array([other.weight_kg for other in stages])
