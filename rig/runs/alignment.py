@@ -1,10 +1,10 @@
 """Aligns drive and joint encoder, which sample with separate clocks, to one time base.
 
 If one SYNC latches drive and encoder, only their time stamps drift apart; the samples are left
-unchanged. Samples of a free-running encoder are up to a period older than the drive's, by an age
-that varies with the beat of the clocks. A delay tau biases the inertia by tau dF/domega, from the
-slope of friction: half a millisecond near the Stribeck speed gives an error of a quarter of the
-inertia. Pure functions of arrays.
+unchanged. Samples of a free-running encoder are up to a period older than those of the drive; their
+age varies with the beat of the two clocks. A delay tau biases the inertia by tau dF/domega, where
+dF/domega is the slope of friction over speed: half a millisecond near the Stribeck speed gives an
+error of a quarter of the inertia.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ AGREE = 0.02
 simultaneous.
 """
 _SHARE = 0.01
-"""Share of samples that may be older, so that single late stamps are tolerated."""
+"""Share of samples that may exceed this age, so that single late stamps are tolerated."""
 _BLOCKS = 500
 _LEAST = 5.0
-"""Percentile of a block that counts as its least age, so that single early stamps have no effect.
+"""Percentile of the ages in a block that counts as the least age of the block, so that single early
+stamps have no effect.
 """
 _FILLED = 3
 """Greatest number of consecutive encoder samples that are interpolated because the encoder
@@ -35,14 +36,14 @@ overwrote them before the drive's next sample.
 def taken_at(reference: Array, stamps: Array) -> Array:
     """Return the sampling times of an encoder by the reference clock, s, shape (n,).
 
-    A sample is logged after it was taken, with almost no delay at some phase of the beat. Therefore
-    the line between the clocks is the highest line with almost no sample in the future: the edge of
-    the lower convex hull under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). A constant
-    delay is not observable.
+    A sample is logged after it was taken, with almost no delay at some phase of the beat of the two
+    clocks. Therefore the line between the clocks is the highest line for which almost no sample is
+    in the future: the edge of the lower convex hull at the mean of the samples (Moon, Skelly and
+    Towsley, INFOCOM 1999, 227). A constant delay is not observable.
 
     Args:
         reference: The drive's time of each row, s, rising, shape (n,).
-        stamps: The encoder's own stamp of the angle in that row, s, not falling, shape (n,).
+        stamps: The encoder's own stamp of the angle in each row, s, not falling, shape (n,).
     """
     points = []
     for block in np.array_split(np.arange(len(stamps)), min(_BLOCKS, max(len(stamps) // 20, 1))):
@@ -72,12 +73,12 @@ def aligned(
     """Return the channels on one time base, and a note on the correction; the channels are
     unchanged if the clocks agree.
 
-    The finer encoder keeps its counts. If the time base is that of the joint encoder, all other
-    channels are interpolated to its sampling times; averaged channels remain means, over the period
-    of the joint encoder.
+    The angle of the finer encoder is not interpolated. If the time base is that of the joint
+    encoder, all other channels are interpolated at its sampling times; averaged channels remain
+    means, over the period of the joint encoder.
 
     Args:
-        channels: ``time`` by the drive's clock and ``angle`` among them.
+        channels: Channels, including ``time`` by the drive's clock, and ``angle``.
         stamps: The encoder's own stamps of ``angle``, s, shape (n,).
         averaged: Channels whose samples are means over the period that ends at their time.
         gear_ratio: Motor turns per joint turn.
@@ -92,7 +93,7 @@ def aligned(
         return dict(channels), ""
     new = np.concatenate(([True], np.diff(stamps) > 0.0))
     words = (
-        f"the joint encoder samples by a clock of its own: angles up to "
+        f"the joint encoder samples by its own clock: angles up to "
         f"{1e3 * float(np.percentile(age, 99.0)):.2g} ms "
         "older than the drive's samples"
     )

@@ -1,6 +1,6 @@
 """Compares the clocks of a run: drift of drive and encoder, gaps, late answers.
 
-Pure functions of arrays.
+The functions depend only on their arguments.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ import numpy as np
 from identification.recording import Array
 
 LEAST_DRIFT_PPM = 1.0
-"""Least drift that is reported, ppm; crystals have 20 to 100."""
+"""Least drift that is reported, ppm; drifts of crystals are 20 to 100 ppm."""
 LATE_PERIODS = 1.0
 """Number of periods after which an answer counts as late."""
 
 
 def drift_ppm(reference: Array, other: Array) -> float | None:
-    """Return by how much the other clock runs faster, ppm, or None if a clock does not run forward.
+    """Return the drift of the other clock against the reference clock, ppm, positive if the other
+    clock is faster, or None if a clock does not run forward.
 
     The drift is computed from the medians of the first and last fifth, so that single late stamps
     have no influence.
@@ -36,14 +37,15 @@ def drift_ppm(reference: Array, other: Array) -> float | None:
 
 
 def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
-    """Return messages on gaps, late answers and drifting clocks; empty if there are none.
+    """Return messages on gaps, late answers and drifting clocks; empty if there is nothing to
+    report.
 
-    If drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; if
-    the encoder is free-running, :mod:`rig.runs.alignment` corrects the drift.
+    If drive and encoder latch at one SYNC, a drift between their clocks does not affect the
+    samples; if the encoder is free-running, :mod:`rig.runs.alignment` corrects the drift.
 
     Args:
         time: Start of each cycle, s, shape (n,).
-        host: Time at which its answer had been collected, s, shape (n,).
+        host: Time at which the answers of each cycle had been collected, s, shape (n,).
         drive: The drive's own stamps, s, shape (n,).
         encoder: The joint encoder's own stamps, s, shape (n,).
     """
@@ -54,7 +56,7 @@ def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str
     if np.any(gaps):
         lost = round(float(np.sum(steps[gaps] / period - 1.0)))
         notes.append(
-            f"{int(gaps.sum())} gaps, {lost} samples lost, the longest "
+            f"{int(gaps.sum())} gaps, {lost} samples lost, the longest gap "
             f"{1e3 * float(steps.max()):.4g} ms"
         )
     late = host - time > LATE_PERIODS * period

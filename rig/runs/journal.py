@@ -15,7 +15,7 @@ class Journal(Protocol):
         ...
 
     def stage_finished(self, index: int) -> None:
-        """Stage ``index`` is complete and de-energised."""
+        """Stage ``index`` is complete, and the drive is de-energised."""
         ...
 
     def weight_confirmed(self, index: int, weight_kg: float) -> None:
@@ -27,10 +27,10 @@ class Journal(Protocol):
         ...
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
-        """The run is over, and the drive was left in this state.
+        """The run has ended with this state and message; the drive was left de-energised or not.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The file cannot be written.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""Warnings of results on unfinished recordings of a stopped run (``--partial``)."""
+"""Makes the warnings for results from unfinished recordings of a stopped run (``--partial``)."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
     were = "was" if len(names) == 1 else "were"
     return (
         f"partial result: the run stopped before {', '.join(names)} {were} finished; the "
-        "result lacks the motion that was not recorded, and with a shortened motion the "
-        "intervals can be too narrow; `rig "
-        "resume` finishes the "
-        "run",
+        "result does not use the motion that was not recorded, and with a shortened motion "
+        "the intervals can be too narrow; `rig resume` finishes the run",
     )
 
 

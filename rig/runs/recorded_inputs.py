@@ -20,11 +20,11 @@ from rig.runs.run_record import ACCEPTANCE_INPUT, RunRecord
 
 @dataclass(frozen=True)
 class GivenFile:
-    """A file that a run was given beside bench and sequence.
+    """A file that was given to a run in addition to bench and sequence.
 
     Attributes:
-        entry: Its entry in ``run.json``: path and SHA-256.
-        content: Its bytes.
+        entry: Entry of the file in ``run.json``: path and SHA-256.
+        content: Bytes of the file.
     """
 
     entry: Mapping[str, str]
@@ -35,7 +35,7 @@ class GivenFile:
         """Read a file.
 
         Raises:
-            OSError: It cannot be read.
+            OSError: The file cannot be read.
         """
         content = path.read_bytes()
         return cls(input_entry(path, sha256(content)), content)
@@ -51,9 +51,9 @@ def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
 def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     """Return the present path of an input file of a run; the file need not exist.
 
-    Older run files have the path as typed. If a relative path is not valid from the current folder,
-    it is tried from the parent folders of the run, because the run was probably started in one of
-    these.
+    Older run files have the path as typed. If no file exists at a relative path from the current
+    folder, the path is tried from the parent folders of the run, because the run was probably
+    started in one of these folders.
 
     Args:
         folder: The run folder.
@@ -69,12 +69,14 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
 
 
 def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
-    """Return the file of limits that a run was given last, from its recordings; or the file itself
-    if it is unchanged, because a recording that could not be started does not contain the file.
-    None if the run was given none.
+    """Return the file of limits that was last given to a run, from the recordings of the run, or
+    None if no file was given.
+
+    If no recording contains the file, because a recording could not be started, the file itself is
+    read, provided that it is unchanged.
 
     Raises:
-        InputError: No recording contains the file, and it is missing or was changed.
+        InputError: No recording contains the file, and the file is missing or was changed.
     """
     entry = record.inputs.get(ACCEPTANCE_INPUT)
     if entry is None:
@@ -89,7 +91,7 @@ def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
 
 
 def _copies(folder: Path, record: RunRecord, entry: Mapping[str, str]) -> Iterator[bytes]:
-    """Yield the files that may be the file of limits that a run was given."""
+    """Yield the contents that may be the file of limits that was given to a run."""
     for part in reversed(record.parts):
         with suppress(DamageError, OSError):
             yield first_attachment(folder / part.file, ACCEPTANCE_INPUT)

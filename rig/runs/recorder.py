@@ -33,10 +33,9 @@ FLUSH_NS = 100_000_000
 class Recorder:
     """A recording that is being written.
 
-    Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
+    Log times are nanoseconds since the start of the run, so that equal runs give equal bytes.
 
-    Log times never decrease: messages from a clock that was set back get the latest log time before
-    them.
+    Log times never decrease: if a clock was set back, its messages get the latest earlier log time.
 
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.
@@ -61,9 +60,9 @@ class Recorder:
         operating system.
 
         Raises:
-            StorageError: It cannot be written (disk full).
+            StorageError: The cycle cannot be written (disk full).
         """
-        # Spelled out, not `with self._writing()`: this runs every cycle.
+        # Without the slower `with self._writing()`, because this method runs in every cycle.
         if self._broken:
             raise _broken_before()
         if time_ns < self._latest_ns:
@@ -84,7 +83,7 @@ class Recorder:
         """Record an event with JSON details, and pass it to the operating system immediately.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The event cannot be written.
         """
         time_ns = self._latest_ns = max(time_ns, self._latest_ns)
         record = {"time": time_ns / 1e9, "event": event, **details}
@@ -97,7 +96,7 @@ class Recorder:
         immediately.
 
         Raises:
-            StorageError: They cannot be written.
+            StorageError: The frames cannot be written.
         """
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
@@ -109,7 +108,7 @@ class Recorder:
         """Record a message unchanged from another recording.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The message cannot be written.
         """
         channel = {
             SAMPLE_TOPIC: self._sample,
@@ -123,7 +122,7 @@ class Recorder:
         """Attach a file.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The file cannot be written.
         """
         with self._writing():
             self._writer.attachment(name, media_type, content)
@@ -133,7 +132,7 @@ class Recorder:
         """Add key-value metadata.
 
         Raises:
-            StorageError: It cannot be written.
+            StorageError: The metadata cannot be written.
         """
         with self._writing():
             self._writer.metadata(name, values)
@@ -173,7 +172,7 @@ class Recorder:
 
 
 def _broken_before() -> StorageError:
-    return StorageError("the recording failed before")
+    return StorageError("an earlier write of the recording has failed")
 
 
 def _failed(error: OSError) -> StorageError:
@@ -198,7 +197,7 @@ def open_recorder(path: Path) -> Recorder:
     """Create a recording file.
 
     Raises:
-        StorageError: It exists already or cannot be created.
+        StorageError: The file exists already or cannot be created.
     """
     try:
         return Recorder(open(path, "xb"))

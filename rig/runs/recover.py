@@ -1,5 +1,5 @@
 """Repairs a run whose writer died: writes a clean recording of all readable records, and completes
-``run.json`` from it.
+``run.json`` from this recording.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class Recovery:
     """Result of a recovery.
 
     Attributes:
-        damage: Message on each damaged file, beginning with its name.
-        samples: Number of samples after it.
-        record: ``run.json`` after it.
-        changed: Whether anything was written.
+        damage: Message on each damaged file, which begins with the name of the file.
+        samples: Number of samples after the recovery.
+        record: ``run.json`` after the recovery.
+        changed: Whether a file was written.
         taken_over: Program that had left the folder locked, or None for none.
     """
 
@@ -51,12 +51,12 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
     """Lock a run folder, and repair it with :func:`mend`.
 
     Args:
-        folder: The run.
-        purpose: The command, for the message to others that find the folder in use.
+        folder: The run folder.
+        purpose: The command, for the message to other programs that find the folder in use.
 
     Raises:
-        InputError: There is no readable recording, or an earlier recovery is in the way.
-        InUseError: The run is still going, or another program works on it.
+        InputError: No recording is readable, or the folder has the files of an earlier recovery.
+        InUseError: The run is in progress, or another program uses the folder.
         StorageError: The folder cannot be locked.
         OSError: The folder cannot be written.
     """
@@ -68,12 +68,10 @@ def mend(folder: Path) -> Recovery:
     """Replace damaged recordings by clean recordings, keep the damaged files, and complete
     ``run.json``.
 
-    A whole run is left alone.
-
-    The caller holds the folder.
+    A complete run is not changed. The caller must hold the lock of the folder.
 
     Raises:
-        InputError: There is no readable recording, or an earlier recovery is in the way.
+        InputError: No recording is readable, or the folder has the files of an earlier recovery.
         OSError: The folder cannot be written.
     """
     first = read_log(folder / RECORDING_FILE)
@@ -122,10 +120,10 @@ def _mend(path: Path, log: Log) -> None:
 
 
 def _record(folder: Path) -> tuple[RunRecord, list[str]]:
-    """Return the last ``run.json``, and a text on its errors.
+    """Return the last ``run.json``, and texts on its errors.
 
-    If ``run.json`` is lost or cannot be used, the copy that is attached to the latest recording
-    takes its place.
+    If ``run.json`` is lost or cannot be used, the copy that is attached to the latest recording is
+    used.
     """
     path = folder / RUN_FILE
     try:
@@ -176,7 +174,7 @@ def _copy(log: Log, recorder: Recorder) -> None:
 
 def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     """Determine from events and samples which excitations were finished and how the run ended, and
-    write both into the record.
+    write these results into the record.
     """
     record.segments = []
     for number, log in enumerate(logs, start=1):

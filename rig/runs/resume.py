@@ -31,11 +31,12 @@ class Resumption:
 
     Attributes:
         record: ``run.json``, completed.
-        bench: The same bench file as before.
-        sequence: The same sequence file as before.
-        stage: Index of the stage to go on with.
+        bench: The bench file of the run, which is unchanged.
+        sequence: The sequence file of the run, which is unchanged.
+        stage: Index of the stage with which the run continues.
         mended: Messages on recordings whose writer died.
-        died: Whether the writer of the last one did, so that the drive stopped by its own watch.
+        died: Whether the writer of the last recording died, so that the drive's watchdog stopped
+            the drive.
     """
 
     record: RunRecord
@@ -49,12 +50,11 @@ class Resumption:
 def prepare(folder: Path) -> Resumption:
     """Repair a run if its writer died, and find the stage with which the run continues.
 
-    Recordings of the unfinished stage are discarded.
-
-    The caller holds the lock of the folder until the resumed run has ended.
+    Recordings of the unfinished stage are marked as not to be used. The caller must hold the lock
+    of the folder until the resumed run has ended.
 
     Raises:
-        InputError: There is nothing left to do, or the bench or sequence file is gone or was
+        InputError: All stages are done, or the bench or sequence file is gone or was
             changed since.
         OSError: The folder cannot be written.
     """
@@ -84,7 +84,7 @@ def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
     if name == BENCH_ATTACHMENT and record.simulated:
         attached = attached.replace(")", ", without the simulated machine's true constants)")
-    remedy = f"restore the file that the run began with{attached}, or start a new run"
+    remedy = f"restore the file with which the run began{attached}, or start a new run"
     try:
         digest = sha256_file(path)
     except OSError as error:

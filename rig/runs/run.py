@@ -48,7 +48,7 @@ class RunFolder:
         """Replace ``run.json`` as a whole, so that no reader sees an incomplete file.
 
         Raises:
-            StorageError: It cannot be written; the last version stays.
+            StorageError: The file cannot be written; the previous version is kept.
         """
         try:
             write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
@@ -140,12 +140,12 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
     Args:
         path: The folder.
-        purpose: The command, for the message to others that find the folder in use.
+        purpose: The command, for the message to other programs that find the folder in use.
 
     Raises:
-        InputError: It exists and is not empty, or cannot be made.
-        InUseError: Another program uses it.
-        StorageError: It cannot be locked.
+        InputError: The folder exists and is not empty, or cannot be made.
+        InUseError: Another program uses the folder.
+        StorageError: The folder cannot be locked.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -153,7 +153,7 @@ def create_folder(path: Path, purpose: str) -> Lock:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     lock = hold_folder(path, purpose)
     try:
-        # Checked under the lock, so that only one of two programs can find it empty.
+        # Checked under the lock, so that only one of two programs can find the folder empty.
         require_unused(path)
     except BaseException:
         lock.release()
@@ -165,7 +165,7 @@ def require_unused(path: Path) -> None:
     """Check that a folder does not exist, or contains nothing but the lock.
 
     Raises:
-        InputError: It is not empty, or cannot be looked into.
+        InputError: The folder is not empty, or cannot be read.
     """
     try:
         items = path.iterdir() if path.exists() else ()
@@ -187,8 +187,8 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 
     Args:
         folder: The run folder.
-        partial: Whether to take excitations that were not finished as well, up to their last fresh
-            sample. Those too short for a recording are left out.
+        partial: Whether to also take unfinished excitations, up to their last fresh sample;
+            excitations that are too short for a recording are left out.
 
     Raises:
         InputError: The folder is not a run, its recording is unreadable, or no stage was finished
@@ -228,7 +228,7 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 
 def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
     """Return the error for a run without a usable recording."""
-    # If a recording is unreadable, report that instead.
+    # An unreadable recording is reported first.
     run_samples.read_log(folder / RECORDING_FILE)
     state = f"(state {record.state}: {record.message or 'writer died'})"
     if partial:
@@ -236,7 +236,11 @@ def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
             f"{folder}: no excitation was recorded {state}; this run has no data to evaluate"
         )
     unfinished = any(segment.kept for segment in record.segments)
-    remedy = "--partial uses the recorded part" if unfinished else "no excitation has begun"
+    remedy = (
+        "--partial uses the recorded part of unfinished excitations"
+        if unfinished
+        else "no excitation has begun"
+    )
     return InputError(f"{folder}: no stage was finished {state}; {remedy}")
 
 
@@ -248,8 +252,8 @@ def _recording(
     path: Path,
     digest: str,
 ) -> Recording:
-    """Return one excitation as a recording; ``samples`` is emptied at the same time, because a long
-    run does not fit into memory twice.
+    """Return one excitation as a recording; ``samples`` is emptied meanwhile, because a long run
+    does not fit into memory twice.
     """
     fresh = samples.pop("fresh") != 0.0
     partial = segment.end is None
@@ -307,7 +311,8 @@ def _times(samples: dict[str, Array], encoder_time: Array) -> tuple[Array, list[
     """
     time, device_time = samples.pop("time"), samples.pop("device_time")
     notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
-    # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
+    # The drive's time stamps are those of its latch; the host's times have the jitter of its
+    # scheduler.
     if device_time.size > 1 and np.all(np.diff(device_time) > 0):
         device_time += time[0] - device_time[0]
         time = device_time

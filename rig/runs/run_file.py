@@ -58,8 +58,8 @@ _MUST_HOLD = {
 
 @functools.cache
 def _adapter(record: type[Any]) -> TypeAdapter[Any]:
-    """Return the validator of a record; the validator is cached, because creating it takes longer
-    than a validation.
+    """Return the validator of a record, which is cached, because its creation takes longer than a
+    validation.
     """
     return TypeAdapter(record)
 
@@ -68,8 +68,8 @@ def read_record(folder: Path) -> RunRecord:
     """Read ``run.json``.
 
     Raises:
-        InputError: It is missing, damaged, of another version or has invalid values; lists every
-            error with its place.
+        InputError: The file is missing, damaged, of another version or has invalid values; the
+            message has every error with its place.
     """
     path = folder / RUN_FILE
     text = read_utf8(path, "is this a run folder?")
@@ -93,8 +93,8 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete a record of an older version; such a record lacks hot firings, further recordings or
-    stage ends.
+    """Complete a record of an older version, which lacks the keys on hot firings, further
+    recordings or ends of stages.
     """
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
@@ -124,8 +124,8 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ended(stage: Any, state: str) -> Any:
-    """Return a stage with its final state if the record says that the stage runs although the run
-    has ended.
+    """Return a stage; if its state is `running` although the run has ended, with the state of the
+    end.
     """
     return (
         {**stage, "state": state}
@@ -135,8 +135,8 @@ def _ended(stage: Any, state: str) -> Any:
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
-    """Return the constants of the bench on which a run was made; :func:`read_record` must have read
-    ``record``.
+    """Return the constants of the bench on which a run was made, from a record that
+    :func:`read_record` has read.
     """
     burns = record.bench["gas_generator"]
     rebuilt = (
@@ -148,7 +148,9 @@ def recorded_bench(record: RunRecord) -> BenchConstants:
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
-    """Yield the errors that type checks do not find: missing constants and dangling references."""
+    """Yield the errors that type checks do not find: missing constants, and references to stages or
+    recordings that do not exist.
+    """
     missing = _BENCH - set(record.bench)
     for name in sorted(missing):
         yield ("bench", name), "missing; state every constant, because a default would not be safe"
@@ -187,9 +189,9 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
                 f"there are {len(record.stages)} stages, numbered from 0",
             )
         elif segment.stage != record.stages[segment.stage_index].stage:
-            yield ("segments", index, "stage"), "differs from its stage's"
+            yield ("segments", index, "stage"), "differs from the load condition of its stage"
         elif segment.kept and segment.weight_kg != record.stages[segment.stage_index].mass_kg:
-            yield ("segments", index, "weight_kg"), "differs from its stage's confirmed mass"
+            yield ("segments", index, "weight_kg"), "differs from the confirmed mass of its stage"
         if not 1 <= segment.part <= len(record.parts):
             yield (
                 ("segments", index, "part"),

@@ -15,15 +15,15 @@ RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
 FEEDFORWARD_INPUT = "feedforward.json"
-"""Name of the identification from which the torque offsets of the drive were computed, as input of
-a run and as attachment.
+"""Name, as input of a run and as attachment, of the identification from which the torque offsets of
+the drive were computed.
 """
 ACCEPTANCE_INPUT = "acceptance.yaml"
-"""Name of the file of limits given with ``--acceptance``, as input of a run and as attachment."""
+"""Name, as input of a run and as attachment, of the file of limits given with ``--acceptance``."""
 DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""Validator for reading a record back; building a record does not validate it."""
+"""Validator with which a record is read back; the creation of a record does not validate it."""
 Load = Literal["unloaded", "loaded", "hot_fire"]
 Role = Literal["fit", "validate"]
 StageEnd = Literal["stopped", "tripped", "failed"]
@@ -33,7 +33,7 @@ STAGE_ENDS: Mapping[str, StageEnd] = {
     "failed": "failed",
     "crashed": "failed",
 }
-"""State of a run that ended early, to the state of its current stage."""
+"""State of the current stage by the state of a run that ended early."""
 
 
 @dataclass
@@ -97,8 +97,8 @@ class SegmentRecord:
         start: Start of the excitation, since the start of the recording, s.
         samples: Planned samples.
         end: End of the excitation, since the start of the recording, s.
-        stage_index: Index of its stage, from 0.
-        part: Number of its recording, from 1.
+        stage_index: Index of the excitation's stage, from 0.
+        part: Number of the excitation's recording, from 1.
         kept: False if the stage of the excitation was begun again.
         role: `fit` or `validate`.
     """
@@ -159,7 +159,7 @@ class RunRecord:
         created: Date and time, UTC.
         seed: Seed of the simulated bench's noise.
         simulated: Whether the bench is simulated.
-        realtime: Whether a simulated bench was held to real time.
+        realtime: Whether a simulated bench ran in real time.
         cycle_s: Control cycle, s.
         versions: Versions of this program and of the libraries that it depends on.
         inputs: File and SHA-256 of every input file, by name.
@@ -173,7 +173,7 @@ class RunRecord:
         warnings: Warnings that were shown to the operator.
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
         message: How the run ended, as text.
-        trip: The limit that was broken: check, value, limit, unit, time.
+        trip: The limit that was violated: check, value, limit, unit, time.
         de_energised: Whether the drive was read back as de-energised.
         drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
             unknown.
@@ -214,9 +214,10 @@ class RunRecord:
     schema: str = SCHEMA
 
     def stage_ended(self, state: str) -> None:
-        """Set the state of the current stage, if there is one; ``state`` is the state of the run.
+        """Set the state of the current stage, if there is one, at the end of the run with state
+        ``state``.
 
-        A stage that is still going on when the run is done has failed.
+        If a stage is still running although the run is done, the state of the stage is failed.
         """
         for stage in self.stages:
             if stage.state == "running":
@@ -247,10 +248,10 @@ class Weighing:
 
     Attributes:
         stage: Name of the stage.
-        confirmed_kg: What the operator says is on the lever.
+        confirmed_kg: Mass on the lever as confirmed by the operator.
         verdict: Verdict by friction.
-        measured_kg: The mass that the friction fits, or None if it could not be measured.
-        sigma_kg: Its standard error, without the error of the reference's model.
+        measured_kg: Mass that the measured friction implies, or None if it could not be measured.
+        sigma_kg: Standard error of the measured mass, without the error of the reference.
         message: Text with the remedy.
     """
 

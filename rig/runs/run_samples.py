@@ -1,5 +1,5 @@
-"""Reads the samples of a run by segment: streams a complete recording, and reads an incomplete
-recording as a whole.
+"""Reads the samples of a run by segment: a complete recording is streamed, an incomplete recording
+is read as a whole.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ Samples = dict[str, Array]
 def by_segment(
     path: Path, segments: Sequence[SegmentRecord], *, whole: bool
 ) -> tuple[dict[int, Samples], str | None]:
-    """Return segment index to samples (stale samples included), and a message on damage.
+    """Return the samples by index of the segment, including stale samples, and a message on damage.
 
     Args:
         path: The recording.
         segments: The requested segments.
-        whole: Whether the recording was closed in order, so that it can be streamed.
+        whole: Whether the recording was closed regularly, so that it can be streamed.
 
     Raises:
-        InputError: It cannot be opened or is not a recording.
+        InputError: The file cannot be opened or is not a recording.
     """
     most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
     expected = {s.index: min(s.samples, most) for s in segments}
@@ -72,7 +72,7 @@ def read_log(path: Path) -> Log:
     """Read a recording as a whole.
 
     Raises:
-        InputError: It cannot be opened or is not a recording.
+        InputError: The file cannot be opened or is not a recording.
     """
     try:
         return read_run(path)
@@ -90,8 +90,8 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
 
 
 class _Growing:
-    """One field of a segment, filled in place, because joining blocks at the end would need twice
-    the memory for a long run.
+    """One field of a segment, into which blocks are copied as they arrive, because joining the
+    blocks at the end would need twice the memory.
     """
 
     def __init__(self, expected: int) -> None:
@@ -99,7 +99,7 @@ class _Growing:
         self._count = 0
 
     def extend(self, values: Array) -> None:
-        """Add values; values beyond the expected number are added by copying the field."""
+        """Add values; if there are more values than expected, the whole field is copied."""
         stop = self._count + len(values)
         if stop > len(self._values):
             self._values = np.concatenate(

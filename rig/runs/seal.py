@@ -1,9 +1,9 @@
 """Writes the SHA-256 of a run's files into ``SHA256SUMS`` in the run folder.
 
 The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` verifies the files
-without this program. The digests show damage and edits, but not who made them: a person who can
-write the folder can also write this file. A certificate that is kept elsewhere, for example on
-paper, protects the digests against such a change.
+without this program. The digests show accidental damage and edits. They do not protect against a
+person who can write the folder, and who can then also write this file; a certificate with the
+digests that is kept elsewhere, for example on paper, protects against such a change.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 
 
 def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Write the digests of the present files; digests of other files stay.
+    """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept.
 
-    Args:
-        folder: The run folder.
-        names: Paths relative to the folder; those that are missing are left out.
+        Args:
+            folder: The run folder.
+            names: Paths relative to the folder; missing files are left out.
 
-    Returns:
-        Name to digest of everything that is sealed now.
+        Returns:
+            Digests of all sealed files, by name.
 
     Raises:
         OSError: A file cannot be read, or the seal cannot be written.
@@ -38,7 +38,7 @@ def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
     try:
         sealed = dict(read_seal(folder))
     except InputError:
-        # A damaged seal is replaced; the files that are sealed now are known.
+        # A damaged seal is replaced by the digests of the given files.
         sealed = {}
     sealed |= {name: sha256_file(folder / name) for name in names if is_file(folder / name)}
     lines = (f"{digest}  {name}\n" for name, digest in sorted(sealed.items()))
@@ -50,13 +50,13 @@ def seal_run(folder: Path, record: RunRecord) -> dict[str, str]:
     """Record the digests of a run's record and recordings at its end.
 
     Raises:
-        OSError: As :func:`seal`.
+        OSError: See :func:`seal`.
     """
     return seal(folder, [RUN_FILE, *(part.file for part in record.parts)])
 
 
 def read_seal(folder: Path) -> Mapping[str, str]:
-    """Read the seal: return name to digest; empty if the folder has no seal.
+    """Return the digests in the seal, by name; empty if the folder has no seal.
 
     Raises:
         InputError: The seal is damaged.
@@ -68,6 +68,6 @@ def read_seal(folder: Path) -> Mapping[str, str]:
     for number, line in enumerate(read_utf8(path).splitlines(), start=1):
         match = _LINE.fullmatch(line)
         if match is None:
-            raise InputError(f"{path}:{number}: no line of the form `SHA-256  file`")
+            raise InputError(f"{path}:{number}: the line must have the form `SHA-256  file`")
         found[match[2]] = match[1]
     return found

@@ -29,7 +29,7 @@ JOINT_FIELDS = {
     "omega_sL": "omega_sL_rad_s",
     "mu_2": "mu_2_s_rad",
 }
-"""Parameter name of the estimators to the name in the simulated joint."""
+"""Names in the simulated joint by the parameter names of the estimators."""
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
@@ -42,9 +42,9 @@ def true_parameters(machine: Machine) -> dict[str, float]:
 def truth_of(source: Path) -> dict[str, float] | None:
     """Return the true parameters of a run on a simulated bench, or None if they are not available.
 
-    The run does not contain them. The parameters come from the bench file of the run, if that file
-    still exists or is packaged under the same name, with the same SHA-256. A bench with injected
-    effects gives no true parameters.
+    The run folder does not contain the true parameters. They are read from the bench file of the
+    run or from a packaged file of this name, if the file has the recorded SHA-256. The result is
+    None for a bench with injected effects.
 
     Raises:
         InputError: ``run.json`` is damaged.
@@ -61,8 +61,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
             try:
                 machine = load_bench(candidate).value.mock
             except InputError:
-                # A bench file that this version does not know; the recording can be identified all
-                # the same.
+                # This version cannot read the bench file, but can still identify the recording.
                 return None
             return None if machine is None or machine.effects else true_parameters(machine)
     return None

@@ -41,9 +41,9 @@ from rig.sources.stamps import even_stamps
 Rows = NDArray[np.intp]
 
 ANGLES = ("motor_angle", "angle")
-"""Channels that show whether samples are uneven, the finer channel first."""
+"""Channels by whose values uneven sampling is detected, the channel with finer steps first."""
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
-"""Channels that are often logged at a lower rate; all their missing samples are interpolated."""
+"""Channels that are often logged at a lower rate; all missing samples of these are interpolated."""
 
 
 def build(
@@ -154,9 +154,9 @@ def _windowed(
         there = f"{finite.min():.6g} to {finite.max():.6g} s" if finite.size else "nowhere"
         raise InputError(
             f"{file}: the window {window.words()} holds no sample: the file's time runs from "
-            f"{there}, after scale and offset; move the window"
+            f"{there}, after scale and offset; change the window"
         )
-    # If an end of the window is open, the rows beyond it that have no time are checked as well.
+    # If an end of the window is open, the rows without time beyond this end are checked as well.
     first = 0 if window.begin is None else int(rows[0])
     stop = len(time) if window.to is None else int(rows[-1]) + 1
     note = f"window {window.words()}: {stop - first} of {len(time)} samples used"
@@ -164,19 +164,19 @@ def _windowed(
 
 
 def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
-    """Return notes on those known loads of one recording that are the same at every angle."""
+    """Return notes on the known loads of a recording that do not depend on the angle."""
     unit = "N" if bench.motion == "linear" else "N m"
     notes = []
     if section.constant_torque:
         notes.append(
             f"known constant torque {section.constant_torque:+.4g} {unit} on the joint (positive "
-            f"drives it forward)"
+            f"drives the joint forward)"
         )
     if section.hoisted is not None:
         hoist = section.hoisted.hoist()
         notes.append(
             f"hoisted {hoist.mass:.4g} kg: {hoist.torque(bench.gravity):+.4g} {unit} on the joint "
-            f"(positive drives it forward) and its inertia"
+            f"(positive drives the joint forward), and the inertia of this mass"
         )
     return notes
 
@@ -186,8 +186,9 @@ def _mend(
 ) -> tuple[dict[str, Array], Timing, list[str]]:
     """Check the time, fill isolated missing samples, and drop repeated time stamps.
 
-    Rows of other topics are dropped only if rows have time stamps (``stamped``); with a rate, each
-    row is a sample. ``skipped`` is the number of rows of the table before these channels.
+    Rows of other topics are dropped only if rows have time stamps (``stamped``); if the campaign
+    states a rate, each row is a sample. ``skipped`` is the number of rows of the table before the
+    first row of the channels.
     """
     dropped: list[str] = []
     rows: Rows = skipped + np.arange(len(channels["time"]))
@@ -259,7 +260,7 @@ def _without_other_topics(
     if count <= MISSING_SHARE * len(empty) or len(empty) - count < MIN_SAMPLES:
         return channels, [], np.arange(len(empty))
     kept = {name: values[~empty] for name, values in channels.items()}
-    note = f"{count} rows that contain only a time, as rows of another topic do, dropped"
+    note = f"{count} rows dropped that contain only a time, probably rows of another topic"
     return kept, [note], np.flatnonzero(~empty)
 
 
@@ -269,8 +270,8 @@ def _apart(name: str, channels: dict[str, Array]) -> str:
     for other, values in channels.items():
         if other != name and not np.any(known & np.isfinite(values)):
             return (
-                f"; it has no row in common with `{other}`: the two channels belong to "
-                "different topics; interpolate both at the time stamps of one of them first"
+                f"; this channel has no row in common with `{other}`: the two channels belong to "
+                "different topics; interpolate one of them at the time stamps of the other first"
             )
     return ""
 
@@ -285,7 +286,9 @@ def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per piece, each on one clock; several pieces are numbered from 1."""
+    """Return one recording per piece without gaps, each on one clock; several pieces are numbered
+    from 1.
+    """
     n = len(whole.time)
     if timing.pieces == ((0, n),):
         return [_on_one_clock(whole, stamps)]
@@ -302,8 +305,8 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
-    """Return a recording whose channels have common times; if only the stamps are uneven, the times
-    are even.
+    """Return a recording whose channels have common times; if the time stamps are uneven but the
+    samples are not, the times are made even.
     """
     if stamps is None:
         return _on_even_stamps(recording)

@@ -24,16 +24,16 @@ def read_channels(
 
     Args:
         table: The opened file.
-        section: Its entry in the campaign.
-        document: The campaign, to point at the entry in errors.
+        section: Entry of the file in the campaign.
+        document: The campaign, for the place of the entry in errors.
         index: Position of the entry in ``recordings``.
 
     Returns:
-        Canonical channels in SI units, all of shape (n,), time among them; the rows of the file
-        left out before them; and notes.
+        Canonical channels in SI units, all of shape (n,), including the time; the number of rows of
+        the file before the first used row; and notes.
 
     Raises:
-        InputError: A column is missing or no numbers, or the columns cannot share their rows.
+        InputError: A column is missing or has no numbers, or the columns have no common rows.
     """
     columns, notes = _columns(table, section, document, index)
     # A column may feed several channels; it is read once.
@@ -46,7 +46,7 @@ def read_channels(
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise InputError(
-            f"{table.path}: channels differ in length: {listed}; they must share their rows"
+            f"{table.path}: channels differ in length: {listed}; channels must have common rows"
         )
     channels = {name: _to_si(values, section.channels[name]) for name, values in raw.items()}
     if section.rate is not None:
@@ -61,14 +61,15 @@ def on_one_time(
 
     Args:
         table: The opened file.
-        columns: Channel to column.
-        data: Column to its values, each of its own time base.
+        columns: Column of each channel.
+        data: Values of each column, on its own time base.
 
     Returns:
-        Channels in the units of the file, the rows of the file left out before them, and notes.
+        Channels in the units of the file, the number of rows of the file before the first used
+        row, and notes.
 
     Raises:
-        InputError: The columns cannot share their rows.
+        InputError: The columns cannot be brought to common times.
     """
     raw: dict[str, Array] = {}
     notes: list[str] = []
@@ -89,7 +90,7 @@ def _columns(
     """Return the index of each channel's column, and notes on incomplete names that were completed.
 
     Raises:
-        InputError: There is no such column, or several.
+        InputError: No column, or more than one column, fits a channel.
     """
     columns: dict[str, int] = {}
     problems: list[str] = []
@@ -117,7 +118,7 @@ def _joined(
     """Resample channels of several time bases at the time stamps of the column of time.
 
     Raises:
-        InputError: No column of time says which base is wanted, or the file has no common clock.
+        InputError: No column of time selects the time base, or the time bases have no common clock.
     """
     bases = {name: _base(table, column) for name, column in columns.items()}
     several = sorted(set(bases.values()))
@@ -127,8 +128,8 @@ def _joined(
     names = ", ".join(table.base_names[base] for base in several)
     if "time" not in bases:
         raise InputError(
-            f"{table.path}: the columns are of several time bases ({names}); map `time` to the "
-            "stamps of one of them instead of `rate`, or use columns of one time base"
+            f"{table.path}: the columns are of several time bases ({names}); instead of `rate`, "
+            "map `time` to the stamps of one time base, or use only columns of one time base"
         )
     stamps = {base: table.stamps(base) for base in several}
     found = {n: Base(table.base_names[n], s) for n, s in stamps.items() if s is not None}

@@ -50,7 +50,7 @@ UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "mpa": ("Pa", 1e6),
     "bar": ("Pa", 1e5),
 }
-"""Unit as files write it (lower case, no blanks) to its SI unit and scale."""
+"""SI unit and scale for each unit as files write it (lower case, no blanks)."""
 _NAMES: Final[Mapping[str, str]] = {
     "time": r"t|time|timestamp|zeit|stamp|seconds|elapsed",
     "supply_voltage": r"supply|u_?dc|v_?dc|vbus|dc_?link|battery",
@@ -67,7 +67,7 @@ _NAMES: Final[Mapping[str, str]] = {
     "temperature": r"temp|temperature|t_?motor",
     "pressure": r"p|pressure|druck|chamber_?pressure",
 }
-"""Channel to its usual column names; more specific channels come first."""
+"""Usual column names of each channel; more specific channels come first."""
 
 
 class Guess(NamedTuple):
@@ -85,8 +85,8 @@ class Guess(NamedTuple):
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit in lower case; the unit is empty if
-    there is none.
+    """Return a column's name without its unit, and the unit in lower case; the unit is empty if the
+    name has no unit.
 
     ``current [mA]``, ``current (mA)``, ``current/mA`` and ``current_mA`` name a unit.
     """
@@ -106,8 +106,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def channel_unit(channel: str, linear: bool = False) -> str:
-    """Return the SI unit of a channel on a rotary or a linear bench; motors turn on either kind of
-    bench.
+    """Return the SI unit of a channel on a rotary or a linear bench; channels of the motor are
+    rotary on either kind of bench.
     """
     if channel == "motor_angle":
         return CHANNELS[channel]
@@ -124,7 +124,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
     """Return the channels that columns with these names may contain, each column at most once.
 
     Args:
-        names: Column names in the order of the file; empty for a column without one.
+        names: Column names in the order of the file; empty for a column without a name.
         linear: Whether the bench is linear: positions in m, forces in N.
     """
     columns = [(name, *split_unit(name)) for name in names if name]
@@ -134,7 +134,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
         unit = channel_unit(channel, linear)
         for column, bare, stated in columns:
             word = re.sub(r"[\s\-.]+", "_", bare.lower()).strip("_")
-            # An unknown unit has an unknown scale.
+            # The scale of an unknown unit is unknown, so that the column is not used.
             si, scale = UNITS.get(stated, ("", 1.0)) if stated else (unit, 1.0)
             if column in taken or not re.fullmatch(f"{channel}|{pattern}", word) or si != unit:
                 continue

@@ -1,7 +1,7 @@
 """Notes on channels that contradict each other or themselves: wrong units, wrong signs, single
 outliers.
 
-Each function is a pure function that yields notes. A note neither changes data nor leaves data out.
+The functions yield notes and depend only on their arguments. No function changes or drops data.
 """
 
 from __future__ import annotations
@@ -19,18 +19,22 @@ from rig.sources.formats import Table
 BLOCK_S = 0.02
 """Time over which samples are averaged before a position is differentiated, s."""
 FACTOR_TOLERANCE = 0.1
-"""Relative deviation of a measured speed from the derivative of the position above which a note is
-given.
+"""Relative deviation of a measured speed from the derivative of the position above which a note
+results.
 """
 AGREEMENT = 0.9
 """Correlation of speed and derivative above which the ratio of the two is meaningful."""
 BOTH_WAYS = 0.1
-"""Least share of the motion in each direction for the check that the current changes its sign."""
+"""Least share of the motion in each direction that is required to check whether the current changes
+its sign.
+"""
 ALIKE = 1.5
-"""Greatest ratio of the efforts in both directions at which a log may contain magnitudes only."""
+"""Greatest ratio of the efforts (torque, current or voltage) in the two directions at which a log
+may contain magnitudes only.
+"""
 FAR = 100.0
-"""Ratio of a sample's distance from its neighbours to that of all other samples above which a note
-is given.
+"""Ratio of a sample's distance from its neighbours to the greatest such distance of all other
+samples, above which a note results.
 """
 OUTLIERS = 3
 """Greatest number of samples of a channel that count as single outliers."""
@@ -118,11 +122,11 @@ def _speed(position: str, derived: Array, measured: Array, gear: float) -> Itera
 def _signless(
     channels: Mapping[str, Array], mean: Mapping[str, Array], derived: Array
 ) -> Iterator[str]:
-    """Yield a note if the effort (torque or current) has one sign and is as large in both
-    directions of motion.
+    """Yield a note if the effort (torque, current or voltage) keeps one sign and is about equally
+    large in both directions of motion.
 
-    With a load in one direction the effort also has one sign, but it is greater against the load
-    than with the load.
+    With a load in one direction the effort may also keep one sign, but then the effort is greater
+    against the load than with the load.
     """
     moving = np.abs(derived) > BOTH_WAYS * np.max(np.abs(derived), initial=0.0)
     forward = float(np.mean(derived[moving] > 0)) if moving.any() else 0.0

@@ -35,8 +35,8 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
         partial: Whether to load a run's unfinished excitations as well.
 
     Raises:
-        InputError: The path is neither, or a part of the source cannot be used; the message lists
-            all problems.
+        InputError: The path is neither a run folder nor a campaign file, or a part of the source
+            cannot be used; the message lists all problems.
     """
     _require_visible(path)
     if is_file(path / "run.json"):
@@ -113,7 +113,7 @@ def _exported(
     Constants and the role that the campaign states replace those of the file.
 
     Raises:
-        InputError: It is another file, or its numbers do not fit its description.
+        InputError: The file is no export, or its numbers do not fit its description.
     """
     given = document.value.bench
     bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
@@ -125,7 +125,7 @@ def _exported(
         raise InputError(
             document.problem(
                 ("recordings", index),
-                "`channels` is missing; only a file of `rig export` needs none, and "
+                "`channels` is missing; only a file of `rig export` needs no channels, and "
                 f"{file.name} is not such a file (an exported CSV file needs "
                 f"{sidecar(file).name} beside it)",
             )

@@ -1,7 +1,7 @@
 """Describes the content of a log for ``rig look``: columns, units, ranges, sample rate and gaps.
 
-This module converts and repairs nothing; it only names the repairs that loading a campaign would
-make.
+This module converts and repairs nothing; it only states the repairs that are made when a campaign
+is loaded.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
 from rig.sources.wraps import unwrapped, unwrapped_counts
 
 STRIP = 40
-"""Number of values in the small picture of a column."""
+"""Greatest number of values in the small picture of a column."""
 FLICKER_SHARE = 0.02
-"""Share of steps to a neighbouring value and back above which a column counts as flickering."""
+"""Share of steps to a neighbouring value that the next step reverses, above which a column counts
+as flickering.
+"""
 _INDEX = re.compile(r"\[\d+\]$")
 _COARSE = 1000
 """Greatest number of different values of a column for which the quantisation step is determined."""
@@ -52,8 +54,8 @@ class Column:
         step: Quantisation step of a coarse column; 0 if none was found.
         flicker: Share of steps to a neighbouring value that the next step reverses.
         wrap: Text on a counter that overflows; empty for none.
-        problem: Reason why the column cannot be read as numbers; empty if it can.
-        strip: Means of equal spans of the column, for a picture, shape (:data:`STRIP`,) at most.
+        problem: Reason why the column cannot be read as numbers; empty if it can be read.
+        strip: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
     """
 
     name: str
@@ -104,12 +106,12 @@ class Look:
     """Content of a log.
 
     Attributes:
-        name: Of the file or recording.
-        format: Of the file.
-        columns: In file order.
-        clock: Of the column that may be time; None without one.
-        guesses: Channel to the column that may hold it.
-        notes: What was recognised on reading.
+        name: Name of the file or recording.
+        format: Format of the file.
+        columns: Columns in file order.
+        clock: Time base by the column that may be time, or None without such a column.
+        guesses: Column that may contain a channel, by channel.
+        notes: Messages on what was recognised on reading.
         doubts: Guessed channels that contradict each other or themselves.
     """
 
@@ -203,7 +205,7 @@ def _doubts(
     if len(channels["time"]) < MIN_SAMPLES:
         return ()
     if "angle" not in channels:
-        # The gear ratio is not known, and the speed may be of either shaft.
+        # The gear ratio is not known, and the speed may be that of the motor or of the joint.
         channels.pop("velocity", None)
     found = list(value_errors(channels))
     if not found:

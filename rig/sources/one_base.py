@@ -1,6 +1,6 @@
-"""Resamples channels that a file stores at several time bases at the time stamps of one of them.
+"""Resamples channels that a file stores on several time bases at the time stamps of one time base.
 
-Pure functions of arrays.
+The functions depend only on their arguments.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from identification.recording import Array
 from rig.sources.repair import GAP_PERIODS
 
 SLOWER, FASTER = 0.9, 1.5
-"""Ratio of the rates of both time bases: below the first value, a note states that the course
-between samples is a guess; above the second, a note states that samples are left out.
+"""Ratio of the rate of a channel to the rate of the result: below the first value, a note states
+that the course between samples is a guess; above the second value, that samples are left out.
 """
 EDGE_PERIODS = 1e-6
-"""Distance from another time base, in periods, up to which a row counts as at its edge; the
-distance covers rounding of the time stamps.
+"""Distance, in periods, from the first or last sample of another time base up to which a row counts
+as inside this time base, because time stamps are rounded.
 """
 HELD = frozenset({"enabled"})
-"""Channels that keep their value until the next sample."""
+"""Channels whose values are not interpolated, but hold until the next sample."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Base:
     """One time base of a file.
 
     Attributes:
-        name: For messages.
-        stamps: Of its rows, s on the file's clock, shape (n,).
+        name: Name for messages.
+        stamps: Time stamps of the rows by the file's clock, s, shape (n,).
     """
 
     name: str
@@ -48,19 +48,21 @@ def on_one_base(
 ) -> tuple[dict[str, Array], int, list[str]]:
     """Interpolate the channels of other time bases at the time stamps of the wanted base.
 
-    Between samples further apart than :data:`GAP_PERIODS` median periods a value is missing. Rows
-    before the first or after the last sample of any channel are left out.
+    Between samples that are more than :data:`GAP_PERIODS` median periods apart, values are missing.
+    Rows before the first or after the last sample of any channel are left out.
 
     Args:
-        channels: Channel to values, each of its own base.
-        bases: Channel to its base.
-        wanted: The base of the result.
+        channels: Values of each channel, on its own time base.
+        bases: Time base of each channel.
+        wanted: Time base of the result.
 
     Returns:
-        Channels of shape (m,), the rows of the wanted base left out before them, and notes.
+        Channels of shape (m,), the number of rows of the wanted base before the first used row,
+        and notes.
 
     Raises:
-        StampsError: The stamps of a base run backwards, are missing, or do not overlap.
+        StampsError: The stamps of a time base run backwards or are missing, or the time bases do
+            not overlap.
     """
     found: dict[str, Array] = {}
     notes: list[str] = []
@@ -77,7 +79,7 @@ def on_one_base(
     if not rows.size:
         others = {base.name for base in bases.values()} - {wanted.name}
         raise StampsError(
-            f"no row of {wanted.name} lies within the stamps of {', '.join(sorted(others))}; use "
+            f"no row of {wanted.name} is within the times of {', '.join(sorted(others))}; use "
             f"columns of one time base"
         )
     first, stop = int(rows[0]), int(rows[-1]) + 1
@@ -128,9 +130,9 @@ def _words(base: Base, wanted: Base, name: str) -> str:
     how = "held between its samples" if name in HELD else "interpolated"
     words = f"of {base.name} ({own:.4g} Hz), {how} at the stamps of {wanted.name} ({target:.4g} Hz)"
     if own < SLOWER * target:
-        words += "; it is slower, so that its course between samples is a guess"
+        words += "; its rate is lower, so that the course between samples is a guess"
     elif own > FASTER * target:
-        words += "; it is faster: map `time` to its own stamps to use all of its samples"
+        words += "; its rate is higher: to use all of its samples, map `time` to its own stamps"
     return words
 
 

@@ -1,6 +1,6 @@
 """Checks the channels of a recording for plausible sizes, units and mutual signs.
 
-All functions are pure functions of arrays that return the texts of errors and notes.
+The functions depend only on their arguments, and return the texts of errors and notes.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ OPPOSED = -0.3
 """Correlation of torque and velocity in motion below which the signs count as opposite.
 """
 LARGEST, SMALLEST = 1e12, 1e-12
-"""Greatest plausible size of each channel in SI units, and the least sizes of drive and motion that
-are not zero.
+"""Greatest plausible magnitude of a channel, and least plausible magnitude of a channel of drive or
+motion that is not zero, SI units.
 """
 _MOVING = frozenset({"torque", "current", "voltage", "angle", "motor_angle", "velocity"})
 UNRELATED = 0.5
 """Ratio of the mean square step of a position to twice its variance above which neighbouring
-samples count as unrelated. The ratio is 1 for rows in random order and for noise, and less for a
-sine of up to a sixth of the sample rate.
+samples count as unrelated. The ratio is 1 for rows in random order and for noise, and smaller for a
+sine with a frequency up to a sixth of the sample rate.
 """
 STILL_LEVELS = 8
-"""Greatest number of different values of a position at rest. At rest an encoder flickers between
-neighbouring counts, and the order of the rows has no effect.
+"""Greatest number of different values with which a position counts as at rest, so that the order of
+its rows is not checked. At rest an encoder may flicker between neighbouring counts.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peak of each channel above which a note suggests that its unit is a thousandth of the SI unit."""
 RELATED = 0.9
-"""Least correlation of two angles of the same motion."""
+"""Least magnitude of the correlation of two angles of one motion."""
 RATIO_TOLERANCE = 0.05
-"""Relative deviation of the measured from the declared gear ratio above which a note is given."""
+"""Relative deviation of the measured from the declared gear ratio above which a note results."""
 
 
 def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:
@@ -68,7 +68,7 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
         if correlation < OPPOSED:
             yield (
                 f"`velocity` runs against `{position}` (correlation {correlation:.2f}); negate "
-                f"the scale of one"
+                f"the scale of one of the two channels"
             )
     velocity, mover = (measured, "velocity") if derived is None else (derived, position)
     effort = next((name for name in ("torque", "current", "voltage") if name in channels), None)
@@ -86,8 +86,8 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
 
 
 def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
-    """Yield an error for each channel of impossible size, and for a position whose rows are out of
-    order.
+    """Yield an error for each channel with impossible values, and for a position whose rows are out
+    of order.
     """
     for name, values in channels.items():
         top = _peak(values)
@@ -105,7 +105,7 @@ def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
 def unit_hints(
     channels: Mapping[str, Array], gear_ratio: float, *, has_lever: bool
 ) -> Iterator[str]:
-    """Yield a note for each channel whose size suggests another unit."""
+    """Yield a note for each channel whose values suggest another unit."""
     for name, limit, unit in (
         ("current", LARGE_CURRENT_A, "mA"),
         ("voltage", LARGE_VOLTAGE_V, "mV"),
@@ -130,17 +130,19 @@ def unit_hints(
 
 
 def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
-    """Compare motor and joint angle; if they disagree, return a text and whether it is an error."""
+    """Compare motor and joint angle; if the angles disagree, return a text, and whether the
+    disagreement is an error.
+    """
     motor, joint = _finite(motor_angle, angle)
     motor, joint = motor - motor.mean(), joint - joint.mean()
     energy = float(joint @ joint)
     alike = float(motor @ joint) / math.sqrt(max(energy * float(motor @ motor), 1e-300))
     if energy == 0.0 or abs(alike) < RELATED:
-        # A joint at rest shows the flicker of two encoders, which tells nothing of their signs.
+        # At rest, the encoders only flicker, which gives no information on their signs.
         return None
     ratio = float(motor @ joint) / energy
     if ratio < 0:
-        return "`motor_angle` runs against `angle`; negate the scale of one of them", True
+        return "`motor_angle` runs against `angle`; negate the scale of one of the two", True
     if abs(ratio / gear_ratio - 1.0) > RATIO_TOLERANCE:
         return f"motor_angle / angle is {ratio:.4g}, bench.gear_ratio is {gear_ratio:.4g}", False
     return None

@@ -20,7 +20,7 @@ from rig.sources.formats.tdms import TdmsTable
 
 
 def _can(path: Path, options: ReadSection) -> Table:
-    # Imported here, as it needs the drivers, which other formats don't.
+    # Imported here, because this reader needs the drivers, which other formats do not need.
     from rig.sources.can_traffic import CanTable
 
     return CanTable(path, options)
@@ -55,7 +55,7 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "jsonl": lambda path, _: JsonLinesTable(path),
     "ndjson": lambda path, _: JsonLinesTable(path),
 }
-"""File extension, without dot and without ``.gz``, to its reader."""
+"""Readers by file extension, without dot and without ``.gz``."""
 FOREIGN: Mapping[str, str] = {
     "bag": "a bag of ROS 1; convert it to MCAP with: mcap convert",
     "db3": "a bag of ROS 2; convert it to MCAP with: ros2 bag convert",
@@ -67,9 +67,9 @@ FOREIGN: Mapping[str, str] = {
     "file to .mdf",
     "pkl": "a pickle, which may run code when it is opened; save it as CSV, Parquet or npz",
     "feather": "an Arrow file; save it as Parquet",
-    "nc": "netCDF; name one of version 4, which is HDF5, .h5",
+    "nc": "netCDF; a file of version 4 is HDF5: rename it to .h5",
 }
-"""Extension of a file that cannot be read, to the kind of file and the remedy."""
+"""Kind of file and remedy for extensions of files that cannot be read."""
 
 
 def unknown_format(path: Path) -> str:
@@ -80,8 +80,8 @@ def unknown_format(path: Path) -> str:
 
 
 def _is_hdf5(path: Path) -> bool:
-    """Return whether a MATLAB file is of version 7.3. A file that cannot be opened counts as
-    another version; the reader of the other versions then reports the error.
+    """Return whether a MATLAB file is of version 7.3. A file that cannot be opened counts as a file
+    of another version; the reader of other versions then reports the error.
     """
     try:
         return is_hdf5(path)

@@ -1,7 +1,7 @@
 """Checks and repairs time stamps and missing samples of a recording; rejects unusable data.
 
-All functions are pure functions of arrays. Every correction gives a note. Rows count from 0;
-callers convert them to places in a file.
+The functions depend only on their arguments. Every correction gives a note. Rows are numbered from
+0; callers convert row numbers to places in a file.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ GAP_PERIODS = 5.0
 MIN_SAMPLES = 50
 """Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
-"""Spread of the sample period (5 to 95 %), relative to the median, above which a note is given."""
+"""Difference of the 95th and 5th percentiles of the sample period, relative to the median, above
+which a note results.
+"""
 UNEVEN = "uneven sampling kept as recorded"
-"""Begin of that note."""
+"""Beginning of the note on uneven sampling."""
 SLOW_PERIOD_S = 0.5
 """Median sample period, s, above which a note asks whether the time is in seconds."""
 
@@ -68,7 +70,7 @@ def examine_time(time: Array) -> Timing:
         time: Time stamps, s, shape (n,).
 
     Raises:
-        UnusableError: There are too few samples, a time stamp is NaN, the time runs backwards, or
+        UnusableError: Samples are too few, a time stamp is NaN, the time runs backwards, or
             too many time stamps are repeated.
     """
     if len(time) < MIN_SAMPLES:
@@ -153,14 +155,15 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     Args:
         values: Samples, NaN or infinite where missing, shape (n,).
         time: Time stamps, s, shape (n,), not decreasing.
-        legitimate: Rows in which a missing sample is valid and stays NaN (power stage off), shape
-            (n,).
+        legitimate: Mask of the rows in which a sample may be missing and stays NaN (power stage
+            off), shape (n,).
 
     Returns:
-        The samples (the same array if none was missing) and the number of interpolated samples.
+        The samples (``values`` itself if no sample was missing), and the number of interpolated
+        samples.
 
     Raises:
-        UnusableError: More than 5 % of the samples are missing, or more than 5 successive ones.
+        UnusableError: More than 5 % of the samples, or more than 5 successive samples, are missing.
     """
     finite = np.isfinite(values)
     missing = ~finite if legitimate is None else ~finite & ~legitimate

@@ -19,10 +19,10 @@ class Read:
     """The recordings of one file, and the time span of the file.
 
     Attributes:
-        recordings: One per piece.
+        recordings: One recording per piece without gaps.
         first: First time stamp of the whole file, s.
         last: Last time stamp of the whole file, s.
-        section: The file's entry in the campaign.
+        section: Entry of the file in the campaign.
         index: Position of the entry in ``recordings``.
     """
 
@@ -41,7 +41,7 @@ def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> lis
     stated order follow one another without a pause.
 
     Raises:
-        InputError: One start time or order belongs to several files, or recordings overlap.
+        InputError: Several files have equal start times or orders, or recordings overlap.
     """
     problems: list[str] = []
     starts = _starts(files, document, problems)
@@ -73,8 +73,8 @@ def _starts(
                 problems.append(
                     document.problem(
                         ("recordings", index, name),
-                        f"one `{name}` for {len(same)} files; list the files singly, each with "
-                        "its own",
+                        f"one `{name}` for {len(same)} files; list each file in a separate entry "
+                        f"with its own `{name}`",
                     )
                 )
     times = [instant(s) for f in files if isinstance(s := f.section.start, str)]
@@ -100,7 +100,7 @@ def _starts(
 
 
 def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
-    """Return a problem for each recording that begins before the former recording ends."""
+    """Return a problem for each recording that begins before the end of the preceding recording."""
     problems = []
     for (one, _), (other, index) in pairwise(sorted(placed, key=lambda item: item[0].span)):
         if other.span[0] <= one.span[1]:

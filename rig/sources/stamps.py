@@ -1,9 +1,9 @@
-"""Corrects time stamps that jitter although the samples were taken evenly, as time stamps of a host
-do.
+"""Corrects time stamps that jitter although the samples were taken evenly; time stamps of a host
+often jitter in this way.
 
-A time stamp with the error d gives an angle with the error speed times d. The angle shows whether
-the stamps or the samples are uneven: with the right times, each sample is nearer to the curve
-through its neighbours.
+An error d of a time stamp has the effect of an angle error of the speed times d. Therefore the
+angle shows whether the stamps or the samples are uneven: with the right times, each sample is
+nearer to the curve through its neighbours.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from identification.recording import Array
 
 Rows = NDArray[np.intp]
 LEAST_JITTER = 0.005
-"""Deviation of the stamps from a grid, rms, in periods, below which they count as even."""
+"""Rms deviation of the stamps from an even grid, in periods, below which stamps count as even."""
 MOST_OFF = 0.25
 """Greatest mean deviation of neighbouring stamps from the grid, in periods. A lost sample or a
 changing rate shifts all later stamps; jitter and single late stamps do not.
@@ -26,12 +26,12 @@ SMOOTHER = 0.8
 """Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
 counts as right.
 
-Quantisation and noise are the same in both; the more of the jitter they hide, the smaller is the
-effect of the jitter.
+Quantisation and noise contribute equally to both roughnesses. If they hide the jitter, the jitter
+has little effect on the result.
 """
 FAST, MOST = 0.25, 0.99
-"""Share and quantile of the travel per sample: a sample is compared if its travel is at least this
-share of this quantile, because at rest a wrong stamp has no effect.
+"""Share and quantile: a sample is compared only if its travel is at least this share of this
+quantile of the travels of all samples, because at rest a wrong stamp has no effect.
 """
 NEIGHBOURS = (-2, -1, 1, 2)
 
@@ -64,7 +64,7 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
     """
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
-    # Jitter may look like a lost sample, so that lost samples are assumed only where they must be.
+    # Jitter may look like a lost sample; therefore lost samples are assumed only if necessary.
     for counts in (np.ones(len(steps)), lost):
         index = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
         period, origin = (float(v) for v in np.polyfit(index, time, 1))

@@ -1,6 +1,6 @@
 """Finds and corrects counter overflows: steps of a power of two in a column or in the time.
 
-All functions are pure functions of arrays.
+The functions depend only on their arguments.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from identification.recording import Array
 POWERS = range(8, 33)
 """Widths of counters that are recognised, bits."""
 CONVERTED_UNITS = (1e-3, 1e-6)
-"""Units of the time of a 32-bit counter that the logger has converted to seconds: milliseconds and
-microseconds. Overflows of shorter counters are not searched in converted time stamps, because
-successive recordings of 4096 or 65536 samples look the same.
+"""Units, in seconds, of a 32-bit counter of time that the logger has converted to seconds:
+milliseconds and microseconds. Overflows of shorter counters are not searched in converted time
+stamps, because successive recordings of 4096 or 65536 samples look like such overflows.
 """
 LEVELS = 8
 """Least number of different values of a column that is read as signed; a column with fewer values
@@ -22,10 +22,10 @@ may be a digital output.
 """
 DAY_S = 86400.0
 WHOLE_TOLERANCE = 1e-3
-"""Greatest distance of a count from an integer after division by the scale of the file."""
+"""Greatest distance from an integer at which a value divided by the file's scale is a count."""
 ORDINARY_SHARE = 0.125
-"""Greatest step, apart from overflows, as a share of the modulus; with larger steps the direction
-of a step is uncertain.
+"""Greatest step between overflows, as a share of the modulus; the direction of larger steps would
+be uncertain.
 """
 TIME_PERIODS = 100.0
 """Longest time step at an overflow, in median periods."""
@@ -41,7 +41,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
         values: The column as stored, shape (n,).
 
     Returns:
-        The corrected column and a note; the same array and an empty note if there is no overflow.
+        The corrected column and a note; ``values`` and an empty note if there is no overflow.
     """
     if name == "enabled" or len(values) < 3:
         return values, ""
@@ -68,7 +68,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
             signed = np.where(values >= modulus / 2, values - modulus, values)
             return signed, (
                 f"steps of 2^{power} around zero: the column holds signed numbers of {power} bits "
-                f"as unsigned ones, and was read as signed numbers"
+                f"as unsigned numbers, and was read as signed numbers"
             )
     return values, ""
 
@@ -77,12 +77,12 @@ def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tu
     """Correct the overflows of a counter to which the file has applied a scale.
 
     Args:
-        name: The channel that the column feeds.
+        name: The channel of the column.
         values: Values in the file's unit, shape (n,).
         scale: Factor and offset: value = factor x count + offset.
 
     Returns:
-        As :func:`unwrapped`.
+        See :func:`unwrapped`.
     """
     factor, offset = scale
     if name in TIMES or not np.isfinite(factor) or factor == 0.0:

@@ -1,6 +1,6 @@
-"""Finds runs in folders and returns their content, with an index that saves reading the folders
+"""Finds runs in folders and returns their content, with an index, so that folders need not be read
 again.
 
-The answers depend only on the folders. The index is a cache: without it, or with a damaged index,
-every answer is the same and takes longer.
+The answers depend only on the folders. The index is a cache: with a missing or damaged index, the
+answers are equal but take longer.
 """

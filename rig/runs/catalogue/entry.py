@@ -18,8 +18,8 @@ class Head:
     """The properties of a run that a list shows.
 
     Attributes:
-        kind: `run`; or what else the folder is: `half written` (its record is missing or
-            incomplete), `other version` (the record has a format that this program does not read),
+        kind: Kind of the folder: `run`, `half written` (the record is missing or incomplete),
+            `other version` (the record has a format that this program does not read), or
             `unreadable` (the record is invalid, or cannot be read).
         problem: Message with the remedy; empty for a run.
         sequence: Name of the sequence.
@@ -27,15 +27,15 @@ class Head:
         bench: Name of the bench.
         simulated: Whether the bench is simulated, or None if unknown.
         operators: Names of the operators, in order.
-        masses_kg: Confirmed masses of its stages, each once; the planned ones if none was
+        masses_kg: Confirmed masses of the stages, each once; the planned masses if no mass was
             confirmed.
         state: `running`, or how the run ended.
         message: How the run ended, as text.
         seconds: Time of the bench, s.
-        weights: Verdicts of its weight checks, each once.
-        identified: Method of its identification; empty without one.
-        diagnosis: Verdict of its diagnosis; empty without one.
-        acceptance: `accepted` or `rejected`; empty without a check.
+        weights: Verdicts of the weight checks, each once.
+        identified: Method of the identification; empty without an identification.
+        diagnosis: Verdict of the diagnosis; empty without a diagnosis.
+        acceptance: `accepted` or `rejected`; empty without an acceptance.
         digest: SHA-256 of the record, by which copies are recognised; empty without a record.
         notes: Further remarks, such as on a result file that cannot be read.
     """
@@ -70,9 +70,9 @@ class Constant:
     """One identified parameter with its 90 % interval.
 
     Attributes:
-        value: Estimate, or None if it is not identifiable.
-        low: Lower end of the interval, or None if there is none.
-        high: Upper end.
+        value: Estimate, or None if the parameter is not identifiable.
+        low: Lower end of the interval, or None without an interval.
+        high: Upper end of the interval, or None.
         unit: Unit.
         at_bound: Whether the estimate is at a bound of the search.
     """
@@ -98,11 +98,11 @@ class Details:
     """The properties of a run that a comparison uses.
 
     Attributes:
-        constants: Name to identified constant.
+        constants: Identified parameters by name.
         fit_rms: Torque error of the identification, or None if unknown.
-        fit_unit: Its unit.
+        fit_unit: Unit of the torque error.
         motion: `rotary` or `linear`.
-        devices: Role to the device's identity: name and serial number.
+        devices: Identity (name and serial number) of the devices by role.
     """
 
     constants: Mapping[str, Constant] = field(default_factory=dict)
@@ -123,9 +123,9 @@ class Entry:
     """One run in a list of runs.
 
     Attributes:
-        folder: Its folder, relative to the folder that was searched.
-        head: What a list shows.
-        details: What a comparison needs, as JSON; parsed by :meth:`parsed`.
+        folder: Folder of the run, relative to the searched folder.
+        head: Properties that a list shows.
+        details: Properties that a comparison needs, as JSON; parsed by :meth:`parsed`.
     """
 
     folder: str

@@ -1,9 +1,9 @@
 """Keeps an index of run folders in SQLite; the index can be deleted at any time.
 
 Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
-made, and a checksum. A row is used only if its signature is that of the present files and its
-checksum is right; any other folder is read again. Therefore a deleted, damaged or older index
-changes no answer.
+made, and a checksum. A row is used only if its signature agrees with the present files and its
+checksum is right; all other folders are read again. Therefore a deleted, damaged or older index
+does not change the answers.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from rig.runs.catalogue.walk import Found, find_runs, signature_of
 INDEX_FILE = ".runs.sqlite"
 """Name of the index in the searched folder."""
 _FORMAT = 1
-"""Format number of the entries. It is raised when the content of an entry changes, so that older
-rows are not used.
+"""Format number of the entries, which is increased when the content of entries changes, so that
+older rows are not used.
 """
 _TABLE = (
     "CREATE TABLE IF NOT EXISTS runs (folder TEXT PRIMARY KEY, signature TEXT NOT NULL, "
@@ -47,8 +47,8 @@ _NOT_DAMAGED = frozenset(
         sqlite3.SQLITE_IOERR,
     }
 )
-"""Errors after which an intact index is kept although it cannot be written now; after other errors
-the index is created again.
+"""Errors after which the index is kept, because it is intact but cannot be written now; after other
+errors the index is created again.
 """
 
 
@@ -64,8 +64,8 @@ class _Row(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether the row is unchanged since it was written; details that were not read are not
-        checked.
+        """Whether the row is unchanged since it was written, by the checksums of the columns that
+        were read.
         """
         return self.checksum == _checksum(self.folder, self.signature, self.head) and (
             self.details_checksum == _checksum(self.details) if self.details else True
@@ -96,11 +96,13 @@ def list_runs(
 
     Args:
         root: The folder.
-        details: Whether the entries need their details; without, those from the index have none.
-        progress: Called with the number of folders read, and of those to read.
+        details: Whether the entries need their details; if not, entries from the index have no
+            details.
+        progress: Called with the number of folders that were read, and the number of folders to
+            read.
 
     Raises:
-        InputError: The folder cannot be looked into.
+        InputError: The folder cannot be searched.
     """
     try:
         found = list(find_runs(root))
@@ -125,12 +127,12 @@ def list_runs(
 
 
 def detailed(root: Path, entries: Iterable[Entry]) -> list[Entry]:
-    """Return runs of a list with their details, which are looked up for these runs alone.
+    """Return runs of a list with their details, which are read for these runs only.
 
     Args:
         root: The folder that was searched.
-        entries: The runs. Those that have their details are kept; those whose folder is gone are
-            left out.
+        entries: The runs. Entries that already have details are kept; entries whose folder is
+            gone are left out.
     """
     entries = list(entries)
     wanted = [entry.folder for entry in entries if not entry.details]
@@ -182,8 +184,8 @@ def _checksum(*fields: str) -> int:
 
 
 def _load(file: Path, details: bool, only: list[str] | None = None) -> Mapping[str, _Row]:
-    """Return the rows of an index, or those of some folders; empty if the index is missing, damaged
-    or of another format.
+    """Return the rows of an index, or only the rows of some folders; empty if the index is missing,
+    damaged or of another format.
     """
     if not os.path.isfile(file):
         return {}

@@ -1,5 +1,5 @@
-"""Makes the entry of a run folder from its files; every folder gives an entry, whatever its files
-contain.
+"""Makes the entry of a run folder from its files; a folder with missing or damaged files also gives
+an entry.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _DIAGNOSE_SCHEMA, _ACCEPTANCE_SCHEMA = "loadrig.diagnose/1", "loadrig.acceptance
 _TEXTS = {"sequence": "name", "created": "created", "state": "state", "message": "message"}
 
 Benches = MutableMapping[str, str]
-"""SHA-256 of a bench file to the name of the bench, so that each file is read once."""
+"""Names of benches by the SHA-256 of the bench file, so that each file is read once."""
 
 
 def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
@@ -37,7 +37,7 @@ def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
 
     Args:
         folder: The folder.
-        benches: Names that are known already; grows.
+        benches: Known names of benches, to which this function adds names.
     """
     path = folder / RUN_JSON
     if not is_file(path):

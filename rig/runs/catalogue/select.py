@@ -41,16 +41,16 @@ _SAME_MASS = 1e-3
 
 @dataclass(frozen=True)
 class Wanted:
-    """Properties of the runs that are asked for; None accepts every value of a property.
+    """Properties of the requested runs; None accepts every value of a property.
 
     Attributes:
         bench: Name of the bench, or a pattern with `*` and `?`.
         sequence: Name of the sequence, or a pattern.
         operator: Name of an operator, or a pattern.
-        weight_kg: A mass that was on the lever; 0 is the empty lever.
+        weight_kg: A mass that was on the lever; 0 for the empty lever.
         verdict: One of :data:`VERDICTS`.
-        since: Earliest time of the start.
-        until: Time that the start must be before.
+        since: Earliest start time.
+        until: Time before which the run must have started.
     """
 
     bench: str | None = None
@@ -109,8 +109,8 @@ def latest(entries: Sequence[Entry], count: int | None) -> Sequence[Entry]:
 
 
 def state_of(root: Path, entry: Entry) -> str:
-    """Return the state of a run; if the record says `running`, whether its program still runs or
-    has died.
+    """Return the state of a run; if the record says `running`, return whether the program of the
+    run still runs or has died.
     """
     if entry.head.kind != "run" or entry.head.state != "running":
         return entry.head.state
@@ -118,7 +118,7 @@ def state_of(root: Path, entry: Entry) -> str:
 
 
 def verdicts(root: Path, entry: Entry) -> set[str]:
-    """Return all verdicts of a run that ``verdict`` can ask for."""
+    """Return all verdicts of a run by which the run can be chosen."""
     head = entry.head
     if head.kind != "run":
         return {head.kind.replace(" ", "-")}

@@ -41,10 +41,10 @@ class Verified:
 
     Attributes:
         file: Path relative to the run folder.
-        finding: What was found.
-        sha256: Digest now; empty for a missing file.
-        recorded: Digest that was recorded; empty if none was.
-        by: File that holds the recorded digest; empty if none does.
+        finding: Result of the comparison.
+        sha256: Present digest; empty for a missing file.
+        recorded: Recorded digest; empty if no digest was recorded.
+        by: File with the recorded digest; empty if no digest was recorded.
         words: Further remark.
     """
 
@@ -62,8 +62,8 @@ class Verification:
 
     Attributes:
         folder: The run folder.
-        files: Its files.
-        problems: Messages on what prevented a look.
+        files: Files of the run.
+        problems: Messages on errors that prevented the verification of files.
     """
 
     folder: Path
@@ -77,8 +77,8 @@ class Verification:
 
 
 def verify(folder: Path) -> Verification:
-    """Verify the files of a run; a recording without a digest is read, and the checksums in it are
-    tested.
+    """Verify the files of a run; a recording without a recorded digest is read, and the checksums
+    inside the recording are tested.
     """
     problems: list[str] = []
     try:
@@ -105,14 +105,12 @@ def verify(folder: Path) -> Verification:
 
 
 def _inputs(folder: Path, recordings: list[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield recording, digest and file of the digests that the results state of their input
-    files.
-    """
+    """Yield the digests that results state of their inputs: recording, digest and result file."""
     for name in RESULTS:
         try:
             found = read_json(folder / name) if is_file(folder / name) else {}
         except InputError:
-            continue  # its own digest is verified
+            continue  # the digest of this result itself is verified
         inputs = found.get("inputs") if isinstance(found, dict) else None
         for each in inputs if isinstance(inputs, list) else ():
             if isinstance(each, dict) and Path(str(each.get("file"))).name in recordings:
@@ -137,7 +135,7 @@ def _verified(
     if digest == recorded:
         return found
     if record is not None and record.state == "running":
-        words = "the run is going on or has died; `rig recover` completes it"
+        words = "the run is in progress, or has died and can be completed with `rig recover`"
         return dataclasses.replace(found, finding=Finding.OPEN, words=words)
     if recorded:
         words = _damage(path) if name in recordings else ""
@@ -151,7 +149,7 @@ def _verified(
 
 
 def _damage(path: Path) -> str:
-    """Return the damage of a recording that the checksums in it show; empty if there is none."""
+    """Return a message on damage that the checksums inside a recording show; empty if intact."""
     try:
         for _ in run_items(path, ("time",)):
             pass

@@ -11,16 +11,15 @@ RUN_JSON, RECORDING = "run.json", "recording.mcap"
 RESULTS = ("identify.json", "diagnosis/diagnose.json", "acceptance.json")
 """Result files of a run folder whose verdicts are listed."""
 MOST_DEEP = 8
-"""Number of folder levels below the searched folder in which runs are sought."""
+"""Number of folder levels below the searched folder that are searched for runs."""
 
 
 class Found(NamedTuple):
     """A run folder.
 
     Attributes:
-        folder: Relative to the searched folder; ``.`` for that folder itself.
-        signature: Changes with each of the files that the entry is made of: their inode, time of
-            change and size.
+        folder: Path relative to the searched folder; ``.`` for the searched folder itself.
+        signature: Inode, time of change and size of each file from which the entry is made.
     """
 
     folder: str
@@ -30,8 +29,8 @@ class Found(NamedTuple):
 def find_runs(root: Path) -> Iterator[Found]:
     """Yield the run folders in and below ``root``, in any order; each link is followed once.
 
-    A run folder has a ``run.json`` or a ``recording.mcap``; runs inside a run folder are not
-    sought.
+    A run folder has a ``run.json`` or a ``recording.mcap``; run folders are not searched for
+    further runs.
     """
     yield from _found(str(root), "", 0, {os.path.realpath(root)})
 
@@ -66,7 +65,7 @@ def signature_of(path: str) -> str | None:
     """Return the signature of a run folder, or None if the folder is not a run folder."""
     first = _stamp(f"{path}/{RUN_JSON}")
     if not first:
-        # Half written: the recording is all there is.
+        # A half-written run folder may have only the recording.
         first = _stamp(f"{path}/{RECORDING}")
         if not first:
             return None

@@ -22,14 +22,14 @@ WRITERS: Mapping[str, Callable[[Dataset, Path], None]] = {
     "parquet": tables.write_parquet,
     "mcap": lambda dataset, path: write_mcap(dataset, path, None),
 }
-"""Format to the writer of recordings."""
+"""Writers of recordings by format."""
 READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
     "csv": tables.read_csv,
     "mat": tables.read_mat,
     "parquet": tables.read_parquet,
     "mcap": read_mcap,
 }
-"""Format to the reader of its files, which returns None for a file of another program."""
+"""Readers of exported files by format; a reader returns None for a file of another program."""
 
 FORMATS = (*WRITERS, *TRAFFIC)
 """Formats by name: first those of recordings, then those of raw traffic."""
@@ -56,9 +56,9 @@ def extension(kind: str) -> str:
 def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
     """Return the files of an export, and the recordings in each file.
 
-    A CSV file is one table with one time base, so that other tools and campaign files can use it
-    directly. Of several recordings, each gets its own file, named ``path`` plus the recording's
-    name.
+    A CSV file is one table with one time base, so that other tools and campaign files can use the
+    file directly. Each of several recordings is written to its own file, whose name is ``path``
+    plus the name of the recording.
     """
     if kind != "csv" or len(dataset.recordings) == 1:
         return {path: dataset}
@@ -88,7 +88,8 @@ def export(
         dataset: The recordings.
         path: The file.
         kind: One of :data:`WRITERS`.
-        run: Folder and record of the run they are from, whose events and frames MCAP holds too.
+        run: Folder and record of the run of the recordings; an MCAP file also contains the events
+            and frames of the run.
 
     Raises:
         InputError: Parquet is requested but not installed, or the run is damaged.
@@ -104,7 +105,7 @@ def export_beside(dataset: Dataset, path: Path) -> None:
     """Write the description of an export beside the exported file.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The description cannot be written.
     """
     write_text(path, describe(dataset.recordings))
 
@@ -114,12 +115,12 @@ def read_back(path: Path, kind: str, bench: Mapping[str, object]) -> list[Record
 
     Args:
         path: The file.
-        kind: Its format.
+        kind: Format of the file.
         bench: Constants that replace those of the file.
 
     Raises:
-        InputError: Its numbers do not fit its description.
-        OSError: It cannot be read.
+        InputError: The numbers in the file do not fit the description.
+        OSError: The file cannot be read.
     """
     reader = READERS.get(kind)
     found = None if reader is None else reader(path)

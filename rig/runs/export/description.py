@@ -2,7 +2,7 @@
 the exported numbers do not contain.
 
 The description is one JSON text per file: inside MATLAB, Parquet and MCAP files, beside a CSV file.
-With the description, a campaign can read an export back without further statements.
+With the description, a campaign can read an export back without stating channels and constants.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Described(BaseModel):
 
     Attributes:
         samples: Number of samples.
-        channels: Names of its channels; a table may hold further ones that are another
-            recording's.
+        channels: Names of the channels of this recording; a table may have further channels, which
+            belong to other recordings.
     """
 
     model_config = _STRICT
@@ -122,7 +122,7 @@ def parse(text: str | bytes, path: Path) -> tuple[Described, ...]:
     """Read a description.
 
     Raises:
-        InputError: It was changed, or is of another version.
+        InputError: The description was changed, or is of another version.
     """
     try:
         return _Description.model_validate_json(text).recordings

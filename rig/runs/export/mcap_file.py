@@ -1,8 +1,9 @@
 """Exports a run or campaign as one MCAP file, which ROS 2, Foxglove and PlotJuggler read without
 extensions.
 
-Topics: ``/recording/NAME`` with one message per sample, which contains the canonical channels; and,
-of a run, ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and ``/serial``. Log times are UTC.
+The topic ``/recording/NAME`` has one message per sample, which contains the canonical channels. The
+export of a run also has the topics ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and
+``/serial``. Log times are UTC.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _CDR_HEAD = 4
 
 
 def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None) -> None:
-    """Write the recordings and, of a run, its events and raw frames.
+    """Write the recordings and, for a run, its events and raw frames.
 
     Args:
         dataset: The recordings.
@@ -125,8 +126,8 @@ def read_mcap(path: Path) -> list[Read] | None:
     """Read the recordings back. The result is None if the file contains no description.
 
     Raises:
-        InputError: Its numbers do not fit its description.
-        OSError: It cannot be read.
+        InputError: The numbers in the file do not fit the description.
+        OSError: The file cannot be read.
     """
     try:
         with open(path, "rb") as stream:
@@ -141,7 +142,7 @@ def read_mcap(path: Path) -> list[Read] | None:
             for _, channel, message in reader.iter_messages(rows, log_time_order=False):
                 rows[channel.topic].append(message.data[_CDR_HEAD:])
     except (McapError, ValueError, EOFError, RuntimeError):
-        return None  # the reader of other MCAP files says what is wrong
+        return None  # the reader of other MCAP files reports the error
     found: list[Read] = []
     for one, data in zip(described, rows.values(), strict=True):
         width = len(one.channels)

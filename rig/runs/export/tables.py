@@ -1,4 +1,4 @@
-"""Recordings as tables: CSV, MATLAB, Parquet, written and read back.
+"""Writes recordings as tables (CSV, MATLAB, Parquet), and reads such tables back.
 
 Channels keep their canonical names and SI units. A description beside the numbers, or inside the
 file, contains the data for which a table has no column (:mod:`rig.runs.export.description`).
@@ -20,8 +20,8 @@ from rig.runs.export.description import KEY, Described, Read, describe, misfit, 
 
 
 def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
-    """Stack all recordings: the name of the recording for every row, and the channels, with NaN
-    where a recording lacks a channel.
+    """Stack all recordings: return the name of the recording for every row, and the channels, with
+    NaN in the rows of recordings without a channel.
     """
     present = {name for recording in dataset.recordings for name in recording.channels}
     names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]
@@ -38,7 +38,7 @@ def _channel(recording: Recording, name: str) -> Array:
 
 
 def write_csv(dataset: Dataset, path: Path) -> None:
-    """Write the only recording as a table, one column a channel.
+    """Write the only recording of a dataset as a table with one column per channel.
 
     A missing value is an empty cell. The description goes into a file beside the CSV file; this
     function does not write the description.
@@ -53,8 +53,8 @@ def write_csv(dataset: Dataset, path: Path) -> None:
 
 
 def write_mat(dataset: Dataset, path: Path) -> None:
-    """Write a struct array ``recordings`` (name, stage, weight_mass, role, one field a channel) and
-    ``units``.
+    """Write a struct array ``recordings`` (name, stage, weight_mass, role, and one field per
+    channel) and ``units``.
     """
     from scipy.io import savemat
 
@@ -75,13 +75,14 @@ def write_mat(dataset: Dataset, path: Path) -> None:
 
 
 def write_parquet(dataset: Dataset, path: Path) -> None:
-    """Write one table; each column carries its unit as metadata."""
+    """Write one table; the metadata of each column contain the unit."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
         raise InputError(
-            "parquet needs pyarrow, which is not installed; pip install 'loadrig[parquet]'"
+            "parquet needs pyarrow, which is not installed; install it with: pip install "
+            "'loadrig[parquet]'"
         ) from error
     names, columns = _columns(dataset)
     fields = [pa.field("recording", pa.dictionary(pa.int32(), pa.string()))]
@@ -99,7 +100,7 @@ def read_csv(path: Path) -> list[Read] | None:
 
     Raises:
         InputError: File and description do not fit together.
-        OSError: It cannot be read.
+        OSError: The file cannot be read.
     """
     beside = sidecar(path)
     if not is_file(beside):
@@ -120,15 +121,15 @@ def read_mat(path: Path) -> list[Read] | None:
     """Read a MATLAB file back; return None if it holds no description.
 
     Raises:
-        InputError: Its numbers do not fit its description.
-        OSError: It cannot be read.
+        InputError: The numbers in the file do not fit the description.
+        OSError: The file cannot be read.
     """
     from scipy.io import loadmat
 
     try:
         content = loadmat(str(path), appendmat=False, variable_names=[KEY, "recordings"])
     except (ValueError, TypeError, LookupError, NotImplementedError, zlib.error, EOFError):
-        return None  # the reader of other MATLAB files says what is wrong
+        return None  # the reader of other MATLAB files reports the error
     if KEY not in content or "recordings" not in content:
         return None
     described = parse(str(content[KEY].ravel()[0]), path)
@@ -151,14 +152,14 @@ def read_parquet(path: Path) -> list[Read] | None:
     """Read a Parquet file back; return None if it holds no description.
 
     Raises:
-        InputError: Its numbers do not fit its description.
-        OSError: It cannot be read.
+        InputError: The numbers in the file do not fit the description.
+        OSError: The file cannot be read.
     """
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        return None  # the reader of other Parquet files names the package
+        return None  # the reader of other Parquet files names the missing package
     try:
         schema = pq.read_schema(path)
         text = (schema.metadata or {}).get(KEY.encode())

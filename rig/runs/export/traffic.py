@@ -31,10 +31,10 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
     """Yield topic and message of one recording of a run, in recorded order.
 
-    Of a recording that was never closed, all messages up to its last whole chunk are yielded.
+    If the recording was never closed, all messages up to its last complete chunk are yielded.
 
     Raises:
-        InputError: It is damaged, or cannot be read.
+        InputError: The recording is damaged, or cannot be read.
     """
     path = folder / part.file
     try:
@@ -56,10 +56,10 @@ def utc_ns(created: str) -> int:
 
 @dataclass
 class FrameClock:
-    """Converts the time stamps of raw frames, which count from an origin of the host's clock, to
-    UTC.
+    """Converts the time stamps of raw frames, which are times of the host's clock with an unknown
+    origin, to UTC.
 
-    The first frame of a recording counts as sent when the recording was created.
+    The time of the first frame of a recording is assumed to be the creation time of the recording.
     """
 
     created_ns: int
@@ -74,7 +74,7 @@ class FrameClock:
 
 @dataclass
 class Count:
-    """Numbers of frames that were written, and of data that the format cannot hold."""
+    """Numbers of the written frames, and of data that the format cannot contain."""
 
     frames: int = 0
     serial: int = 0
@@ -159,8 +159,8 @@ _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct",
 
 
 def _date(microseconds: int) -> str:
-    """Return a date as Vector writes it: in the computer's local time, and in English for every
-    locale.
+    """Return a date in the form of Vector's tools: in the computer's local time, and in English for
+    every locale.
     """
     at = (_EPOCH + timedelta(microseconds=microseconds)).astimezone()
     noon = "am" if at.hour < 12 else "pm"
@@ -176,14 +176,14 @@ TRAFFIC: Mapping[str, tuple[str, Callable[[TextIO, Iterator[RawFrame]], None]]] 
     "candump": ("log", write_candump),
     "asc": ("asc", write_asc),
 }
-"""Format to the extension of its files and its writer."""
+"""Extension of the files, and writer, by format."""
 
 
 def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Count:
     """Write the raw CAN frames of a run.
 
     Raises:
-        InputError: The run has none, or a recording is damaged.
+        InputError: The run has no CAN frames, or a recording is damaged.
         OSError: The file cannot be written.
     """
     count = Count(parts=[part.file for part in record.parts])
@@ -192,6 +192,6 @@ def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Co
     if not count.frames:
         wire = "its bus is a serial line" if count.serial else "none was recorded"
         raise InputError(
-            f"{folder}: no CAN frames to export ({wire}); --format mcap holds serial bytes too"
+            f"{folder}: no CAN frames to export ({wire}); --format mcap also exports serial bytes"
         )
     return count

@@ -16,8 +16,8 @@ HEAD_BYTES = 8192
 """Greatest length of the head of a request, bytes."""
 END = b"\r\n\r\n"
 NAMES = frozenset({"127.0.0.1", "localhost"})
-"""Accepted names of this computer in ``Host``. Another name belongs to a web page whose owner makes
-the name point to this computer (DNS rebinding).
+"""Accepted names of this computer in the field ``Host``. A request with another name may come from
+a web page whose owner makes this name point to this computer (DNS rebinding).
 """
 APP = "https://app.foxglove.dev"
 """Origin of Foxglove in a browser."""
@@ -28,8 +28,8 @@ _PASSED = (
     "sec-websocket-version",
     "sec-websocket-protocol",
 )
-"""Fields that the server behind the gate needs. Compression is left out, because the session counts
-the bytes that pass, and loopback needs no compression.
+"""Fields of a request that the server behind the gate needs. The field for compression is left out,
+because the session counts the bytes that pass, and loopback needs no compression.
 """
 
 
@@ -42,8 +42,8 @@ class Gate:
     """Conditions that a request must meet.
 
     Attributes:
-        port: The port that it came to.
-        token: The token that its address must carry, or None if the client cannot carry one.
+        port: The port at which the request arrived.
+        token: The token that the address of the request must contain, or None for no token.
     """
 
     port: int
@@ -53,7 +53,7 @@ class Gate:
         """Return the head of a request for the server behind the gate.
 
         Args:
-            head: The request's head, with its last blank line.
+            head: Head of the request, with the blank line at its end.
             inner: Host and port of the server behind the gate.
 
         Raises:
@@ -88,7 +88,7 @@ def _parse(head: bytes) -> tuple[str, Mapping[str, str]]:
     """Return target and fields (names in lower case) of a GET request.
 
     Raises:
-        RefusedError: It is none, or a field stands twice.
+        RefusedError: The text is not a GET request, or a field occurs twice.
     """
     first, *rest = head.removesuffix(END).decode("latin-1").split("\r\n")
     words = first.split(" ")

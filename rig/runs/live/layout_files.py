@@ -1,4 +1,4 @@
-"""Layouts for Foxglove and PlotJuggler that come with the package."""
+"""Finds the packaged layout files for Foxglove and PlotJuggler."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class Offer:
 
     Attributes:
         recording: The file.
-        name: What clients show as the name of the source.
-        token: What an address must carry; None to ask for none.
+        name: Name of the source that clients show.
+        token: Token that an address must contain, or None for no token.
         last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
     """
 
@@ -41,8 +41,8 @@ class Offer:
 def inner_host() -> str:
     """Return the address on which the servers behind the gate listen.
 
-    If the system accepts any address of 127.0.0.0/8 without set-up, as Linux does, a random address
-    is used: no web page can try all of these addresses.
+    If the system accepts every address of 127.0.0.0/8 without set-up, as Linux does, a random
+    address is used, because no web page can try all of these addresses.
     """
     drawn = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
     with socket.socket() as probe:
@@ -57,8 +57,8 @@ async def serve(offer: Offer, port: int, started: Callable[[int], None]) -> None
     """Serve the recording until the task is cancelled.
 
     Args:
-        offer: What is served.
-        port: Of this computer; 0 for a free one.
+        offer: Recording that is served.
+        port: Port of this computer; 0 for a free port.
         started: Called with the port once clients can connect.
 
     Raises:
@@ -92,9 +92,9 @@ class _Doors:
         try:
             await self._serve(reader, writer)
         except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
-            pass  # the client went, or never asked
+            pass  # the client has closed the connection, or sent no request in time
         except asyncio.CancelledError:
-            pass  # by :meth:`close`; raised on, the library of streams would report it as an error
+            pass  # cancelled by :meth:`close`; asyncio would report a raised exception as an error
         finally:
             self._inside.discard(task)
             writer.close()

@@ -1,8 +1,8 @@
 """Serves one client of the live stream: starts a Foxglove SDK server for this client, and sends the
 recording from its start.
 
-Each client has a server of its own, so that it receives the whole recording at its own pace. The
-queue of a server drops messages when the client reads slowly. The session therefore counts the
+Each client has its own server, so that each client receives the whole recording at its own pace.
+The queue of a server drops messages when the client reads slowly. The session therefore counts the
 bytes that have left the server, and passes on new messages only while at most
 :data:`IN_FLIGHT_BYTES` are waiting.
 """
@@ -20,14 +20,14 @@ from rig.runs.mcap.tail import START, Piece, Tail
 
 BACKLOG_MESSAGES = 1 << 16
 IN_FLIGHT_BYTES = 1 << 20
-"""Most bytes inside the server. The shortest message has 57 bytes with its frame, so that fewer
-than :data:`BACKLOG_MESSAGES` are ever queued.
+"""Greatest number of bytes inside the server. The shortest message has 57 bytes with its frame, so
+that fewer than :data:`BACKLOG_MESSAGES` messages are queued.
 """
 _POLL_S = 0.05
-"""Period at which the recording is looked at for more, s."""
+"""Period at which new data of the recording are read, s."""
 _SINK_POLL_S = 0.002
 _CLOCK_NS = 20_000_000
-"""Period at which the recording's time is sent, ns of the recording."""
+"""Period, in ns of the recording's time, at which this time is sent to the client."""
 _CLOCK_BYTES = 11
 
 
@@ -35,24 +35,25 @@ def sdk() -> Any:
     """Import the Foxglove SDK.
 
     Raises:
-        InputError: It is not installed.
+        InputError: The Foxglove SDK is not installed.
     """
     try:
         import foxglove
         import foxglove.websocket
     except ImportError as error:
         raise InputError(
-            "--foxglove needs the Foxglove SDK, which is not installed; pip install 'loadrig[live]'"
+            "--foxglove needs the Foxglove SDK, which is not installed; install it with: pip "
+            "install 'loadrig[live]'"
         ) from error
     return foxglove
 
 
 class Session:
-    """Feeds one client.
+    """Sends the recording to one client.
 
     Args:
-        name: What the client shows as the name of the source.
-        host: Address that the client's server listens on.
+        name: Name of the source that the client shows.
+        host: Address on which the server of this client listens.
         tail: The recording.
         last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
     """
@@ -67,7 +68,7 @@ class Session:
         self._changed = asyncio.Event()
         self._handed = self._passed = 0
         self._clock_ns = -1
-        # The SDK holds the channels of a context no longer than the context itself.
+        # The SDK deletes the channels of a context with the context.
         self._context = context = foxglove.Context()
         self._channels: Mapping[str, Any] = {
             topic.name: foxglove.Channel(
@@ -80,7 +81,7 @@ class Session:
             )
             for topic in TOPICS
         }
-        # No capability lets a client publish, call or set anything: the stream is read only.
+        # Without capabilities, a client cannot publish, call or set anything.
         self._server = foxglove.start_server(
             name=name,
             host=host,
@@ -106,7 +107,7 @@ class Session:
         self._changed.set()
 
     async def feed(self) -> None:
-        """Pass the recording, and everything that is added to it, to the server until cancelled.
+        """Pass the recording, including later additions, to the server until cancelled.
 
         At a damaged place the stream stops, and the client shows the reason.
         """
@@ -153,7 +154,7 @@ class Session:
             if self._at.get(item.topic) == offset:
                 self._log(item)
         for name in topics:
-            # A topic may have been given up meanwhile, or asked for anew from the start.
+            # Meanwhile the client may have ended its subscription, or subscribed again.
             if self._at.get(name) == offset:
                 if piece.following is None:
                     del self._at[name]
@@ -185,25 +186,25 @@ class Session:
 
 
 class _Listener:
-    """Hears the subscriptions. The SDK calls other methods of a listener only for capabilities that
-    the server does not have.
+    """Receives the subscriptions of the client. The SDK calls other methods of a listener only for
+    capabilities that the server does not have.
     """
 
     def __init__(self, session: Session) -> None:
         self._session = session
 
     def on_subscribe(self, client: object, channel: Any) -> None:
-        """Hear a subscription."""
+        """Pass a new subscription to the session."""
         self._session.subscribed(channel.topic)
 
     def on_unsubscribe(self, client: object, channel: Any) -> None:
-        """Hear the end of one."""
+        """Pass the end of a subscription to the session."""
         self._session.unsubscribed(channel.topic)
 
 
 def framed(size: int) -> int:
-    """Return the bytes of a message of ``size`` bytes on the wire: opcode, subscription and time
-    (13 bytes), in one frame of the WebSocket (RFC 6455, 5.2).
+    """Return the number of bytes that a message of ``size`` bytes has in the stream: with opcode,
+    subscription and time (13 bytes), in one WebSocket frame (RFC 6455, 5.2).
     """
     payload = size + 13
     return payload + (2 if payload < 126 else 4 if payload < 65536 else 10)

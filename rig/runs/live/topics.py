@@ -27,10 +27,10 @@ class Topic:
     """One topic of the stream.
 
     Attributes:
-        name: As the client sees it.
-        recorded: Topic of the recording that it comes from.
-        encoding: Of its messages.
-        schema: Name, encoding and text of the definition of its messages.
+        name: Name of the topic for the client.
+        recorded: Topic of the recording from which the messages come.
+        encoding: Encoding of the messages.
+        schema: Name, encoding and text of the definition of the messages.
     """
 
     name: str
@@ -68,7 +68,7 @@ def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) ->
 
     Args:
         messages: Recorded topic and message.
-        wanted: Names of the topics that the client asked for.
+        wanted: Names of the topics that the client has subscribed to.
     """
     for recorded, group in groupby(messages, lambda item: item[0]):
         rows = [message for _, message in group]

@@ -1,9 +1,9 @@
 """Message layout of a recording: one protobuf message per sample, one packed message for the raw
 frames of a cycle.
 
-The module writes out the sample schema as a FileDescriptorSet, so that PlotJuggler and Foxglove can
+The module contains the sample schema as a FileDescriptorSet, so that PlotJuggler and Foxglove can
 open a recording, and neither writer nor reader needs a protobuf library. Every field is a double at
-a fixed place, zeros included, so that consecutive messages form an array.
+a fixed place, also if its value is zero, so that consecutive messages form an array.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ SAMPLE_TOPIC = "/sample"
 EVENT_TOPIC = "/event"
 FRAMES_TOPIC = "/frames"
 TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
-"""Topics of the channels 1 to 3 of every recording, so that it can be read with damaged channel
-records.
+"""Topics of the channels 1 to 3, which are fixed, so that recordings with damaged channel records
+can be read.
 """
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
@@ -94,7 +94,7 @@ _DTYPES = {
     for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))
 }
 SAMPLE_SIZES = frozenset(_DTYPES)
-"""Sizes in bytes of a sample written by this or an older version."""
+"""Sizes, in bytes, of samples that this version or older versions have written."""
 
 
 def encode_sample(sample: Sample) -> bytes:

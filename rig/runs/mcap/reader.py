@@ -1,4 +1,4 @@
-"""Reads a recording back, intact or damaged: returns all sound records, and a message on the lost
+"""Reads an intact or damaged recording: returns all undamaged records, and a message on the lost
 records.
 """
 
@@ -39,7 +39,7 @@ from rig.runs.mcap.writer import MAGIC, MESSAGE
 
 _DATA_END_BYTES = 4
 _TOLD = 3
-"""Number of damaged places that the message describes; further places are only counted."""
+"""Number of damaged places that a message describes; further places are only counted."""
 
 
 class NotARecordingError(ValueError):
@@ -58,12 +58,12 @@ class Log:
     """Content of a recording.
 
     Attributes:
-        samples: Field of :class:`rig.common.sample.Sample` to array, shape (n,).
-        events: In order; each has ``time`` and ``event``.
-        messages: Topic to the messages as recorded; those of ``/frames`` unpack with
-            :func:`rig.runs.mcap.layout.decode_frames`.
-        attachments: Name to content.
-        metadata: Name to keys and values.
+        samples: Arrays of shape (n,), by field of :class:`rig.common.sample.Sample`.
+        events: Events in order; each has ``time`` and ``event``.
+        messages: Messages as recorded, by topic; :func:`rig.runs.mcap.layout.decode_frames` unpacks
+            those of ``/frames``.
+        attachments: Contents of attachments by name.
+        metadata: Keys and values of metadata by name.
         damage: None for a complete file, else the place and cause of the damage and the loss.
     """
 
@@ -81,13 +81,13 @@ def read_run(path: Path) -> Log:
     After a damaged place, reading continues at the next record with a correct checksum.
 
     Raises:
-        NotARecordingError: It is not a recording of this program.
-        OSError: It cannot be opened.
+        NotARecordingError: The file is not a recording of this program.
+        OSError: The file cannot be opened.
     """
     data = read_bytes(path)
     if not data.startswith(MAGIC):
         raise NotARecordingError(
-            f"{path}: not an MCAP recording; its first bytes are {data[:8].hex(' ') or 'missing'}"
+            f"{path}: not an MCAP recording; the first bytes are {data[:8].hex(' ') or 'missing'}"
         )
     reading = _Reading(data)
     reading.read()
@@ -190,8 +190,8 @@ class _Reading:
         """Sort the messages of a chunk by topic; an error in one message drops the whole chunk.
 
         Raises:
-            DamageError: The chunk was written by another program, or is older than the one before
-                it.
+            DamageError: The chunk was written by another program, or is older than the preceding
+                chunk.
         """
         taken: list[tuple[str, Message]] = []
         latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
@@ -243,8 +243,8 @@ class _Reading:
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return a text on the times of the samples around a loss, if there are samples on both
-    sides.
+    """Return a text with the times of the samples before and after a loss; empty without samples on
+    both sides.
     """
     return (
         f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"

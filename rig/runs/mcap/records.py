@@ -1,4 +1,4 @@
-"""Extracts and checks records of a recording file, and finds the next sound record after damage."""
+"""Extracts and checks records of a recording, and finds the next undamaged record after damage."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ _CHUNK = struct.Struct("<QQQI")
 MAX_CHUNK = 1 << 28
 _OPCODES = frozenset(map(int, Opcode))
 _CHECKED = re.compile(rb"[\x06\x09](?=[\s\S]{4}\x00\x00\x00\x00)")
-"""Where a chunk or an attachment of less than 4 GiB may begin: the records that carry a
-checksum.
-"""
+"""First bytes of a chunk or an attachment of less than 4 GiB, the records with a checksum."""
 _FOOTER = struct.Struct("<BQQQI")
 
 
@@ -46,14 +44,14 @@ def record_at(data: bytes, offset: int) -> Found:
     """Extract the record at ``offset``.
 
     Raises:
-        DamageError: There is no complete record.
+        DamageError: No complete record begins at ``offset``.
     """
     if offset + HEADER.size > len(data):
         raise DamageError("cut off inside a record header")
     opcode, length = HEADER.unpack_from(data, offset)
     start = offset + HEADER.size
     if opcode == 0:
-        raise DamageError("zeros where a record should be")
+        raise DamageError("zeros in place of a record")
     if opcode not in _OPCODES:
         raise DamageError(f"no record begins with the byte {opcode:02X}h")
     if start + length > len(data):
@@ -86,20 +84,20 @@ def attachment(content: bytes) -> Attachment:
     """Return an attachment, checked against its CRC.
 
     Raises:
-        DamageError: It fails the check.
+        DamageError: The CRC does not agree with the attachment.
     """
     if len(content) < 4 or zlib.crc32(content[:-4]) != struct.unpack("<I", content[-4:])[0]:
-        raise DamageError("an attachment fails its checksum")
+        raise DamageError("an attachment does not agree with its checksum")
     with _undamaged("an attachment"):
         found: Attachment = Attachment.read(_stream(content))
         return found
 
 
 def metadata(content: bytes) -> Metadata:
-    """Return metadata, which carry no checksum.
+    """Return metadata, which have no checksum.
 
     Raises:
-        DamageError: They cannot be read.
+        DamageError: The metadata cannot be read.
     """
     with _undamaged("metadata"):
         found: Metadata = Metadata.read(_stream(content))
@@ -107,10 +105,10 @@ def metadata(content: bytes) -> Metadata:
 
 
 def channel(content: bytes) -> Channel:
-    """Return a channel, which carries no checksum.
+    """Return a channel, which has no checksum.
 
     Raises:
-        DamageError: It cannot be read.
+        DamageError: The channel cannot be read.
     """
     with _undamaged("a channel"):
         found: Channel = Channel.read(_stream(content))
@@ -124,7 +122,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
     ``before`` is the number of bytes of the recording before ``data``.
 
     Raises:
-        DamageError: The summary is not whole.
+        DamageError: The summary is incomplete or damaged.
     """
     footer_at = len(data) - len(MAGIC) - _FOOTER.size
     if not data.endswith(MAGIC) or footer_at < offset:
@@ -135,7 +133,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
         or start != before + offset
         or zlib.crc32(data[offset : footer_at + FOOTER_START.size]) != crc
     ):
-        raise DamageError("the index at the end of the file fails its checksum")
+        raise DamageError("the index at the end of the file does not agree with its checksum")
     while offset < footer_at:
         found = record_at(data, offset)
         if found.opcode == Opcode.STATISTICS:
@@ -148,7 +146,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
 
 @contextmanager
 def _undamaged(what: str) -> Iterator[None]:
-    """Translate the library's errors into :class:`DamageError`."""
+    """Raise :class:`DamageError` in place of errors of the library."""
     try:
         yield
     except (McapError, struct.error, UnicodeDecodeError) as error:
@@ -159,7 +157,7 @@ def chunk(content: bytes) -> bytes:
     """Return a chunk's records, checked against its CRC.
 
     Raises:
-        DamageError: It fails the check.
+        DamageError: The CRC does not agree with the records.
     """
     try:
         _, _, size, crc = _CHUNK.unpack_from(content)
@@ -168,11 +166,11 @@ def chunk(content: bytes) -> bytes:
         compression = content[name_start : name_start + name_length]
         records = content[name_start + name_length + 8 :]
         if size > MAX_CHUNK:
-            raise DamageError(f"a chunk claims {size} bytes")
+            raise DamageError(f"a chunk states the impossible size of {size} bytes")
         if compression == b"lz4":
             records = lz4.frame.decompress(records)
     except (struct.error, RuntimeError) as error:
         raise DamageError(f"a chunk cannot be unpacked ({error})") from error
     if len(records) != size or zlib.crc32(records) != crc:
-        raise DamageError("a chunk fails its checksum")
+        raise DamageError("a chunk does not agree with its checksum")
     return records

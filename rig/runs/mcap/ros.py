@@ -65,7 +65,7 @@ _NS = 1_000_000_000
 
 
 def is_serial(frame: RawFrame) -> bool:
-    """Return whether a raw frame holds bytes of a serial line instead of a CAN frame."""
+    """Return whether a raw frame contains bytes of a serial line instead of a CAN frame."""
     flags = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG | SERIAL_FLAG
     return frame.identifier & flags == SERIAL_FLAG
 
@@ -74,7 +74,7 @@ def samples(messages: Sequence[bytes]) -> list[bytes]:
     """Return recorded samples of equal size as CDR; fields that the samples lack are NaN.
 
     Raises:
-        KeyError: The size is none of :data:`rig.runs.mcap.layout.SAMPLE_SIZES`.
+        KeyError: The size is not in :data:`rig.runs.mcap.layout.SAMPLE_SIZES`.
         ValueError: The sizes differ.
     """
     if not messages:

@@ -1,5 +1,5 @@
-"""Reads a whole recording piece by piece; the memory that it uses does not grow with the length of
-the recording.
+"""Reads a whole recording piece by piece; the required memory does not grow with the length of the
+recording.
 
 The module is for recordings that were closed regularly. A damaged recording is read by
 :func:`rig.runs.mcap.reader.read_run`, which keeps the whole recording in memory and finds sound
@@ -28,11 +28,11 @@ MAX_ATTACHMENT = 1 << 26
 _SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
 _EVENTS = TOPICS.index(EVENT_TOPIC) + 1
 _ATTACHMENTS = 0
-"""Key of attachments, where messages have the number of their channel as key."""
+"""Key of attachments; the key of messages is the number of their channel."""
 
 
 class Block(NamedTuple):
-    """Consecutive samples: field to array, shape (n,)."""
+    """Consecutive samples: arrays of shape (n,), by field."""
 
     samples: Mapping[str, NDArray[np.float64]]
 
@@ -55,14 +55,14 @@ def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArr
 
     Args:
         path: The recording.
-        fields: Of :class:`rig.common.sample.Sample`.
+        fields: Fields of :class:`rig.common.sample.Sample` to read.
 
-    Yields:
-        Field to array, shape (n,).
+        Yields:
+            Arrays of shape (n,), by field.
 
     Raises:
-        DamageError: It is not a whole recording; what was yielded before is sound.
-        OSError: It cannot be read.
+        DamageError: The recording is not complete; all samples yielded so far are valid.
+        OSError: The file cannot be read.
     """
     for item in _items(path, fields, frozenset({_SAMPLES})):
         if isinstance(item, Block):
@@ -76,11 +76,11 @@ def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening |
 
     Args:
         path: The recording.
-        fields: Of :class:`rig.common.sample.Sample`, for the blocks.
+        fields: Fields of :class:`rig.common.sample.Sample` in the blocks.
 
     Raises:
-        DamageError: It is not a whole recording; what was yielded before is sound.
-        OSError: It cannot be read.
+        DamageError: The recording is not complete; all items yielded so far are valid.
+        OSError: The file cannot be read.
     """
     return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
 
@@ -89,7 +89,7 @@ def first_attachment(path: Path, name: str) -> bytes:
     """Return an attachment that was written before the first messages.
 
     Raises:
-        DamageError: There is none of this name before the first messages, or it is damaged.
+        DamageError: No attachment has this name, or the attachment is damaged.
         OSError: The file cannot be read.
     """
     require_plain(path)
@@ -148,7 +148,7 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
     At the end the number of messages is compared with the count in the file.
 
     Raises:
-        DamageError: The file is not whole.
+        DamageError: The file is incomplete or damaged.
     """
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamageError("not an MCAP recording")

@@ -25,7 +25,7 @@ class Piece(NamedTuple):
 
     Attributes:
         messages: Topic and message, in recorded order; empty for a record without messages.
-        following: Offset of the next record, or None behind the last one.
+        following: Offset of the next record, or None for the last record.
     """
 
     messages: tuple[tuple[str, Message], ...]
@@ -39,8 +39,8 @@ class Tail:
         path: The recording.
 
     Raises:
-        OSError: It cannot be opened.
-        DamageError: It is not a recording.
+        OSError: The file cannot be opened.
+        DamageError: The file is not a recording.
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,8 +100,8 @@ class Tail:
         return next(recent, START)
 
     def _head(self, offset: int) -> tuple[int, int] | None:
-        """Return opcode and length of the record at ``offset``, or None if they are not written
-        yet.
+        """Return opcode and length of the record at ``offset``, or None if opcode and length are
+        not written yet.
         """
         self._stream.seek(offset)
         head = self._stream.read(HEADER.size)

@@ -1,9 +1,9 @@
 """Writes MCAP files, with a fast path for messages.
 
 The writer of the ``mcap`` library needs 2.6 microseconds per message, and a control cycle writes
-two messages. In this module one ``struct.pack`` writes a message, and the record types of the
-library write everything that occurs once. Chunks, message indexes and summary follow the
-specification (https://mcap.dev/spec), so that every reader can seek.
+two messages. In this module, one ``struct.pack`` writes a message; the record types of the library
+write all records that occur once. Chunks, message indexes and summary follow the specification
+(https://mcap.dev/spec), so that every reader can seek.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from mcap.records import (
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 16 * 1024
-"""Size of a chunk, bytes. A killed writer loses at most the present chunk; with the usual size of 1
-MiB that would be seconds of samples.
+"""Size of a chunk, bytes. A killed writer loses at most the present chunk; a chunk of the usual
+size of 1 MiB contains seconds of samples.
 """
 MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEADER = MESSAGE.size - 9
 FOOTER_START = struct.Struct("<BQQQ")
-"""Part of the footer that its checksum covers."""
+"""Part of the footer that the checksum of the footer covers."""
 
 
 class McapWriter:
     """Writes one MCAP file. Channels are registered before the first message.
 
     Args:
-        stream: A seekable buffered stream at its start; not closed here.
+        stream: A seekable buffered stream at its start, which this class does not close.
 
     Raises:
-        OSError: From every method: it cannot be written.
+        OSError: The stream cannot be written; every method may raise this error.
     """
 
     def __init__(self, stream: BinaryIO) -> None:

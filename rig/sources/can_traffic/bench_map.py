@@ -40,14 +40,15 @@ _PDO_STEP = 0x100
 set.
 """
 _Scale = tuple[str, float, float]
-"""Name of a column, its SI units per raw unit, and its value at raw 0."""
+"""Name of a column, SI units per raw unit, and SI value at raw value 0."""
 
 
 def messages_of_bench(path: Path) -> list[BusMessage]:
     """Return the messages of a bench's drive and joint encoder as a run maps them.
 
     Raises:
-        InputError: The bench file or a device file cannot be used, or its bus is not CAN.
+        InputError: The bench file or a device file cannot be used, or the bus of the bench is not
+            CAN.
     """
     document = load_bench(path)
     bench = document.value
@@ -130,7 +131,7 @@ def _pdo(
                 name,
                 little_endian(start, width),
                 width,
-                # A counter of 32 bits runs through zero to both sides.
+                # A counter of 32 bits counts from zero in both directions.
                 signed=item.data_type in datatypes.SIGNED_TYPES or width == _COUNTER_BITS,
                 factor=factor,
                 offset=offset,
@@ -143,8 +144,8 @@ def _pdo(
 
 
 def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessage]:
-    """Yield the messages of the drive's DBC; a signal that the map reads as a channel has the name
-    of the channel.
+    """Yield the messages of the drive's DBC file; a signal that the map assigns to a channel has
+    the name of the channel.
     """
     gear = document.value.machine.gear_ratio
     channels = {

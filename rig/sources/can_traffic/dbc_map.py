@@ -24,7 +24,7 @@ def messages_of(path: Path) -> list[BusMessage]:
     """Return the messages of a DBC file.
 
     Raises:
-        InputError: It cannot be read; names line and column.
+        InputError: The file cannot be read; the message names line and column.
     """
     try:
         database, faults = load_dbc(path)

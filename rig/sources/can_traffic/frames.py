@@ -42,17 +42,17 @@ _DAMAGED = (
     zlib.error,
 )
 """Exceptions that python-can raises on damaged files."""
-_REMEDY = "check that it was copied whole"
+_REMEDY = "check that the file was copied completely"
 _READERS: Mapping[str, Any] = {
     "log": can.io.CanutilsLogReader,
     "asc": can.io.ASCReader,
     "trc": can.io.TRCReader,
 }
 _FROM_ZERO = frozenset({"asc", "blf"})
-"""Formats whose channels python-can counts from 0 although the file counts from 1."""
+"""Formats in which channels are numbered from 1, but by python-can from 0."""
 
 Key = tuple[str, int]
-"""Bus and identifier; a 29-bit identifier has :data:`EXTENDED_FLAG` set."""
+"""Bus and identifier of a frame; in a 29-bit identifier, :data:`EXTENDED_FLAG` is set."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class Frames:
     """All frames of one identifier on one bus.
 
     Attributes:
-        stamps: s since the first frame of the file, shape (n,).
-        data: Bytes, zero beyond the length of each frame, shape (n, longest).
-        lengths: Bytes of each frame, shape (n,).
+        stamps: Time since the first frame of the file, s, shape (n,).
+        data: Data bytes, zero beyond the length of each frame, shape (n, longest).
+        lengths: Number of data bytes of each frame, shape (n,).
     """
 
     stamps: Array
@@ -87,7 +87,8 @@ def read_traffic(path: Path) -> Traffic:
     """Read all data frames of a file; error frames and remote frames are left out and counted.
 
     Raises:
-        InputError: It is damaged, or holds no frames; names the line of a text format.
+        InputError: The file is damaged or has no frames; for a text format, the message names the
+            line.
     """
     kind = format_of(path)
     lines = Lines(path)
@@ -172,7 +173,7 @@ class _Source:
 
 
 def _mf4(path: Path) -> Iterator[can.Message]:
-    """Yield the frames of the bus logging of an MF4 file, with time stamps since its start."""
+    """Yield the frames of the bus logging of an MF4 file, with times since its start."""
     library("asammdf", path, "MDF", "mdf")
     with heard("asammdf"), quiet_ends(), open_binary(path) as stream:
         reader = mf4_module().MF4Reader(cast(BinaryIO, stream))
@@ -182,7 +183,7 @@ def _mf4(path: Path) -> Iterator[can.Message]:
 
 
 def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
-    """Yield the frames of a BLF file, with time stamps since its start."""
+    """Yield the frames of a BLF file, with times since the start of the file."""
     with open_binary(path) as stream:
         reader = can.io.BLFReader(cast(BinaryIO, stream))
         # Seconds since 1970 leave a double a quarter of a microsecond.

@@ -1,8 +1,6 @@
 """Signals of CAN messages: the places of their bits, and their values in many frames at once.
 
-Pure functions of arrays.
-
-Pure functions of arrays.
+The functions depend only on their arguments, which are arrays.
 """
 
 from __future__ import annotations
@@ -27,10 +25,10 @@ class Part:
     """Neighbouring bits of a signal in one byte.
 
     Attributes:
-        byte: Of the frame.
-        low: Lowest bit in that byte.
-        count: Of bits.
-        place: Bit of the raw value that the lowest one is.
+        byte: Index of the byte in the frame.
+        low: Number of the lowest of the bits in this byte.
+        count: Number of bits.
+        place: Number of the bit of the raw value that the lowest of the bits gives.
     """
 
     byte: int
@@ -44,18 +42,18 @@ class BusSignal:
     """One signal of a CAN message.
 
     Attributes:
-        name: Of its column.
-        parts: Its bits, least significant first.
+        name: Name of the signal's column.
+        parts: Bits of the signal, least significant first.
         width: Number of bits.
-        signed: Whether it is in two's complement.
-        real: Whether it is IEEE 754.
+        signed: Whether the raw value is in two's complement.
+        real: Whether the raw value is a number by IEEE 754.
         factor: Value of one raw unit.
         offset: Value at raw 0.
-        unit: As the source states it.
-        low: Least value that the source allows, None if it states none.
-        high: Greatest value.
-        selector: The multiplexer that says whether the signal is in a frame, or None for one that
-            always is.
+        unit: Unit as the source states it.
+        low: Least value that the source allows, or None if the source states no range.
+        high: Greatest value that the source allows, or None.
+        selector: The multiplexer that determines whether the signal is in a frame, or None for a
+            signal that is in every frame.
         pages: Raw values of the selector with which the signal is in the frame.
     """
 
@@ -102,7 +100,7 @@ class BusSignal:
         bits = self.bits(frames)[rows]
         if self.real:
             unsigned, kind = _FLOATS[self.width]
-            # The bits of a float may be any, also no number.
+            # The bits of a float may also represent NaN or infinity.
             with np.errstate(over="ignore", invalid="ignore"):
                 raw = bits.astype(unsigned).view(kind).astype(np.float64)
                 return raw * self.factor + self.offset, ""
@@ -120,13 +118,14 @@ class BusMessage:
     """One CAN message with its signals.
 
     Attributes:
-        name: Of its columns; empty where the signals' names are enough.
-        identifier: With the flag of 29 bits.
-        signals: In the order of the source.
-        by_group: Whether frames of other priorities and source addresses are this message too, as
-            in SAE J1939.
-        left_out: What of it cannot be read, in words.
-        fault: What is wrong with its bits in the source, though they are read; empty for nothing.
+        name: First part of the names of the columns; empty if the names of the signals suffice.
+        identifier: Identifier, with the flag for 29 bits.
+        signals: Signals in the order of the source.
+        by_group: Whether frames with other priorities and source addresses are also this message,
+            as in SAE J1939.
+        left_out: Texts on the parts of the message that cannot be read.
+        fault: Text on wrong places of bits in the source, which are read nevertheless; empty for
+            none.
     """
 
     name: str

@@ -23,7 +23,9 @@ STAMPS = "time"
 _OTHER_STAMPS = "frame_time"
 _MOST_NAMED = 6
 _DESTINATION_FORMATS = 240
-"""PDU format of SAE J1939 below which the destination address replaces the group extension."""
+"""PDU format of SAE J1939 below which the PDU specific byte is a destination address, and not a
+group extension.
+"""
 
 
 class _Base(NamedTuple):
@@ -38,25 +40,25 @@ class _Base(NamedTuple):
 class _Column(NamedTuple):
     base: int
     signal: BusSignal | None
-    """None for the stamps."""
+    """Signal of the column, or None for the column of time stamps."""
 
 
 class CanTable(Table):
     """Table with one column per signal, named ``Message.Signal``, and the time stamps of each
     message, ``Message.time``, in s since the first frame of the file.
 
-    Each message has its own time base, and so have signals that a multiplexer puts into only some
-    frames of a message (``Message.Signal.time``); all are on the clock of the file. A message that
-    occurs on several buses is named with the bus before its name. Error frames, remote frames and
-    frames that no map names are left out and counted.
+    Each message has its own time base. Signals that a multiplexer puts into only some frames of a
+    message also have their own time base (``Message.Signal.time``). All time bases are on the clock
+    of the file. The name of a message that occurs on several buses begins with the bus. Error
+    frames, remote frames and frames of unknown messages are left out and counted.
 
     Args:
         path: The file.
         options: The DBC files or the bench file, and the bus.
 
     Raises:
-        InputError: No map is given, it cannot be read, none of its messages is in the file, or the
-            file is damaged.
+        InputError: No DBC or bench file is given or can be read, none of its messages is in the
+            file, or the file is damaged.
     """
 
     def __init__(self, path: Path, options: ReadSection) -> None:
@@ -67,9 +69,9 @@ class CanTable(Table):
         frames = self._of_bus(traffic.frames, options.bus)
         if not options.dbc_files and options.bench is None:
             raise InputError(
-                f"{path}: CAN traffic, {_listed(frames)}; state the meaning of its frames: give "
-                "a DBC file (read.dbc, or --dbc), or the bench file of the drive (read.bench, "
-                "or --bench)"
+                f"{path}: CAN traffic, {_listed(frames)}; the meaning of the frames is unknown: "
+                "give a DBC file (read.dbc, or --dbc), or the bench file of the drive "
+                "(read.bench, or --bench)"
             )
         known = [message for name in options.dbc_files for message in messages_of(Path(name))]
         if options.bench is not None:
@@ -125,7 +127,7 @@ class CanTable(Table):
         of unknown messages.
 
         Raises:
-            InputError: None of the messages is in the file.
+            InputError: None of the known messages is in the file.
         """
         groups = {_group(m.identifier): m for m in known.values() if m.by_group}
         found: list[tuple[str, int, BusMessage, Frames]] = []
@@ -141,19 +143,20 @@ class CanTable(Table):
         if not found:
             raise InputError(
                 f"{self.path}: none of the {len(known)} messages of the map is in the file, which "
-                f"holds {_listed(frames)}; name the DBC file of this bus, or check the node numbers"
+                f"holds {_listed(frames)}; name the DBC file of this bus or, with a bench file, "
+                "check its node numbers"
             )
         if unknown:
             count = sum(len(one.stamps) for one in unknown.values())
-            self.note(f"{count} frames that the map does not name left out: {_listed(unknown)}")
+            self.note(f"{count} frames of unknown messages left out: {_listed(unknown)}")
         result = []
         for bus, identifier, message, one in found:
             for words in message.left_out:
                 self.note(f"left out: {words}")
             if message.fault:
                 self.note(
-                    f"{message.fault}: every signal is read from the bits that the DBC states; "
-                    f"doubt those named, and correct the DBC"
+                    f"{message.fault}: every signal is read from the bits that the DBC states; the "
+                    f"values of these signals are doubtful; correct the DBC file"
                 )
             same = [(b, i) for b, i, m, _ in found if m is message]
             name = message.name
@@ -193,8 +196,8 @@ class CanTable(Table):
         if outside:
             self.note(
                 f"`{name}`: {outside} of {len(values)} values are outside of {signal.low:g} to "
-                f"{signal.high:g}, the range in the DBC; some devices send such values where they "
-                f"have none"
+                f"{signal.high:g}, the range in the DBC file; some devices send such values if "
+                f"they have no valid value"
             )
 
     def stamps(self, base: int) -> Array | None:
@@ -204,8 +207,8 @@ class CanTable(Table):
 
 
 def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
-    """Yield the signals that occur in the same frames, with a suffix for the name of their time
-    base.
+    """Yield groups of signals that occur in equal sets of frames, each with a suffix for the name
+    of the group's time base.
     """
     every = np.ones(len(frames.stamps), dtype=np.bool_)
     groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}
@@ -223,15 +226,16 @@ def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, 
     """Return messages by identifier.
 
     Raises:
-        InputError: Two have the same one, and frames with it were seen.
+        InputError: Two messages have one identifier, and the file has frames with this identifier.
     """
     found: dict[int, BusMessage] = {}
     for message in messages:
         other = found.setdefault(message.identifier, message)
         if other is not message and message.identifier in seen:
             raise InputError(
-                f"{other.name} and {message.name} of the DBC both have the identifier "
-                f"{hexadecimal(message.identifier)}; name the DBC file of one bus, and read.bus"
+                f"{other.name} and {message.name} of the DBC files both have the identifier "
+                f"{hexadecimal(message.identifier)}; name only the DBC file of one bus, and set "
+                "read.bus to this bus"
             )
     return found
 

@@ -1,9 +1,9 @@
 """Filters the lines of text formats of CAN traffic before python-can reads them.
 
 python-can misreads some lines: it reads an error frame of candump as a data frame, half a byte at
-the end as a whole byte, time stamps since the last event as stamps since the start, and a TRC
-version that it does not know as another version. The filters drop and count such lines, rewrite
-them, or refuse the file.
+the end as a whole byte, time stamps since the last event as stamps since the start, and an unknown
+TRC version as another version. The filters drop and count such lines, rewrite them, or refuse the
+file.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")
 
 @dataclass
 class Lines:
-    """Lines of a file on their way to python-can, with the counts of dropped lines.
+    """State of the filtering of a file: the current line, and the counts of dropped lines.
 
     Attributes:
         path: The file.
-        number: Of the line that was read last, from 1.
-        stamped: Lines with a time stamp.
-        errors: Error frames that were taken out.
+        number: Number of the line that was read last, from 1.
+        stamped: Number of lines with a time stamp.
+        errors: Number of dropped error frames.
         notes: Messages to the user.
     """
 
@@ -62,7 +62,7 @@ def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
     """Yield the frames of a ``candump -L`` file, with time stamps since the first frame.
 
     Raises:
-        InputError: A line is no frame; names it.
+        InputError: A line is not a frame; the message names the line.
     """
     begin: int | None = None
     for text in lines.whole(stream):
@@ -74,7 +74,7 @@ def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
             remedy = (
                 "this is candump's output for the screen; record with candump -L"
                 if screen
-                else "a table is named .csv, and CAN traffic is recorded with candump -L"
+                else "if the file is a table, name it .csv; record CAN traffic with candump -L"
             )
             raise InputError(
                 f"{lines.path}:{lines.number}: not a frame of candump -L "
@@ -97,7 +97,7 @@ def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
     relative, head, total = False, True, Decimal(0)
     for text in lines.whole(stream):
         if head and text.strip() and not _ASC_HEAD.match(text.strip()):
-            # python-can takes the first line after the head for a part of it.
+            # python-can treats the first line after the head as a part of the head.
             head = False
             yield "no internal events logged\n"
         if head and re.search(r"timestamps\s+relative", text, re.IGNORECASE):
@@ -118,7 +118,7 @@ def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
     """Yield the lines of a PEAK TRC file without its date.
 
     Raises:
-        InputError: It is of a version that python-can does not read.
+        InputError: The file is of a version that python-can does not read.
     """
     for text in lines.whole(stream):
         word = text.strip()
@@ -127,8 +127,8 @@ def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
             if version not in _TRC_VERSIONS:
                 raise InputError(
                     f"{lines.path}:{lines.number}: TRC of version {version}; versions that can be "
-                    f"read are {', '.join(_TRC_VERSIONS)}: save the file in one of them with "
-                    f"PCAN-View"
+                    f"read are {', '.join(_TRC_VERSIONS)}: save the file in one of these versions "
+                    f"with PCAN-View"
                 )
         lines.stamped += bool(word) and not word.startswith(";")
         # Without the date, stamps are since the start, to the last digit.
@@ -141,4 +141,4 @@ FILTERS: dict[str, Callable[[Lines, TextIO], Iterator[str]]] = {
     "asc": asc,
     "trc": trc,
 }
-"""Extension of a text format to the filter of its lines."""
+"""Filters of the lines of text formats, by file extension."""

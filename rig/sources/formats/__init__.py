@@ -1,5 +1,5 @@
-"""File formats of recordings made elsewhere: one reader for each format, all with the same
-interface.
+"""File formats of recordings made elsewhere: one reader for each format, all with the interface
+of :class:`rig.sources.formats.table.Table`.
 """
 
 from __future__ import annotations

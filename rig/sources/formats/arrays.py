@@ -99,7 +99,7 @@ class MatTable(ArrayTable):
     ``recordings[1].angle``.
 
     Raises:
-        InputError: It holds no arrays of numbers, or is not a MATLAB file.
+        InputError: The file has no arrays of numbers, or is not a MATLAB file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -139,8 +139,8 @@ class MatTable(ArrayTable):
         if not self.names:
             held = ", ".join(f"{name} ({kind})" for name, _, kind in contents) or "nothing"
             raise InputError(
-                f"{path}: holds no arrays of numbers, but {held}; if it is a timeseries or "
-                "Dataset object, save .Time and .Data as separate variables"
+                f"{path}: holds no arrays of numbers, but {held}; save .Time and .Data of a "
+                "timeseries or Dataset object as separate variables"
             )
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
@@ -202,7 +202,7 @@ class NpzTable(ArrayTable):
             }
 
     def _members(self, archive: zipfile.ZipFile, member: str) -> dict[str, tuple[int, ...]]:
-        """Return name and shape of an array; of a structured array those of each field."""
+        """Return name and shape of an array, or of each field of a structured array."""
         name, shape, kind = _npy_header(archive, member)
         if kind.names is None:
             self._fields[name] = (name, None)

@@ -37,13 +37,13 @@ def until_cut(stream: IO[bytes]) -> Iterator[Found]:
         stream: The file, at its start.
 
     Raises:
-        McapError: The file is complete but damaged inside, or is not an MCAP file.
+        McapError: The file is complete but damaged, or is not an MCAP file.
     """
     data = _rest(stream)
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
-        raise McapError("the file has its end, but is damaged inside")
+        raise McapError("the file is complete, but its content is damaged")
     known = _Known({}, {})
     for opcode, content, whole in _records(data[len(MAGIC) :]):
         if opcode == Opcode.CHUNK:
@@ -55,7 +55,7 @@ def until_cut(stream: IO[bytes]) -> Iterator[Found]:
 
 
 def _rest(stream: IO[bytes]) -> bytes:
-    """Return the readable bytes, also of an incomplete gzip file."""
+    """Return the readable bytes of a file, which may be an incomplete gzip file."""
     parts = []
     try:
         while part := stream.read(1 << 16):
@@ -94,7 +94,7 @@ def _unpacked(content: bytes, whole: bool) -> bytes:
         elif name == b"":
             records = packed
         else:
-            raise McapError(f"a chunk of the unknown compression {name!r}")
+            raise McapError(f"a chunk has the unknown compression {name!r}")
     except (zstandard.ZstdError, RuntimeError) as error:
         raise McapError(f"a chunk cannot be unpacked ({error})") from error
     if whole and (len(records) != size or (crc and zlib.crc32(records) != crc)):
@@ -103,7 +103,7 @@ def _unpacked(content: bytes, whole: bool) -> bytes:
 
 
 class _Known(NamedTuple):
-    """Channels and schemas by number that have been read."""
+    """Channels and schemas that have been read, by number."""
 
     channels: dict[int, Channel]
     schemas: dict[int, Schema]

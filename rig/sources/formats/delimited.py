@@ -41,7 +41,7 @@ from rig.sources.formats.text_layout import (
 
 _READ_ERRORS = (OSError, EOFError, zlib.error)
 _MOST_DIGITS = 300
-"""Number of digits of an integer that a double can represent."""
+"""Number of digits up to which a double represents every integer exactly."""
 _HEAD_LINES = 6
 """Number of lines with content at the start of the file from which the layout is detected."""
 
@@ -254,8 +254,8 @@ class DelimitedTable(Table):
         """
         if any(text.strip() for text in stream):
             raise InputError(
-                f"{self.path}:{line}: {mark}, but more lines follow; cut the file there, or remove "
-                f"the line"
+                f"{self.path}:{line}: {mark}, but more lines follow; if the file ends here, remove "
+                f"the lines that follow, otherwise remove this line"
             )
         self.note(f"line {line} ({mark}) read as the end of the file")
 
@@ -272,8 +272,9 @@ class DelimitedTable(Table):
             return len(cells) < width
         what = "names in the header" if self._has_header else "cells in the first row"
         remedy = (
-            "name every column in the header (row names too: write.table(..., col.names = NA) in "
-            "R), or skip the header with read.skip_rows and give columns by index"
+            "name every column in the header (in R, write.table(..., col.names = NA) also names "
+            "the column of row names), or skip the header with read.skip_rows and give columns "
+            "by index"
             if len(cells) == width + 1
             else "repair the line, or check read.delimiter and read.skip_rows"
         )
@@ -290,7 +291,7 @@ class DelimitedTable(Table):
         text = self._pointed(text)
         if is_empty(text):
             if "#" in text or "(" in text:
-                self.note(f"cells such as {text[:20]} taken as missing")
+                self.note(f"cells such as {text[:20]} read as missing samples")
             return float("nan")
         if is_number(text) and column not in self._zero:
             return float(text)
@@ -315,7 +316,7 @@ class DelimitedTable(Table):
         return f"{name!r}" if name else f"{column}"
 
     def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
-        """Yield line number and text of each row of numbers."""
+        """Yield line number and text of each line with a row of numbers."""
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
                 content = without_comment(text)
@@ -324,7 +325,7 @@ class DelimitedTable(Table):
 
 
 def _names_its_row(line: str, cell: str) -> bool:
-    """Return whether the first cell is a word, or is quoted while the next cell is not quoted."""
+    """Return whether the first cell is a row name: a word, or quoted if the next cell is not."""
     rest = line.lstrip()
     return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
 

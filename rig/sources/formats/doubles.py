@@ -1,6 +1,6 @@
 """Converts arrays of any numeric type to doubles, and notes each loss of accuracy.
 
-Pure functions.
+The functions depend only on their arguments.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
         values: Shape (n,), of any type.
 
     Raises:
-        NotNumbersError: They are text, complex, or objects.
+        NotNumbersError: The values are text, complex, or objects.
     """
     kind = values.dtype.kind
     if kind in "iu":
@@ -51,7 +51,7 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
             )
         return np.ascontiguousarray(values, np.float64), ""
     if kind in "bf":
-        # A float of another width may be a not-a-number that signals.
+        # A float of another width may be a signalling NaN, whose conversion raises a warning.
         with np.errstate(invalid="ignore", over="ignore"):
             return np.ascontiguousarray(values, np.float64), ""
     if kind in "Mm":

@@ -18,7 +18,7 @@ from rig.sources.formats.library import library
 from rig.sources.formats.table import damaged, open_binary
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-"""First bytes of an HDF5 file, after a user block of 0, 512, 1024, ... bytes."""
+"""Signature of an HDF5 file, which follows a user block of 0, 512, 1024, ... bytes."""
 _DAMAGED = (
     ArithmeticError,
     AttributeError,
@@ -32,7 +32,7 @@ _DAMAGED = (
     struct.error,
 )
 """Exceptions that h5py raises on damaged files."""
-_REMEDY = "check that it was copied whole, or save it again"
+_REMEDY = "check that the file was copied completely, or save it again"
 _DEEPEST = 16
 _NUMERIC = frozenset(
     {"double", "single", "logical"}
@@ -47,7 +47,7 @@ def is_hdf5(path: Path) -> bool:
     """Return whether a file is HDF5, by its first bytes; a gzip file is decompressed first.
 
     Raises:
-        OSError, EOFError, zlib.error: It cannot be read.
+        OSError, EOFError, zlib.error: The file cannot be read.
     """
     with open_binary(path) as stream:
         head = stream.read(2048 + len(SIGNATURE))
@@ -101,7 +101,7 @@ class Hdf5Table(ArrayTable):
         """Open the file with h5py, and close it at the end.
 
         Raises:
-            InputError: It is damaged.
+            InputError: The file is damaged.
         """
         require_plain(self.path)
         try:
@@ -170,7 +170,7 @@ class Hdf5Table(ArrayTable):
         dataset = file[place]
         values: NDArray[Any] = np.asarray(dataset[()] if field is None else dataset[field])
         if _matlab_class(dataset):
-            # MATLAB stores its columns one after the other, HDF5 its rows.
+            # MATLAB stores matrices column by column, HDF5 row by row.
             values = values.T
         attributes = dataset.attrs
         fills = [float(v) for key in _FILLS if (v := _number(attributes, key)) is not None]
@@ -181,7 +181,7 @@ class Hdf5Table(ArrayTable):
             self.note(f"`{name}`: scale_factor and add_offset of the file applied")
         if missing is not None and missing.any():
             values = np.where(missing, np.nan, values)
-            self.note(f"`{name}`: the file's fill value taken as missing")
+            self.note(f"`{name}`: the file's fill value read as missing samples")
         return values
 
 
@@ -209,7 +209,7 @@ def _holds_numbers(kind: np.dtype[Any]) -> bool:
 
 
 def _text(attributes: Any, keys: Iterable[str]) -> str:
-    """Return the first of these attributes that is a text; empty if there is none."""
+    """Return the first of these attributes that is a text; empty if none is a text."""
     for key in keys:
         value = attributes.get(key)
         if isinstance(value, bytes):

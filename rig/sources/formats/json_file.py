@@ -18,7 +18,7 @@ from rig.sources.formats.text_layout import encoding_of, open_text
 
 _DEEPEST = 16
 _FEWEST = 2
-"""Least number of values for a list to count as a column."""
+"""Least number of values with which a list counts as a column."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class _Rows:
     """Rows with the same names.
 
     Attributes:
-        place: Of the list or object in the file; empty for the whole file.
-        rows: Column to number, one mapping per row.
+        place: Place of the list or object in the file; empty for the whole file.
+        rows: Numbers by column, one mapping per row.
     """
 
     place: str
@@ -44,7 +44,7 @@ class JsonTable(Table):
     table. A date in text is read as seconds since the first date.
 
     Raises:
-        InputError: It is no JSON, or holds none of these.
+        InputError: The file is not JSON, or has no numbers.
     """
 
     def __init__(self, path: Path, _: ReadSection) -> None:
@@ -191,5 +191,5 @@ def _are_names(value: object) -> bool:
 
 
 def _are_labels(value: Mapping[str, Any]) -> bool:
-    """Return whether the keys are row numbers or time stamps, as pandas writes them."""
+    """Return whether the keys are row numbers or time stamps in the form that pandas writes."""
     return len(value) >= _FEWEST and all(key.isdigit() for key in value)

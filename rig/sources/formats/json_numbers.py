@@ -32,8 +32,8 @@ def parse(text: str) -> Any:
     """Parse a JSON text.
 
     Raises:
-        ValueError: It is no JSON, or an object has a key twice.
-        RecursionError: It is nested too deeply.
+        ValueError: The text is not JSON, or an object has a key twice.
+        RecursionError: The text is nested too deeply.
     """
     return json.loads(text, object_pairs_hook=_object)
 
@@ -48,11 +48,11 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]:
-    """Return one field of all rows, shape (n,), with NaN where a row lacks the field; and a note.
+    """Return one field of all rows, shape (n,), with NaN for rows that lack the field; and a note.
 
-    Stamps are read as seconds since the first stamp: nanoseconds since 1970 exceed the 53 bits of a
-    double, their differences do not. Other integers beyond 2^53 are read as differences to the
-    first integer as well.
+    Stamps are read as seconds since the first stamp, because nanoseconds since 1970 exceed the 53
+    bits of a double. Other integers beyond 2^53 are likewise read as differences from the first
+    integer.
     """
     known = [row.get(field) for row in rows]
     first = next((stamp for stamp in known if isinstance(stamp, Stamp)), None)
@@ -86,8 +86,8 @@ def number(value: object) -> float | None:
 
 
 def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp that an object of seconds and nanoseconds contains, or None if it
-    contains none.
+    """Return the time stamp in an object of seconds and nanoseconds, or None if the object has no
+    time stamp.
     """
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
@@ -99,8 +99,8 @@ def stamp_of(value: Mapping[str, object]) -> Stamp | None:
 def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
     """Yield dotted name and value of every number inside a JSON message.
 
-    An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds is one additional
-    column, which is named after both; a date in text is one column.
+    An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds gives one
+    additional column, named by both keys; a date in text is one column.
     """
     if isinstance(value, dict):
         for key, child in value.items():

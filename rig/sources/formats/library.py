@@ -15,20 +15,20 @@ from typing import Any
 from rig.common.errors import InputError
 
 _MOST_WORDS = 200
-"""Greatest length of a passed-on warning of a library, characters."""
+"""Greatest length of a library's warning that is shown to the user, characters."""
 
 
 def library(name: str, path: Path, format_name: str, extra: str) -> Any:
     """Import an optional library.
 
     Args:
-        name: Of the module.
-        path: The file that needs it, for the message.
-        format_name: What the file is, for the message.
-        extra: The extra of this program that installs it.
+        name: Name of the module.
+        path: The file that needs the library, for the message.
+        format_name: Format of the file, for the message.
+        extra: The extra of this program that installs the library.
 
     Raises:
-        InputError: It is not installed; names the extra.
+        InputError: The library is not installed; the message names the extra.
     """
     try:
         return importlib.import_module(name)
@@ -52,12 +52,12 @@ class _Heard(logging.Handler):
 
 @contextmanager
 def heard(logger: str) -> Iterator[list[str]]:
-    """Keep the warnings of a library off the terminal; yield a list that contains the warnings at
-    the end.
+    """Do not show the warnings of a library on the terminal; yield a list that contains them at the
+    end.
     """
     log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
     propagate, handlers = log.propagate, log.handlers
-    # Some libraries have handlers of their own, which print.
+    # Some libraries install their own handlers, which print the warnings.
     log.propagate, log.handlers = False, [handler]
     try:
         yield found
@@ -68,8 +68,8 @@ def heard(logger: str) -> Iterator[list[str]]:
 
 @contextmanager
 def quiet_ends() -> Iterator[None]:
-    """Release the objects in the frames of a library's error, and suppress the errors that
-    incomplete objects raise when they are deleted.
+    """Release the objects in the stack frames of a library's error, and suppress the errors that
+    these incomplete objects raise when they are deleted.
     """
     before = sys.unraisablehook
     try:

@@ -30,7 +30,7 @@ _MOST_DIMENSIONS = 32
 
 
 class DamagedElementError(ValueError):
-    """A header contradicts the file; the message states the byte."""
+    """A header does not fit the file; the message states the byte."""
 
 
 class _Element(NamedTuple):
@@ -72,7 +72,7 @@ def check_elements(stream: IO[bytes]) -> frozenset[str]:
                 unread.add(str(error))
         elif element.kind != COMPRESSED:
             raise DamagedElementError(
-                f"no variable where one should start, at byte {element.start}"
+                f"at byte {element.start}, where a variable must start, is no variable"
             )
     return frozenset(unread)
 
@@ -111,7 +111,7 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
     word = int(struct.unpack(f"{order}I", stream.read(4))[0])
     if word & 0xFF not in CLASSES:
         raise DamagedElementError(
-            f"array of the impossible class {word & 0xFF}, at byte {flags.start}"
+            f"an array has the impossible class {word & 0xFF}, at byte {flags.start}"
         )
     if word & 0xFF == OPAQUE_CLASS:
         return
@@ -175,7 +175,9 @@ def _check_members(
         )
     for member in members:
         if member.kind != MATRIX:
-            raise DamagedElementError(f"no matrix where one should start, at byte {member.start}")
+            raise DamagedElementError(
+                f"at byte {member.start}, where a matrix must start, is no matrix"
+            )
         if not member.length:
             continue
         flags = next(_elements(stream, order, member.start, member.start + member.length))
@@ -192,6 +194,6 @@ def _part(parts: Iterator[_Element], matrix: _Element, name: str, *kinds: int) -
         raise DamagedElementError(f"the variable at byte {matrix.start} has no {name}")
     if part.kind not in kinds:
         raise DamagedElementError(
-            f"{name} of the impossible type {part.kind}, at byte {part.start}"
+            f"{name} has the impossible type {part.kind}, at byte {part.start}"
         )
     return part

@@ -23,8 +23,8 @@ from rig.sources.formats.mcap_messages import Decoder, Decoders
 from rig.sources.formats.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"
-# lz4 raises RuntimeError; a damaged length field may request more memory than available; protobuf
-# has an error of its own, which is a ValueError.
+# lz4 raises RuntimeError; a damaged length field may request more memory than available; the error
+# of protobuf is a ValueError.
 _DAMAGED = (
     McapError,
     ZstdError,
@@ -45,14 +45,14 @@ class McapTable(Table):
     nesting.
 
     Messages are JSON, CDR of ROS 2 or protobuf. ``topic.log_time`` is the logger's time stamp in
-    seconds since the first message of that topic. Elements of a list are ``topic.field[0]``, also
-    of lists of messages; a stamp of ``sec`` and ``nanosec`` is one column. Of a file without an
+    seconds since the first message of this topic. Elements of lists, including lists of messages,
+    are ``topic.field[0]``; a stamp of ``sec`` and ``nanosec`` is one column. In a file without an
     end, the complete messages are read, with a note. Each topic has its own time base; the logger's
     time is the common clock.
 
     Raises:
-        InputError: The file is damaged, holds no messages that can be read, or their library is
-            not installed.
+        InputError: The file is damaged, holds no messages that can be read, or a library that
+            decodes the messages is not installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -73,7 +73,7 @@ class McapTable(Table):
                 )
                 if self._cut:
                     raise InputError(
-                        f"{path}: cannot be read: cut off before its first whole message; write "
+                        f"{path}: cannot be read: cut off before the first complete message; write "
                         f"logs with smaller chunks, or {remedy}"
                     ) from error
                 raise damaged(path, error, remedy) from error
@@ -122,8 +122,8 @@ class McapTable(Table):
         """Read the complete messages of a file whose writer ended before it closed the file.
 
         Returns:
-            Whether the file is cut off and holds messages. Of a file with a sound end and damage
-            inside, nothing is taken.
+            Whether the file is cut off and holds messages. From a complete file with damage inside,
+            no message is read.
         """
         self._rows.clear()
         try:
@@ -135,7 +135,7 @@ class McapTable(Table):
             return False
         self._cut = True
         count = sum(len(rows) for rows in self._rows.values())
-        self.note(f"the file is cut off: read up to its last whole message, {count} messages")
+        self.note(f"the file is cut off: its {count} complete messages are read")
         return bool(count or others)
 
     def read(self, columns: Sequence[int]) -> list[Array]:

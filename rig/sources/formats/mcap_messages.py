@@ -28,7 +28,7 @@ _LIBRARIES: Final = {
     "cdr": ("mcap_ros2.decoder", "CDR messages of ROS 2"),
     "protobuf": ("mcap_protobuf.decoder", "protobuf messages"),
 }
-"""Encoding of messages to the module of its decoder and the name of the encoding."""
+"""Module of the decoder, and name of the encoding for messages, by encoding."""
 _DURATION = "Duration"
 
 
@@ -43,7 +43,7 @@ class Decoders:
         """Return the decoder of a channel, or None if no decoder reads its encoding.
 
         Raises:
-            InputError: The library that decodes it is not installed.
+            InputError: The library that decodes this encoding is not installed.
         """
         if encoding == "json":
             return lambda data: dict(numbers(parse(data.decode("utf-8")), ""))
@@ -77,7 +77,7 @@ def _of_ros(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
 
 
 def _of_protobuf(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a protobuf message; a field without a value and without a default is
+    """Yield the numbers of a protobuf message; a field that has neither a value nor a default is
     left out.
     """
     descriptor = getattr(value, "DESCRIPTOR", None)

@@ -37,12 +37,12 @@ _DAMAGED = (
     zlib.error,
 )
 """Exceptions that asammdf raises on damaged files, in addition to its own exception."""
-_REMEDY = "check that it was copied whole, or open and save it again with its own tool"
+_REMEDY = "check that the file was copied completely, or save it again with the tool that wrote it"
 TIME_MASTER = 1
 """Sync type of a master channel that contains the time, s."""
 _MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
 _LINEAR = {3: 0, 4: 1}
-"""Version of the format to the number of its linear conversion."""
+"""Type number of the linear conversion, by version of the format."""
 
 
 class _Channel(NamedTuple):
@@ -56,9 +56,9 @@ class MdfTable(Table):
     name of the group is left out.
 
     A channel with an array is ``channel[0]``, ``channel[1]``, ... Conversions of the file are
-    applied; samples that its invalidation bits mark are NaN. Labels (value to text) are read as
-    their raw numbers, with a note. Each channel group has a time base of its own, all on the clock
-    of the file.
+    applied; samples that are marked by invalidation bits are NaN. Labels (value to text) are read
+    as raw numbers, with a note. Each channel group has its own time base; all time bases are on the
+    clock of the file.
 
     Raises:
         InputError: asammdf is not installed, or the file is damaged or holds no samples.
@@ -98,14 +98,14 @@ class MdfTable(Table):
         """Open the file with asammdf, and close it at the end.
 
         Raises:
-            InputError: It is damaged.
+            InputError: The file is damaged.
         """
         require_plain(self.path)
         errors = (*_DAMAGED, self._asammdf.blocks.utils.MdfException)
         zipped = self.path.suffix.lower() == ".gz"
         said: list[str] = []
         try:
-            # asammdf prints what it was doing when it fails.
+            # asammdf prints messages when it fails.
             with heard("asammdf") as said, quiet_ends(), redirect_stdout(io.StringIO()):
                 source: Any = open_binary(self.path) if zipped else str(self.path)
                 with self._asammdf.MDF(source) as mdf:
@@ -168,7 +168,7 @@ class MdfTable(Table):
         return values
 
     def _labels(self, mdf: Any, where: _Channel, name: str, samples: NDArray[Any]) -> NDArray[Any]:
-        """Return the numbers to which labels belong; if there are none, the text."""
+        """Return the raw numbers of labels, or the text if the labels have no numbers."""
         numbers = [
             float(value) if isinstance(value, int | float | np.number) else np.nan
             for value in samples.tolist()
@@ -195,7 +195,7 @@ class MdfTable(Table):
 
 
 def _group_names(mdf: Any, groups: Sequence[int]) -> list[str]:
-    """Return a different name for each group."""
+    """Return the names of the groups, with a number added to names that occur more than once."""
     names = []
     for group in groups:
         stated = str(getattr(mdf.groups[group].channel_group, "acq_name", None) or "").strip()
@@ -231,7 +231,7 @@ def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
 
 def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
     """Return factor and offset of a linear conversion, or None for a channel without a conversion
-    or with another one.
+    or with a conversion of another type.
     """
     if conversion is None:
         return None

@@ -89,7 +89,7 @@ def _exceeds_doubles(column: Any) -> bool:
 
 
 def _differences(column: Any) -> Array:
-    """Return integers minus the first integer, exact if the difference fits a double."""
+    """Return integers minus the first integer, exact if a double represents the difference."""
     first = _first(column)
     missing = column.is_null().to_numpy()
     whole = column.fill_null(first).to_numpy()

@@ -23,13 +23,13 @@ class Table(ABC):
         path: The file.
         names: Column names in file order; an empty string for a column without a name.
         notes: Messages to the user about the reading.
-        units: Units as the file states them, in column order; empty where it states none.
-        bases: Time base of each column, by number, in column order; empty where all columns share
-            their rows.
+        units: Units as the file states them, in column order; empty if the file states no units.
+        bases: Number of the time base of each column, in column order; empty if all columns have
+            the same rows.
         base_names: Name of each time base, for messages.
         base: Time base whose rows :meth:`place` counts.
-        counts: Column to (factor, offset) where the file says value = factor x whole number +
-            offset; a column of whole numbers needs none.
+        counts: Factor and offset of the columns that the file stores as value = factor x whole
+            number + offset, by column; columns of whole numbers need no entry.
     """
 
     path: Path
@@ -62,15 +62,15 @@ class Table(ABC):
         shape (n,).
 
         Returns:
-            None where the file has no stamps that all of its time bases share.
+            None if the file has no clock that all its time bases share.
         """
         return None
 
     def require_one_base(self, columns: Sequence[int]) -> None:
-        """Refuse columns that share no rows.
+        """Refuse columns that have no common rows.
 
         Raises:
-            InputError: They are of several time bases.
+            InputError: The columns have several time bases.
         """
         bases = sorted({self.bases[k] for k in columns})
         if len(bases) > 1:

@@ -35,14 +35,14 @@ _DAMAGED = (
 )
 """Exceptions that npTDMS raises on damaged files."""
 _FRACTION_S = 2.0**-64
-"""Unit of the fractional part of a time stamp, s."""
+"""Value of one unit of the fractional part of a time stamp, s."""
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription")
 _UNSUPPORTED = "Unsupported scale type"
 
 
 class _Waveform(NamedTuple):
-    """Time of a waveform: its start (seconds and 2^-64 s since 1904, or None if not stated), the
-    time from the start to its first sample, and its sample period, s.
+    """Time of a waveform: start (seconds and units of 2^-64 s since 1904, or None if not stated),
+    time from the start to the first sample, and sample period, s.
     """
 
     start: tuple[int, int] | None
@@ -66,9 +66,9 @@ class TdmsTable(Table):
     """Table with one column for each channel, named ``group.channel``; with only one group, the
     name of the group is left out.
 
-    Channels of one group that have the same length and the same waveform properties share their
-    rows; the time of a waveform is one more column, ``time``. Scales of the file are applied. A
-    channel of time stamps is read as seconds since its first stamp.
+    Channels of one group with equal length and equal waveform properties have common rows; the time
+    of a waveform is a further column, ``time``. Scales of the file are applied. A channel of time
+    stamps is read as seconds since the first stamp.
 
     Raises:
         InputError: npTDMS is not installed, or the file is damaged or holds no channels.
@@ -89,7 +89,7 @@ class TdmsTable(Table):
                         found.append((_Column(base, channel.name), channel.name, unit))
             if file.file_status.incomplete_final_segment:
                 self.note(
-                    "the file is cut off; only the rows that all channels of a group have are read"
+                    "the file is cut off; only rows that all channels of a group have are read"
                 )
         if not found:
             raise InputError(f"{path}: holds no channels with samples")
@@ -142,9 +142,9 @@ class TdmsTable(Table):
         """Open the file with npTDMS, and close it at the end.
 
         Raises:
-            InputError: It is damaged.
+            InputError: The file is damaged.
         """
-        # npTDMS prints its warnings by itself.
+        # npTDMS prints its warnings with its own handler.
         self._nptdms.log.log_manager.console_handler.setLevel(logging.CRITICAL + 1)
         said: list[str] = []
         try:
@@ -159,7 +159,7 @@ class TdmsTable(Table):
             raise
         except _DAMAGED as error:
             raise damaged(
-                self.path, error, "check that it was copied whole, or save it again"
+                self.path, error, "check that it was copied completely, or save it again"
             ) from error
         for words in said:
             if _UNSUPPORTED in words:
@@ -178,7 +178,7 @@ class TdmsTable(Table):
     def stamps(self, base: int) -> Array | None:
         """Return the time of the waveform on the clock of the file; see :meth:`Table.stamps`.
 
-        Without a waveform, the stamps are those of a channel of time stamps of the same length.
+        Without a waveform, the stamps are those of a channel of time stamps that has as many rows.
         """
         starts = [b.waveform.start for b in self._bases if b.waveform and b.waveform.start]
         waveform = self._bases[base].waveform
@@ -241,7 +241,7 @@ def _waveform(channel: Any) -> _Waveform | None:
     start = properties.get("wf_start_time")
     known = hasattr(start, "second_fractions")
     exact = (int(start.seconds), int(start.second_fractions)) if known else None
-    # LabVIEW writes the start of 1904 where none was set.
+    # LabVIEW writes the start of 1904 if no start time was set.
     return _Waveform(exact if exact and any(exact) else None, offset * scale, increment * scale)
 
 

@@ -1,6 +1,6 @@
 """Detects the layout of a delimited text file: encoding, delimiter, header, units, dates and times.
 
-All functions except those that open a file are pure functions of lines and cells.
+Except for those that open a file, the functions depend only on lines and cells.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import TextIO, cast
 from drivers.plain_file import require_plain
 
 BLANKS = " "
-"""Delimiter of columns that are aligned with blanks: any number of blanks or tabs."""
+"""Symbol for the delimiter of aligned columns: any number of blanks or tabs."""
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
 DAY_NS = 86_400 * 10**9
 """Least value of a time with a date, ns; a time of day without a date is smaller."""
 END_MARKS = frozenset({"eof", "end of file"})
 _DELIMITERS = (";", "\t", "|", ",")
 _WINDOWS_NAN = re.compile(r"[+-]?\d?\.?#(ind|q?nan|snan|inf)\d*|[+-]?nan\(.*\)", re.IGNORECASE)
-"""NaN and infinity as the C library of Windows writes them."""
+"""NaN and infinity in the form in which the C library of Windows writes them."""
 _DAY = re.compile(
     r"(?:(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]\s*)?(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*"
     r"(?:Z|UTC|([+-])(\d{2}):?(\d{2}))?",
@@ -37,7 +37,7 @@ def open_text(path: Path, encoding: str) -> TextIO:
     """Open a text file; it is decompressed by gzip if its name ends in ``.gz``.
 
     Raises:
-        OSError: It cannot be opened.
+        OSError: The file cannot be opened.
     """
     require_plain(path)
     if path.suffix.lower() == ".gz":
@@ -68,8 +68,8 @@ def encoding_of(path: Path) -> str:
 
 
 def utf8(text: str) -> str:
-    """Return a line that was decoded as Latin-1; if its bytes are UTF-8, return it decoded as
-    UTF-8.
+    """Return a line that was decoded as Latin-1; if the bytes of the line are UTF-8, return the
+    line decoded as UTF-8.
     """
     try:
         return text.encode("latin-1").decode("utf-8").lstrip("\ufeff")
@@ -180,8 +180,7 @@ def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def are_units(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line below the names contains only short words and no number, as a line of
-    units does.
+    """Return whether a line below the names is a line of units: only short words and no number.
 
     A dash means no unit if another cell has a unit.
     """
@@ -198,10 +197,9 @@ def are_units(cells: Sequence[str], width: int) -> bool:
 
 
 def nanoseconds(cell: str) -> int | None:
-    """Return a date and time, or a time of day, in ns since the year 1, or None if the cell is
-    neither.
+    """Return a date and time, or a time of day, in ns since the year 1, or None for any other cell.
 
-    The date starts with the year (ISO 8601); an offset from UTC is subtracted.
+    A date must start with the year (ISO 8601); an offset from UTC is subtracted.
     """
     match = _DAY.fullmatch(cell.strip(' "\t'))
     if match is None:
