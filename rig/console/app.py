@@ -1,8 +1,8 @@
 """HTTP and WebSocket routes of the console.
 
 A reading request needs no token. A command is a POST request with the token in its header and JSON
-as its content; the JSON contains the number of the command, and each command of a page has a higher
-number than the previous one.
+as its content; the JSON contains the number of the command, which increases with each command of a
+page.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ class Console:
     Args:
         hub: The runs and the pages.
         token: Token of this start.
-        hosts: Values of the Host header that are this console's own.
+        hosts: Values of the Host header that name this console.
 
-    Attributes:
+        Attributes:
         app: The routes.
         broken: Called when the console can no longer follow the runs.
         failure: Reason why the console can no longer follow the runs; None while it follows them.
@@ -146,13 +146,13 @@ class Console:
             except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
                 return _refused(
                     400,
-                    "the request is no command: it must be JSON with the fields page and number",
+                    "the request is not a command: it must be JSON with the fields page and number",
                 )
             if not isinstance(page_key, str) or type(number) is not int:
                 return _refused(400, "page must be a text, number a whole number")
             page = self._hub.controls.page(page_key)
             if page is not None and self._hub.controls.replayed(page, number):
-                return _refused(409, "this command was received before")
+                return _refused(409, "this command was already received")
             try:
                 return _json(await act(page, message))
             except (Refusal, StartError) as error:
@@ -251,7 +251,7 @@ class Console:
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
         """Send state and charts to a page every few ticks. A page that does not read its messages
-        delays only its own messages.
+        does not delay the messages to other pages.
         """
         view = View(self._hub, page)
         while not reading.done():
@@ -264,7 +264,7 @@ class Console:
 
 
 async def _read_views(socket: WebSocket, page: Page) -> None:
-    """Read which run and charts a page asks for, until the page is closed or sends an invalid
+    """Read which run and charts a page requests, until the page is closed or sends an invalid
     message.
     """
     while True:
@@ -294,7 +294,7 @@ def _refused(status: int, words: str) -> Response:
 
 
 def _json(content: Mapping[str, Any], status: int = 200) -> Response:
-    """Return an answer as JSON in ASCII; its escapes also encode text that is not valid Unicode."""
+    """Return an answer as JSON in ASCII; escapes also encode text that is not valid Unicode."""
     return Response(json.dumps(content), status, media_type="application/json")
 
 

@@ -17,10 +17,10 @@ class Channel(NamedTuple):
     """Channel of one chart.
 
     Attributes:
-        name: Name in the recording, or of a derived value.
+        name: Name of the channel in the recording, or name of a derived value.
         label: Title.
-        unit: Unit that is shown.
-        scale: Factor from SI to that unit.
+        unit: Unit of display.
+        scale: Factor from SI to the unit of display.
     """
 
     name: str
@@ -66,7 +66,7 @@ def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
     """Return the values of the channels in their units of display, shape (channels, n).
 
     Args:
-        samples: Field to array, shape (n,).
+        samples: Arrays of shape (n,), by field.
         about: Description of the run, with gear ratio and torque constant.
     """
     derived = {

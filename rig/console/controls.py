@@ -13,16 +13,17 @@ class Page:
 
     Attributes:
         name: Name for the operators.
-        may: Whether it has the token of this start.
-        key: Value that identifies it in commands.
-        last: Number of its last command.
-        run: The run that was chosen on it, or None for none.
-        kept: The run that it shows where none was chosen.
-        beyond: Count of the runs that were known when that run had ended; None before.
-        started: Folder of the run that was started or continued from it, until the run is found.
-        before: Count of the runs that were known at that time.
-        window_s: Width of its charts, s; 0 for the whole run.
-        pixels: Width of its charts, pixels.
+        may: Whether the page has the token of this start.
+        key: Value that identifies the page in commands.
+        last: Number of the last command of the page.
+        run: The run that the user has chosen on the page, or None.
+        kept: The run that the page shows if no run was chosen.
+        beyond: Number of runs that were known at the end of the run ``kept``; None before its end.
+        started: Folder of the run that was started or continued from the page, until this run is
+            found.
+        before: Number of runs that were known when the run in ``started`` was started.
+        window_s: Width of the charts, s; 0 for the whole run.
+        pixels: Width of the charts, pixels.
     """
 
     name: str
@@ -59,8 +60,8 @@ class Controls:
 
     def close(self, page: Page) -> None:
         """Remove a page that was closed. If the closed page held the controls and exactly one other
-        page has the token, the other page gets the controls, for example the same page after a
-        reload; otherwise no page holds the controls.
+        page has the token, that page gets the controls, for example a page after a reload;
+        otherwise no page holds the controls.
         """
         self._pages.pop(page.key, None)
         if self.holder is page:

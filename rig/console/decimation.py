@@ -1,7 +1,7 @@
 """Computes minimum and maximum of every channel over intervals of 2^k cycles as samples arrive.
 
-A page draws one interval per pixel or two, so that a peak remains visible however many samples fall
-on one pixel.
+A page draws one or two intervals per pixel, so that a peak remains visible for any number of
+samples per pixel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Slice:
     Attributes:
         level: Exponent of the length: an interval has 2^level cycles.
         first: Number of the first interval, which begins at ``first`` times its length.
-        low: Minima, shape (channels, n); not a number where no sample lies in the interval.
+        low: Minima, shape (channels, n); NaN for an interval without samples.
         high: Maxima, in the form of ``low``.
     """
 
@@ -54,7 +54,7 @@ class Decimation:
         return self._cycle_s * 2.0**level
 
     def level(self, window_s: float, pixels: int) -> int:
-        """Return the level with at least one interval, and at most two, per pixel.
+        """Return the level with at least one and at most two intervals per pixel.
 
         Args:
             window_s: Width of a chart, s.

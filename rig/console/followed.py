@@ -42,21 +42,21 @@ class Followed:
     """A run that the console follows.
 
     Args:
-        path: Its control socket.
+        path: Control socket of the run.
         about: Description that the run sent.
-        number: Count of the runs that were found, this one included.
+        number: Number of runs that were found up to and including this run.
 
     Attributes:
         status: Newest state that the run reported; None before the first report.
-        gone: Whether its program is gone.
-        record: ``run.json``; None until it is there.
-        events: Number and words of the newest events.
-        decimation: The channels.
-        torque_speed: Torque against speed.
-        curves: Friction of the newest identification.
+        gone: Whether the program of the run is gone.
+        record: ``run.json``, or None until this file exists.
+        events: Number and text of the newest events.
+        decimation: Minima and maxima of the channels.
+        torque_speed: Points of torque against speed.
+        curves: Friction curves of the newest identification.
         values: Latest value of each channel, or None if it is not known.
         drive: State of the drive in the latest sample, as text.
-        trouble: Why the recording cannot be read, or None if it can.
+        trouble: Reason why the recording cannot be read, or None if it can be read.
     """
 
     def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
@@ -101,7 +101,7 @@ class Followed:
         return self.gone or not os.path.exists(self.path)
 
     def parts(self) -> dict[str, tuple[object, Any]]:
-        """Return the parts of the run that a page shows: name to version and JSON value."""
+        """Return version and JSON value of the parts of the run that a page shows, by name."""
         return {
             "about": (self.key, {key: v for key, v in self.about.items() if key != "run"}),
             "channels": (self.key, self._channels),

@@ -2,10 +2,10 @@
 commands.
 
 A page of another site cannot command a run, because its origin differs. DNS rebinding, which makes
-the name of the other site point to this computer, does not help, because the Host header differs.
-The address that the console prints has the token in its fragment, which a browser never sends by
-itself; the page sends the token in a header. The console uses no cookie, because all ports of a
-computer share cookies.
+the name of the other site point to this computer, does not help the other site, because the Host
+header differs. The address that the console prints has the token in its fragment, which a browser
+does not send to a server; the page sends the token in a header. The console uses no cookie, because
+all ports of a computer share cookies.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ class Token:
 
 
 class Gate:
-    """Middleware that passes requests whose host and origin are this console, and refuses all
-    others.
+    """Middleware that passes requests whose host and origin are this console, and refuses all other
+    requests.
 
     Args:
         app: Application that receives the passed requests.
-        hosts: Values of the Host header that are this console's own.
+        hosts: Values of the Host header that name this console.
     """
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str]) -> None:

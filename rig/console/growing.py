@@ -28,7 +28,8 @@ class News(NamedTuple):
     """Content that was added to a recording.
 
     Attributes:
-        samples: Field of :class:`rig.common.sample.Sample` to array, shape (n,); empty for none.
+        samples: Arrays of shape (n,), by field of :class:`rig.common.sample.Sample`; empty without
+            samples.
         events: Events, each with ``time`` and ``event``.
         more: Whether more content can be read immediately.
     """
@@ -69,7 +70,7 @@ class Growing:
             used = _records(data, samples, events)
             length = HEADER.unpack_from(data)[1] if not used and len(data) >= HEADER.size else 0
             if READ_BYTES < length + HEADER.size <= MAX_CHUNK:
-                # One record larger than the block: an attachment, or a chunk of another writer.
+                # One record is larger than the block: an attachment, or a chunk of another writer.
                 data += stream.read(length + HEADER.size - len(data))
                 used = _records(data, samples, events)
         self._offset += used

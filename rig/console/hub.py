@@ -84,8 +84,8 @@ class Hub:
         """Return the run that a page shows: the run that the user chose, else the run that was
         started from the page, else the newest run in progress, else the newest run.
 
-        A page keeps its run until a run is found that began after the end of the page's run: a run
-        that begins on another bench must not take the place of the run that STOP is meant for.
+        A page keeps its run until a run is found that began after the end of the page's run, so
+        that a run that begins on another bench does not replace the run that STOP must stop.
         """
         if page.run in self.runs:
             return self.runs[page.run]
@@ -94,7 +94,7 @@ class Hub:
         mine = (run for run in runs if run.folder == page.started and run.number > page.before)
         own = next(mine, None)
         if own is not None:
-            # Whoever continues this run later does not take the page with it.
+            # If another page continues this run later, this page does not follow the run again.
             page.started = None
             own = None if own.over else own
         kept = own or self.runs.get(page.kept or "")
@@ -116,8 +116,8 @@ class Hub:
         page.run, page.started, page.before = None, folder, self._found
 
     def keep(self, page: Page, key: object) -> None:
-        """Let a page that is opened again keep the run in progress that it showed before its
-        contact was lost.
+        """Let a page that is opened again keep the run in progress that the page showed before its
+        connection was lost.
         """
         run = self.runs.get(key) if isinstance(key, str) else None
         if run is not None and not run.over:
@@ -129,7 +129,7 @@ class Hub:
         """Send a command to a run; return the answer of the run.
 
         Raises:
-            Refusal: The run refused it, did not answer, or is over.
+            Refusal: The run refused the command, did not answer, or is over.
         """
         run = self.runs.get(key)
         if run is None:

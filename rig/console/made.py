@@ -1,7 +1,7 @@
 """Makes pages of recorded runs on request: comparisons and trends.
 
-`rig runs compare` and `rig runs trend` make the pages, in a separate process with a low priority:
-the pages are those of the command line, and neither the loop of a run nor STOP waits for a page.
+`rig runs compare` and `rig runs trend` make the pages, in a separate process with a low priority,
+so that neither the control loop of a run nor STOP waits for a page.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from rig.console.recorded import Choice, Recorded
 from rig.results.files import PAGE_FILE
 
 MOST_COMPARED: Final = 6
-"""Most runs of one comparison: as many as the figure has colours."""
+"""Greatest number of runs in a comparison: the number of colours of the figure."""
 KEPT: Final = 12
-"""Pages that are kept, the latest."""
+"""Number of the latest pages that are kept."""
 MAKE_S: Final = 180.0
-"""Longest time to make a page."""
+"""Longest time, s, in which a page must be made."""
 NICE = 10
-"""Added to the niceness of the process that makes a page."""
+"""Increase of the niceness of the process that makes a page."""
 _SHOWN: Final = 2000
-"""Characters of a failure that are shown."""
+"""Number of characters of an error message that are shown."""
 
 
 class Made:
@@ -59,11 +59,11 @@ class Made:
             message: ``runs``, their folders as listed.
 
         Returns:
-            ``page``, where the page is, and ``words``, its name.
+            ``page``, the address of the page, and ``words``, the name of the page.
 
         Raises:
-            Refusal: They are not two to :data:`MOST_COMPARED` runs of the list, or cannot be
-                compared.
+            Refusal: The request does not name 2 to :data:`MOST_COMPARED` runs of the list, or the
+                runs cannot be compared.
         """
         given = message.get("runs")
         if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
@@ -71,7 +71,7 @@ class Made:
         wanted = set(given)
         if not 2 <= len(wanted) <= MOST_COMPARED:
             raise Refusal(f"choose 2 to {MOST_COMPARED} runs (got {len(wanted)})")
-        # Only folders of the list are ever opened, in its order, which is that of time.
+        # Only folders in the list are opened, in the order of the list, which is that of time.
         folders = [e.folder for e in await self._recorded.known() if e.folder in wanted]
         unknown = wanted.difference(folders)
         if unknown:
@@ -86,10 +86,10 @@ class Made:
             message: ``constant``, and ``bench`` and ``last`` as for the list.
 
         Returns:
-            ``page``, where the page is, and ``words``, its name.
+            ``page``, the address of the page, and ``words``, the name of the page.
 
         Raises:
-            Refusal: No listed run has this constant, or the choice is none.
+            Refusal: No listed run has this constant, or the choice of runs is not valid.
         """
         constant = message.get("constant")
         try:
@@ -124,7 +124,7 @@ class Made:
         """Run a command of ``rig runs``.
 
         Raises:
-            Refusal: It failed, or took too long.
+            Refusal: The command failed, or took too long.
         """
         try:
             child = await asyncio.create_subprocess_exec(
@@ -156,7 +156,7 @@ class Made:
     async def _page(self, request: Request) -> Response:
         content = self._pages.get(request.path_params["key"])
         if content is None:
-            words = f"no such page; the latest {KEPT} that were made are kept: make it again"
+            words = f"no such page; only the latest {KEPT} pages are kept: make the page again"
             return Response(words, status_code=404, media_type="text/plain")
         return Response(
             content,

@@ -24,7 +24,7 @@ from rig.runs.catalogue.index import detailed, list_runs
 from rig.runs.catalogue.select import Wanted, chosen, latest
 
 SHOWN: Final = 30
-"""Number of runs in the list unless more are asked for; the list has the latest runs."""
+"""Default number of runs in the list, which has the latest runs."""
 MOST_SHOWN: Final = 300
 """Greatest number of runs in the list."""
 _FRESH_S: Final = 3.0
@@ -37,8 +37,8 @@ class Choice:
     """Which of the recorded runs are listed.
 
     Attributes:
-        bench: Name of their bench; empty for every bench.
-        last: How many, the latest.
+        bench: Name of the bench; empty for every bench.
+        last: Number of runs; the latest are listed.
     """
 
     bench: str = ""
@@ -49,7 +49,7 @@ class Choice:
         """Return the choice of recorded runs that a query or a message of a page states.
 
         Raises:
-            ValueError: The values are no choice.
+            ValueError: The values are not valid.
         """
         bench, last = given.get("bench", ""), given.get("last", SHOWN)
         last = int(last) if isinstance(last, str) and len(last) < 10 else last
@@ -105,11 +105,11 @@ class Recorded:
             return Response(str(error), status_code=400, media_type="text/plain")
         await self._refresh()
         listed = await asyncio.to_thread(self._listed, choice)
-        # In ASCII, which also bears names that are no valid Unicode.
+        # In ASCII, whose escapes also encode names that are not valid Unicode.
         return Response(json.dumps(listed), media_type="application/json")
 
     async def _refresh(self) -> None:
-        # One list at a time, however many pages ask; the folders are read beside the event loop.
+        # Only one list is read at a time, for all pages; the folders are read in a thread.
         async with self._held:
             if time.monotonic() - self._read_s >= _FRESH_S:
                 await asyncio.to_thread(self._read)
@@ -166,8 +166,8 @@ class Recorded:
 
     async def _page(self, request: Request) -> Response:
         path = str(request.path_params["path"])
-        # The longest fitting name, because the page of a diagnosis has the name of another page, in
-        # a folder of its own.
+        # The longest fitting name is used, because the name of a diagnosis page, in its folder,
+        # ends with the name of another page.
         fitting = [name for name, _ in PAGES if path.endswith(f"/{name}")]
         name = max(fitting, key=len, default="")
         folder = path.removesuffix(f"/{name}") or "."
@@ -180,6 +180,6 @@ class Recorded:
             return Response(words, status_code=404, media_type="text/plain")
         headers = {"Content-Security-Policy": SANDBOX}
         if name.endswith(".pdf"):
-            # A browser's own viewer does not work in the sandbox.
+            # The viewer that is built into a browser does not work in the sandbox.
             headers["Content-Disposition"] = f'attachment; filename="{name}"'
         return Response(content, media_type=_KINDS[Path(name).suffix], headers=headers)

@@ -1,4 +1,4 @@
-"""The console's side of the control sockets: finds runs, asks for their state, sends commands."""
+"""The console's side of the control sockets: finds runs, requests their state, sends commands."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Links:
     """Socket through which the console exchanges messages with all runs of this user.
 
     Args:
-        heard: Called with the path of a run's socket and each message from there.
-        clock: Clock that commands are numbered by.
+        heard: Called with the path of a run's socket and each message from this socket.
+        clock: Clock by which commands are numbered.
     """
 
     def __init__(
@@ -91,11 +91,11 @@ class Links:
     ) -> dict[str, Any]:
         """Send a command to a run, repeatedly, until the run has answered.
 
-        The command is sent again with the same number, so that the run carries it out only once. If
-        another program has sent a command in the meantime, the command gets a new number.
+        The command is sent again with its first number, so that the run executes the command only
+        once. If another program has sent a command in the meantime, the command gets a new number.
 
         Returns:
-            The answer: ``taken`` and, if it was refused, ``words``.
+            The answer: ``taken`` and, for a refused command, ``words``.
 
         Raises:
             Unreachable: The program is gone, or did not answer.
@@ -114,8 +114,8 @@ class Links:
             else:
                 order = self._order(run, command, who, prompt, text)
         raise Unreachable(
-            f"the run did not answer within {ATTEMPTS * REPLY_S:g} s; it will carry out the "
-            "command as soon as it responds again"
+            f"the run did not answer within {ATTEMPTS * REPLY_S:g} s; the run will execute the "
+            "command when it responds again"
         )
 
     async def _once(self, path: str, order: Order) -> dict[str, Any] | None:
@@ -143,7 +143,7 @@ class Links:
         try:
             self._socket.sendto(encode(message), path)
         except BlockingIOError:
-            # The run's queue is full: it is busy, and is asked again later.
+            # The queue of the run is full; the message is sent again later.
             return
         except OSError as error:
             raise Unreachable(f"the program of the run has ended ({error.strerror})") from error

@@ -24,8 +24,8 @@ def serve(
     Args:
         starter: Starts runs.
         only: Names of the benches whose runs are shown; empty for all.
-        port: Port; 0 for a free one.
-        announce: Called with the address, token included, once it can be opened.
+        port: Port, or 0 for a free port.
+        announce: Called with the address, including the token, when the address can be opened.
 
     Raises:
         InputError: The port is in use.

@@ -34,15 +34,15 @@ class StartError(Exception):
 
 @dataclass(frozen=True)
 class Wish:
-    """Run that a page asks for: bench, sequence, operator and options.
+    """Run that a page requests: bench, sequence, operator and options.
 
     Attributes:
         bench: Bench, as given on the command line or packaged.
         sequence: Packaged name or path of a sequence.
-        operator: Who runs it; empty for nobody.
-        realtime: Whether a simulated bench is held to real time.
+        operator: Name of the operator; empty for no name.
+        realtime: Whether a simulated bench runs in real time.
         yes: Whether the prompts of a simulated bench are answered as planned.
-        acceptance: Path of a file of limits; empty for those of the sequence.
+        acceptance: Path of a file of limits; empty for the limits of the sequence.
     """
 
     bench: str
@@ -54,7 +54,7 @@ class Wish:
 
     @staticmethod
     def of(message: Mapping[str, Any]) -> Wish:
-        """Return the run that the message of a page asks for.
+        """Return the run that the message of a page requests.
 
         Raises:
             StartError: A field is missing or of the wrong type.
@@ -84,9 +84,9 @@ class Shown:
     """Dry run whose result was shown to the operator.
 
     Attributes:
-        wish: The run.
+        wish: The requested run.
         digests: SHA-256 of bench file, sequence file and file of limits.
-        real: Whether the bench is a real one.
+        real: Whether the bench is a real bench.
         name: Name of the bench.
     """
 
@@ -102,7 +102,7 @@ class Starter:
 
     Attributes:
         benches: Benches that may be chosen.
-        runs: Where run folders are made.
+        runs: Folder in which run folders are created.
         command: Start of the command line of ``rig``.
         choices: Benches and sequences that can be chosen, as JSON value.
     """
@@ -121,8 +121,8 @@ class Starter:
         """Run ``rig run --dry-run``, and store the digests of the files for the start.
 
         Returns:
-            ``shown``, the key that a start needs, or None if nothing can be started; ``words``,
-            what the terminal shows; ``status``, the exit status; ``real`` and ``bench``.
+            ``shown``, the key that a start needs, or None if the run cannot be started; ``words``,
+            the terminal output; ``status``, the exit status; ``real`` and ``bench``.
 
         Raises:
             StartError: The bench is not a bench of this console, or the dry run takes too long.
@@ -172,10 +172,11 @@ class Starter:
 
         Args:
             key: Key of the dry run.
-            typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
+            typed_bench: Name of the bench as typed by the operator; required for a real bench.
 
         Raises:
-            StartError: There is no such dry run, a file changed since, or the name is wrong.
+            StartError: The dry run is unknown, a file was changed after the dry run, or the name is
+                wrong.
         """
         shown = self._shown.pop(key, None)
         if shown is None:
@@ -183,7 +184,7 @@ class Starter:
         wish = shown.wish
         if shown.real and typed_bench.strip() != shown.name:
             self._shown[key] = shown
-            raise StartError(f"type the name of the REAL bench, {shown.name}, to start it")
+            raise StartError(f"type the name of the REAL bench, {shown.name}, to start the run")
         try:
             changed = _digests(wish) != shown.digests
         except (InputError, OSError) as error:
@@ -204,9 +205,9 @@ class Starter:
         """Continue a run that stopped, in the same folder, with the prompts on the page.
 
         Args:
-            about: What the run stated of itself.
-            typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
-            operator: Who continues it; empty for nobody.
+            about: Description that the run has sent.
+            typed_bench: Name of the bench as typed by the operator; required for a real bench.
+            operator: Name of the operator who continues the run; empty for no name.
 
         Raises:
             StartError: The name is wrong.
@@ -252,8 +253,8 @@ def _digests(wish: Wish) -> tuple[str, ...]:
     of limits.
 
     Raises:
-        InputError: There is no such file.
-        OSError: One cannot be read.
+        InputError: A file does not exist.
+        OSError: A file cannot be read.
     """
     return (
         sha256_file(resolve(wish.bench, "benches")),

@@ -19,7 +19,7 @@ from rig.runs.run_file import recorded_bench
 from rig.runs.run_record import RunRecord
 
 BLOCK = 10
-"""Number of samples whose mean is one point."""
+"""Number of samples that are averaged for one point."""
 MOST = 3000
 """Greatest number of points; beyond this number, every second point is dropped."""
 _SPEEDS = 121
@@ -30,7 +30,8 @@ class TorqueSpeed:
 
     Attributes:
         points: Speed, deg/s, torque, N m, and number of the excitation, shape (n, 3).
-        version: Raised whenever points were dropped, so that a page has to take all of them again.
+        version: Number that increases when points are dropped, so that pages fetch all points
+            again.
     """
 
     def __init__(self) -> None:
@@ -44,7 +45,7 @@ class TorqueSpeed:
         """Add samples; samples outside an excitation are ignored.
 
         Args:
-            samples: Field to array, shape (n,).
+            samples: Arrays of shape (n,), by field.
             torque_per_ampere: Joint torque per motor current, N m/A.
         """
         moving = samples["segment"] > 0
@@ -59,7 +60,7 @@ class TorqueSpeed:
         blocks = len(rows) // BLOCK
         self._rest = rows[blocks * BLOCK :]
         means = rows[: blocks * BLOCK].reshape(blocks, BLOCK, 3)
-        # A block that spans the start of an excitation belongs to none and is left out.
+        # A block with samples of two excitations is left out.
         means = means[means[:, 0, 2] == means[:, -1, 2]].mean(axis=1)
         kept = means[self._skipped % self._stride :: self._stride]
         self._skipped = (self._skipped - len(means)) % self._stride
@@ -76,7 +77,7 @@ def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
 
     Args:
         record: The run.
-        folder: Its folder; identifications are sought beside it.
+        folder: The run folder; identifications are searched in the folders beside it.
     """
     try:
         model = friction_model(recorded_bench(record), runs=folder.parent)

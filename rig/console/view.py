@@ -101,7 +101,7 @@ class View:
         if run is None or run.key != self._run:
             return None
         decimation, page = run.decimation, self._page
-        # A recording shorter than the window fills the chart.
+        # If the recording is shorter than the window, it fills the whole chart.
         window_s = min(page.window_s or math.inf, max(decimation.latest_s, 1.0))
         level = decimation.level(window_s, page.pixels)
         fresh = self._level != (level, page.window_s)

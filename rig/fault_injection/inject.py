@@ -43,7 +43,7 @@ SCHEMA = "loadrig.faults/1"
 REPORT_FILE = "faults.json"
 _AFTERMATH_S = 2.0
 _PHASES: Mapping[Phase, str] = {Phase.LOAD: "prompt", Phase.RELEASE: "disable"}
-"""Phases of the sequencer with another name in schedules."""
+"""Phases of the sequencer that have another name in schedules."""
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Finding:
     """Result of one fault.
 
     Attributes:
-        row: Number in the schedule, from 1.
+        row: Number of the fault in the schedule, from 1.
         applied_s: Bench time of the fault, or None if it was never triggered.
         off_after_s: Time from the fault to the final de-energised state; None while energised.
         as_expected: Whether the reaction was as expected; None without an expectation.
@@ -74,7 +74,7 @@ class FaultInjector:
     Args:
         schedule: The faults.
         sequence: The sequence of the run; determines the phase ``ramp_out``.
-        patience_s: Time the run waits for an answer, s, or None for ever.
+        patience_s: Time that the run waits for an answer, s, or None to wait without limit.
     """
 
     def __init__(
@@ -151,8 +151,8 @@ class FaultInjector:
         return Recorder(io.BufferedWriter(self._file))
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices run for a while without the host, judge every row, and write the
-        findings.
+        """Let the devices run for some time without the host, judge every row of the schedule, and
+        write the findings.
 
         Args:
             status: Exit status of the run, or None if the process is about to be killed.
@@ -205,7 +205,7 @@ class FaultInjector:
         finding = Finding(number + 1, row.when, row.target, row.fault, row.amount)
         applied, expect = self._applied_ns.get(number), row.expect
         if applied is None:
-            finding.as_expected, finding.remarks = False, ("its moment never came",)
+            finding.as_expected, finding.remarks = False, ("the fault was never triggered",)
             return finding
         finding.applied_s = applied / NS
         remarks = []
@@ -227,7 +227,7 @@ class FaultInjector:
         return finding
 
     def _answer(self, stage: str) -> None:
-        """Act as an operator who does not answer, if scheduled.
+        """Act as an operator who does not answer, if the schedule contains this fault.
 
         Raises:
             OperatorStopError: The input ended, or the run's time-out came first.
@@ -285,7 +285,7 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("operator", "unanswered"): FaultInjector._be_silent,
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
-"""Target and name to the action on this program and its operator.
+"""Actions on this program and its operator, by target and name of the fault.
 
 Actions on the bench are in :mod:`rig.fault_injection.scene`.
 """
@@ -348,7 +348,7 @@ class _Unreliable:
         self._answer = answer
 
     def confirm_weight(self, stage: str, weight_kg: float) -> Any:
-        """Ask the real operator, unless the schedule answers."""
+        """Ask the real operator, unless a fault of the schedule replaces the answer."""
         self._answer(stage)
         return self._inner.confirm_weight(stage, weight_kg)
 

@@ -36,7 +36,9 @@ _DBC_FRAMES: Final[Mapping[str, int]] = {
     "speed": dbc_drive.POWER,
     "heartbeat": dbc_drive.STATUS,
 }
-"""Frames of this drive for the functions of a CANopen drive that ``frames`` names."""
+"""Frames of the simulated DBC drive that correspond to the functions of a CANopen drive in
+``frames``.
+"""
 _DBC_IDENTIFIERS: Final = frozenset(
     {
         dbc_drive.STOP,
@@ -67,18 +69,18 @@ def impossible(row: FaultRow, bench: Bench) -> str | None:
         )
     if row.target == "drive":
         if row.fault in _CANOPEN_DRIVE and (serial or own_frames):
-            return f"drive {row.fault} is for CANopen drives on CAN; leave it out"
+            return f"drive {row.fault} is for CANopen drives on CAN; leave this fault out"
         if row.fault in _DBC_DRIVE and not own_frames:
-            return f"drive {row.fault} is for drives of kind dbc; leave it out"
+            return f"drive {row.fault} is for drives of kind dbc; leave this fault out"
         if row.fault == "quick_stop_option" and own_frames:
-            return "a drive of kind dbc has no 605Ah; leave it out"
+            return "a drive of kind dbc has no 605Ah; leave this fault out"
         if row.fault == "fault" and own_frames and (row.amount or 0) > _LARGEST_CODE:
             return (
                 f"error codes of a drive of kind dbc go up to FFh; give a lower value (got "
                 f"{row.amount:g})"
             )
     if row.state == "switched_on" and own_frames:
-        return "a drive of kind dbc has no state switched_on; leave it out"
+        return "a drive of kind dbc has no state switched_on; use another state"
     return None
 
 
@@ -112,8 +114,8 @@ class Scene:
         ACTIONS[row.target, row.fault](self, row)
 
     def line(self, device: str) -> LineFaults:
-        """Return the fault injector of a serial line; the injector exists as soon as the host has
-        the driver of the line.
+        """Return the fault injector of a serial line; the injector exists only after the host has
+        created the driver of the line.
         """
         if device not in self._lines:
             assert isinstance(self.bench, SimulatedBench)
@@ -142,7 +144,7 @@ class Scene:
         return self.bench.encoder
 
     def counts(self, degrees: float) -> int:
-        """Return an angle in counts of the given encoder."""
+        """Return an angle in counts of the joint encoder that the host uses."""
         return round(degrees / 360.0 * self.sensor.counts_per_turn)
 
     def restart(self) -> None:
@@ -153,7 +155,7 @@ class Scene:
             self.bench.drive.restart()
 
     def refuse_mode(self) -> None:
-        """Make the drive ignore the command that it needs before it follows targets."""
+        """Make the drive ignore the command without which it does not follow targets."""
         if isinstance(self.bench, SimulatedBench):
             sensor_faults.refuse_mode(self.bench.drive)
         else:
@@ -243,4 +245,4 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("encoder", "frozen"): lambda s, _: sensor_faults.freeze(s.sensor),
     ("encoder", "reversed"): lambda s, _: sensor_faults.reverse(s.sensor),
 }
-"""Target and name to the action on a bench."""
+"""Actions on a bench, by target and name of the fault."""

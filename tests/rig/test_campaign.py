@@ -124,10 +124,10 @@ def test_negative_weight(tmp_path: Path) -> None:
         ),
         (
             "terms: [offset, backlash]",
-            "model.terms[1]: this version cannot fit the effect 'backlash', only offset",
+            "model.terms[1]: the effect 'backlash' cannot be fitted; terms may be offset",
         ),
         ("terms: [gravity_imbalance]", "a known weight is declared by `gravity:` of a recording"),
-        ("terms: [offset, offset]", "model.terms: offset listed more than once"),
+        ("terms: [offset, offset]", "model.terms: offset is listed twice or more"),
         ("friction: stribek", "unknown friction; did you mean 'stribeck'? (got \"stribek\")"),
         (
             "friction: load_dependent",
@@ -139,14 +139,14 @@ def test_negative_weight(tmp_path: Path) -> None:
         ),
         (
             "friction: coulomb_viscous, fixed: {Ms: 1}",
-            "model.fixed.Ms: the friction model coulomb_viscous has no rise toward rest",
+            "model.fixed.Ms: the friction model coulomb_viscous has no static friction",
         ),
         ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
         ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),
         ("fixed: {J: -1}", "model.fixed: must not be negative: J = -1"),
         (
             "fixed: {Mc: 2, Ms: 1}",
-            "model.fixed.Ms: static friction below Coulomb friction Mc = 2; Ms >= Mc (got 1)",
+            "model.fixed.Ms: static friction Ms must be at least Coulomb friction Mc = 2 (got 1)",
         ),
     ],
 )
@@ -191,7 +191,11 @@ def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> No
             "file: a.csv\n    stage: loaded",
             "weight_mass is 0 kg and there is no `load_force`",
         ),
-        ("file: a.csv", "file: a.csv\n    weight_mass: 30.6", "a weight in an unloaded stage"),
+        (
+            "file: a.csv",
+            "file: a.csv\n    weight_mass: 30.6",
+            "the stage is unloaded, but",
+        ),
         ("bench: {", "bench: {motion: linear, ", None),
         ("file: a.csv", "file: a.csv\n    role: validate", "at least one must have role fit"),
         ("file: a.csv", "file: []", "file"),
@@ -204,7 +208,7 @@ def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> No
         (
             "0.095,",
             "0.095, gear_ratio: 1e300,",
-            "bench.gear_ratio: not in the plausible range 1e-9 to 1e9; check exponent",
+            "bench.gear_ratio: the value is outside the plausible range 1e-9 to 1e9",
         ),
         (
             "file: a.csv",
@@ -250,7 +254,7 @@ def test_a_loaded_recording_is_not_scored_without_working_load(tmp_path: Path) -
     channels = "channels: {time: 0, current: 1, angle: 2}"
     validate = f"  - {{file: b.csv, stage: loaded, weight_mass: 30, role: validate, {channels}}}\n"
     (line,) = problems(tmp_path, SHORT + validate)
-    assert "recordings[1].role: a loaded recording to validate, but none to fit" in line
+    assert "recordings[1].role: a loaded recording has role validate, but no loaded" in line
     assert line.endswith('fix mu_c, mu_s, omega_sL, mu_2 (got "validate")')
     known = "model: {fixed: {mu_c: 0.1, mu_s: 0.2, omega_sL: 0.1, mu_2: 0.1}}\n"
     (tmp_path / "c.yaml").write_text(SHORT + validate + known)
@@ -278,5 +282,5 @@ def test_a_turning_weight_on_a_linear_bench(tmp_path: Path) -> None:
     )
     (line,) = problems(tmp_path, text)
     assert line.startswith(
-        "5:14: recordings[0].gravity: a weight that turns with the joint on a linear bench"
+        "5:14: recordings[0].gravity: `gravity` is a weight that turns with the joint"
     )

@@ -139,7 +139,7 @@ def test_an_order_puts_files_one_after_another(tmp_path: Path) -> None:
         ("  - {file: a.csv, start: 0}\n  - {file: b.csv, start: 10}\n", "before a ends at 29.99 s"),
         (
             "  - {file: a.csv, order: 1}\n  - {file: b.csv, order: 1}\n",
-            "give each recording its own",
+            "give each recording another",
         ),
     ],
 )
@@ -209,7 +209,7 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path) -> None:
     missing = problems(tmp_path, "  table: files.csv\n")
     assert "c.yaml:5:10: recordings.table: " in missing
     assert "no such file" in missing
-    assert "a table is the name of a CSV file" in problems(tmp_path, "  table: {file: a.csv}\n")
+    assert "a table must be the name" in problems(tmp_path, "  table: {file: a.csv}\n")
 
 
 def test_known_loads_reach_the_recording(tmp_path: Path) -> None:
@@ -250,7 +250,7 @@ def test_a_current_without_sign_is_refused_and_one_that_looks_so_is_noted(tmp_pa
         tmp_path, "  - {file: a.csv, channels: {current: {column: m, unsigned: true}}}\n"
     )
     assert "channels.current.unsigned: a magnitude of the current has no sign" in text
-    assert "add `voltage` with bench.resistance" in text
+    assert "`voltage` with bench.resistance" in text
     a, b = load(tmp_path, "  - {file: a.csv}\n  - {file: b.csv}\n")
     assert any("keeps one sign while the joint moves both ways" in note for note in a.notes)
     assert b.notes == ()

@@ -277,7 +277,7 @@ def test_one_run_is_shown(root: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_no_run_folder_is_bad_input(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["runs", "show", str(root / "notes")]) == 2
     assert status(["runs", "list", str(root / "nowhere")]) == 2
-    assert "no run folder" in capsys.readouterr().err
+    assert "not a run folder" in capsys.readouterr().err
 
 
 def verified(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:

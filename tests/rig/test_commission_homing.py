@@ -267,7 +267,7 @@ def test_a_method_that_the_drive_does_not_offer_is_a_bad_verdict(
     ended, record = commissioned("--home", "99", "--angle", "0")
     assert (ended, record["state"], step_of(record)["verdict"]) == (1, "done", "not tried")
     shown = capsys.readouterr()
-    assert "--home asks for was not done: method 99 is not offered" in shown.err
+    assert "requested by --home was not done: method 99 is not offered" in shown.err
     assert "Not as asked for: no homing" in shown.out
     assert "every step was good" not in shown.out.lower()
 
@@ -279,14 +279,14 @@ def test_an_offer_is_said_and_not_taken_by_itself(
     assert ended == 1
     assert not [s for s in record["sessions"][0] if s["name"] == "homing"]
     assert commissioned("--mistake", "limits_ignored", "--out", "more")[0] == 1
-    assert "methods 17, 18, 35, 37; --home METHOD does that" in capsys.readouterr().out
+    assert "methods 17, 18, 35, 37; --home METHOD starts a homing" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--home-angle", "3"), "--home-angle: belongs to a homing"),
-        (("--home-time", "3"), "--home-time: belongs to a homing"),
+        (("--home-angle", "3"), "--home-angle: is an option of a homing"),
+        (("--home-time", "3"), "--home-time: is an option of a homing"),
         (("--home", "17", "--home-angle", "50"), "is 50 deg; it must be from -30 to 30 deg"),
     ],
 )

@@ -154,7 +154,9 @@ def test_one_mistake_is_one_line_at_its_place(
 
 def test_a_real_drive_needs_its_own_dbc(written: Callable[..., Path], tmp_path: Path) -> None:
     real = ("interface: mock", "interface: virtual")
-    with pytest.raises(InputError, match=r"servo\.file: missing; a real drive needs its DBC file"):
+    with pytest.raises(
+        InputError, match=r"servo\.file: missing; state the DBC file of the real drive"
+    ):
         load_bench(written(real))
     own = ("file: null", "file: own.dbc")
     with pytest.raises(InputError, match=r"own\.dbc: cannot be read: No such file"):

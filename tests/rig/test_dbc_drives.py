@@ -214,5 +214,5 @@ def test_a_limit_for_what_is_not_reported_is_refused(written: Callable[..., str]
     ]
     written(*SENSORS, *STATED)
     Path("short.yaml").write_text(SHORT.replace("torque_N_m", "temperature_C"))
-    with pytest.raises(InputError, match=r"temperature_C: the drive reports no such value"):
+    with pytest.raises(InputError, match=r"temperature_C: servo.inputs has no signal"):
         make_plan(load_sequence("short.yaml"), load_bench(bench))

@@ -199,7 +199,8 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
     )
     assert str(caught.value) == (
         f"the drive does not hold the limits written into it: {rows}; the drive is not enabled; "
-        "check in the manual of the drive the range of these objects, and whether they are locked"
+        "check in the manual of the drive the range of these objects, and whether "
+        "the objects are write-protected"
     )
     with pytest.raises(ConfigurationError) as caught:
         require_within_own(loose, WANTED)
@@ -210,7 +211,7 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
     assert str(caught.value) == (
         f"the bench file is looser than the drive's own limits: {rows}; tighten the bench file, "
         f"or change the drive "
-        "with its maker's tool; limits left by an aborted run are cleared by switching the "
+        "with its maker's tool; if an aborted run has left its limits in the drive, switch the "
         "drive's supply off and on" + SPEED_UNIT
     )
 

@@ -199,7 +199,7 @@ def test_what_an_identification_leaves_open_is_said() -> None:
     model = friction_model(bench, path)
     assert (
         model.source
-        == "the identification open.json; J, mu_2, which it does not determine, from the paper"
+        == "the identification open.json; J, mu_2, not determined by the result, from the paper"
     )
     assert dict(model.values) == dict(NOMINAL)
 

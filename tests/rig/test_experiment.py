@@ -147,7 +147,7 @@ def test_a_nominal_that_cannot_be_used(
 
 
 @pytest.mark.parametrize(
-    ("tighter", "words"), [(0.5, "run both"), (1.0, "the sequence is proposed as it is")]
+    ("tighter", "words"), [(0.5, "run both"), (1.0, "the given sequence is proposed unchanged")]
 )
 def test_a_proposal_that_is_the_sequence_itself_is_told(tighter: float, words: str) -> None:
     now, then = Intervals({"omega_sL": 0.01}), Intervals({"omega_sL": 0.01 * tighter})

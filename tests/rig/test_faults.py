@@ -84,7 +84,7 @@ def test_yaml_and_csv_say_the_same() -> None:
         ),
         (
             "phase: hold, target: drive, fault: fault, frames: {device: drive}",
-            "'frames' is allowed for faults of a bus or line only",
+            "only faults of a bus or line have 'frames'",
         ),
         (
             "phase: hold, target: bus, fault: lost, frames: {function: motoin}",
@@ -237,7 +237,7 @@ def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> 
     assert (never["applied_s"], never["as_expected"]) == (None, False)
     told = capsys.readouterr().out
     assert "row 2: exit status: expected 0, found 1" in told
-    assert "row 3: its moment never came" in told
+    assert "row 3: the fault was never triggered" in told
 
 
 def test_a_fault_at_a_time_comes_then() -> None:

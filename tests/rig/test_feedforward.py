@@ -207,7 +207,7 @@ def test_more_than_the_limit_is_not_sent() -> None:
         ),
         (
             "practical_serial",
-            "bus.interface: feed-forward needs the torque offset at the time of the target",
+            "bus.interface: feed-forward needs target and torque offset at one time",
         ),
     ],
 )

@@ -154,7 +154,7 @@ def test_the_plan_shows_load_and_limits() -> None:
 def test_a_bench_without_transmitter_says_what_it_lacks() -> None:
     found = problems("practical")
     assert "hot.yaml:4:25: stages[0].stage: a hot firing is loaded by its chamber pressure" in found
-    assert "use practical_hot" in found
+    assert "use the bench practical_hot" in found
     assert status(["run", "hot.yaml", "--yes"]) == 2
 
 
@@ -177,7 +177,7 @@ def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
         (
             "stage: hot_fire, role: validate, flow",
             "stage: loaded, weight_kg: 3, flow",
-            "a flow needs a gas generator",
+            "a flow command needs a gas generator",
         ),
         (
             "stage: hot_fire, tones",
@@ -209,11 +209,11 @@ def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
     ("old", "new", "words"),
     [
         ("  pressure_MPa: 6\n", "", "`pressure` needs limits.pressure_MPa"),
-        ("pressure_MPa: 6", "pressure_MPa: 11", "at most its range_MPa 10"),
+        ("pressure_MPa: 6", "pressure_MPa: 11", "at most pressure.range_MPa 10"),
         (
             "pressure_exponent: 0.53\n    chamber",
             "pressure_exponent: 1.0\n    chamber",
-            "no pressure is stable",
+            "no chamber pressure is stable",
         ),
         (
             "valve: {hole_diameter_m: 0.025",
@@ -270,7 +270,7 @@ def test_a_bench_with_a_transmitter_is_jogged() -> None:
 
 def test_hot_firings_are_not_planned_as_experiments(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["identify", "--plan", "hot.yaml", *BENCH]) == 2
-    assert "leave hot firings out of the sequence" in capsys.readouterr().err
+    assert "leave this stage out of the sequence" in capsys.readouterr().err
 
 
 def test_a_run_from_before_hot_firings_is_read(fired: Path, tmp_path: Path) -> None:
@@ -343,7 +343,7 @@ def test_a_real_transmitter_brings_its_own_description() -> None:
         "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
     }
     with pytest.raises(
-        InputError, match=r"pressure\.eds: missing; a real device needs its manufacturer's EDS file"
+        InputError, match=r"pressure\.eds: missing; name the EDS file of the real device's maker"
     ):
         device_files(load_bench(bench_with(**real)))
     own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})

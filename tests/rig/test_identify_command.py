@@ -261,7 +261,7 @@ def test_ctrl_c_while_writing_keeps_what_was_whole(
 
 def test_corrections_are_told(identified: Identified) -> None:
     told = (
-        "reading: free: `torque`: 1 missing samples interpolated (1 more like this: see the report)"
+        "reading: free: `torque`: 1 missing samples interpolated (1 similar notes: see the report)"
     )
     assert told in identified.shown.splitlines()
     assert record_of(identified.folder)["corrections"] == {

@@ -170,7 +170,7 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
         first.tell("guard", "guarding")
         first.kill()
         with pytest.raises(
-            InUseError, match=rf"process {first.pid}.* is gone, but a process that it started still"
+            InUseError, match=rf"process {first.pid}.* is gone, but a process that it started, such"
         ):
             hold(kind, tmp_path)
         first.tell("note guardian of rig run", "noted")
@@ -197,7 +197,7 @@ def test_a_parent_that_releases_leaves_it_to_its_child(
         first.process.send_signal(signal.SIGUSR1)
         first.hear("released")
         with pytest.raises(
-            InUseError, match="by `guardian`" if noted else "which has not given its name; `fuser "
+            InUseError, match="by `guardian`" if noted else "that has not written its name; `fuser "
         ):
             hold(kind, tmp_path)
         first.tell("release", "released")
@@ -223,12 +223,12 @@ def test_a_parent_that_releases_leaves_it_to_its_child(
 def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: bytes) -> None:
     with hold(kind, tmp_path):
         lock_file(kind, tmp_path).write_bytes(content)
-        with pytest.raises(InUseError, match="by another program, which has not given its name"):
+        with pytest.raises(InUseError, match="by a program that has not written its name"):
             hold(kind, tmp_path)
     # Not this process's words, so it has let them stand.
     with hold(kind, tmp_path) as lock:
         assert lock.taken_over is not None
-        assert "left locked by a program that is not known" in lock.taken_over
+        assert "left locked by an unknown program" in lock.taken_over
     assert free(kind, tmp_path)
 
 
@@ -346,7 +346,7 @@ def test_what_somebody_put_in_the_place_of_a_file_is_refused(
     trap(lock_file("bench", folder), victim)
     with pytest.raises(
         StorageError,
-        match=r"bench wired .* cannot be used: .* \(mode 1777\); remove what is in the way",
+        match=r"bench wired .* cannot be used: .* \(mode 1777\); remove or rename what",
     ):
         hold("bench", folder)
     assert victim.read_text() == "precious"
@@ -408,7 +408,7 @@ def test_a_full_disk_takes_the_name_and_leaves_the_lock(
 
     monkeypatch.setattr(locks, "_PAUSE_S", 0.0)
     monkeypatch.setattr(os, "pwrite", refuse)
-    with hold(kind, tmp_path), pytest.raises(InUseError, match="has not given its name"):
+    with hold(kind, tmp_path), pytest.raises(InUseError, match="has not written its name"):
         hold(kind, tmp_path)
     assert free(kind, tmp_path)
 

@@ -80,7 +80,7 @@ def test_a_log_whose_columns_are_unknown_names_the_remedy(
     arguments = ["look", str(tmp_path / "log.csv"), "--campaign", str(tmp_path / "c.yaml")]
     assert status(arguments) == 2
     captured = capsys.readouterr()
-    assert "no column is known as time" in captured.out
+    assert "no column is recognised as time" in captured.out
     assert "rig new campaign" in captured.err
     assert not (tmp_path / "c.yaml").exists()
 

@@ -67,15 +67,15 @@ def test_big_endian_passes() -> None:
     [
         (HEADER_BYTES, 77, "no variable"),
         (HEADER_BYTES + 4, 1 << 30, "does not fit"),
-        (FLAGS, 7, "flags of the impossible type 7"),
+        (FLAGS, 7, "flags has the impossible type 7"),
         (FLAGS + 4, 16, "flags at byte 144 have 16 bytes"),
         (FLAGS + 8, 99, "impossible class 99"),
-        (DIMENSIONS, 9, "dimensions of the impossible type 9"),
+        (DIMENSIONS, 9, "dimensions has the impossible type 9"),
         (DIMENSIONS + 8, 10, "72 bytes of values do not fit 10 x 1"),
         (DIMENSIONS + 8, 2**32 - 9, "72 bytes of values do not fit -9 x 1"),
-        (NAME, 3 | 1 << 16, "name of the impossible type 3"),
+        (NAME, 3 | 1 << 16, "name has the impossible type 3"),
         (NAME, 1 | 5 << 16, "an element of 5 bytes does not fit"),
-        (VALUES, 14, "values of the impossible type 14"),
+        (VALUES, 14, "values has the impossible type 14"),
         (VALUES, 2, "72 bytes of values do not fit 9 x 1"),
         (VALUES + 4, 64, "64 bytes of values do not fit 9 x 1"),
         (FLAGS + 8, 6 | 0x0800, "has no imaginary values"),
@@ -120,7 +120,7 @@ def test_text_and_members_of_a_struct_are_checked(tmp_path: Path) -> None:
     raw = path.read_bytes()
     place = raw.rindex(b"\x10\0\0\0\x08\0\0\0abcdefgh")
     path.write_bytes(raw[:place] + b"\x0f" + raw[place + 1 :])
-    with pytest.raises(InputError, match="text of the impossible type 15"):
+    with pytest.raises(InputError, match="text has the impossible type 15"):
         MatTable(path)
     names = raw.index(b"x\0\0\0")
     length = raw.rindex(b"\x05\0\x04\0", 0, names)

@@ -36,7 +36,7 @@ def test_the_table_has_size_share_and_what_looks_the_same(
     record = tmp_path / "observable.json"
     assert status(["diagnose", str(campaign), "--observable", "--json", str(record)]) == 0
     printed = capsys.readouterr().out
-    assert "can show 2 of 3 effects; 1 of these they cannot distinguish" in printed
+    assert "can show 2 of 3 effects; 1 of these effects cannot be distinguished" in printed
     assert "torque_Nm 0.011 N m" in printed
     assert "cogging 98 %" in printed
     assert "backlash." in printed

@@ -241,7 +241,7 @@ def test_a_run_that_is_still_going_is_neither_recovered_nor_resumed(
     assert not (run / OWNER_FILE).exists()
     assert status(["recover", str(run)]) == 0
     said = capsys.readouterr()
-    assert "recording whole" in said.out
+    assert "recording complete" in said.out
     assert not said.err
     assert read_record(run).state == "done"
 

@@ -84,11 +84,12 @@ def test_places_that_will_not(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     with pytest.raises(
         InputError,
-        match=r"inside/deep: cannot be created, as .*taken is a file; give --out another",
+        match=r"inside/deep: cannot be created, because .*taken is a file; give --out another",
     ):
         require_folder(tmp_path / "taken" / "inside" / "deep", "--out")
     with pytest.raises(
-        InputError, match=r"the folder .*missing does not exist; make it, or give --json another"
+        InputError,
+        match=r"the folder .*missing does not exist; create the folder, or give",
     ):
         require_file(tmp_path / "missing" / "r.json", "--json")
     with pytest.raises(InputError, match=r"is a folder; give --json a file"):

@@ -51,7 +51,7 @@ def test_an_undetermined_parameter_is_the_weakest_and_has_its_default_value(tmp_
     known = nominal_values(path)
     assert known.weakest == "mu_2"
     assert known.values["mu_2"] == pytest.approx(NOMINAL["mu_2"])
-    assert "mu_2, which it does not determine" in known.source
+    assert "mu_2, not determined by the result" in known.source
 
 
 @pytest.mark.parametrize("value", [1.1e-12, 0.9e12])

@@ -33,7 +33,7 @@ def test_the_work_of_a_process_that_is_killed_is_done_again(tmp_path: Path) -> N
     squares, message = json.loads(output)
     assert squares == [0, 1, 4, 9, 16]
     assert "died 3 times" in message
-    assert "continue with the same --out" in message
+    assert "repeat the command with this --out" in message
 
 
 @pytest.mark.parametrize("workers", ENGINES.values(), ids=ENGINES)

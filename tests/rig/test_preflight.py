@@ -81,15 +81,15 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
     [
         (
             [("encoder: {node: 2", "encoder: {node: 1")],
-            "encoder.node: 1 is the node identifier of the servo as well",
+            "encoder.node: 1 is also the node identifier of the servo",
         ),
         (
             [("servo: {node: 1", "servo: {node: 127")],
-            "servo.node: 127 is the node identifier of this program's own",
+            "servo.node: 127 is also the node identifier of this program's own",
         ),
         (
             [("encoder: {node: 2", "encoder: {node: 127")],
-            "encoder.node: 127 is the node identifier of this program's",
+            "encoder.node: 127 is also the node identifier of this program's",
         ),
         ([("servo: {", "servo: {eds: none.eds, ")], "servo.eds: EDS file "),
         ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
@@ -133,7 +133,7 @@ def test_a_pressure_transmitter_has_a_node_of_its_own(tmp_path: Path) -> None:
         tmp_path, ("kind: cia404, node: 4", "kind: cia404, node: 2"), source="practical_hot"
     )
     (finding,) = bench_findings(load_bench(bench), TODAY)
-    assert "pressure.node: 2 is the node identifier of the encoder as well" in finding.text
+    assert "pressure.node: 2 is also the node identifier of the encoder" in finding.text
     assert (finding.cause, finding.connectable) == (Cause.NODES, False)
 
 
@@ -451,7 +451,7 @@ def test_a_drive_in_fault_is_no_reason_where_it_may_be_cleared(
 def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bench = variant(tmp_path, ("encoder: {node: 2", "encoder: {node: 1"))
     assert status(["jog", str(bench), "--to", "1"]) == 2
-    assert "encoder.node: 1 is the node identifier of the servo as well" in capsys.readouterr().err
+    assert "encoder.node: 1 is also the node identifier of the servo" in capsys.readouterr().err
 
 
 def test_a_verdict_names_each_cause_once() -> None:

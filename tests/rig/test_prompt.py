@@ -110,7 +110,8 @@ def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     prompt = Prompt(silent(), pipe.stream, patience_s=60.0, clock=Impatient())
     with pytest.raises(
-        OperatorStopError, match="nobody answered the prompt within 60 s; `rig resume` goes on"
+        OperatorStopError,
+        match="nobody answered the prompt within 60 s; continue with",
     ):
         prompt.ask("Mass: ")
     waited = [wait for wait in waits if wait]

@@ -183,7 +183,7 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("truth: 1\neffects: {backlsh: {}}\n", "no effect of the catalogue"),
+        ("truth: 1\neffects: {backlsh: {}}\n", "not an effect of the catalogue"),
         (
             "truth: 1\neffects: {backlash: {gap: 1}}\n",
             "no parameter of backlash",

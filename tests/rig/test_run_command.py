@@ -431,7 +431,7 @@ def test_recover_leaves_a_whole_run_alone(
 ) -> None:
     before = {path.name: path.read_bytes() for path in finished.iterdir()}
     assert status(["recover", str(finished)]) == 0
-    assert "recording whole" in capsys.readouterr().out
+    assert "recording complete" in capsys.readouterr().out
     assert {path.name: path.read_bytes() for path in finished.iterdir()} == before
 
 
@@ -498,7 +498,7 @@ def test_a_real_bench_needs_an_eds_file(tmp_path: Path, capsys: pytest.CaptureFi
     assert status(["check", str(path)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(": ")[1] for line in lines] == ["servo.eds", "encoder.eds"]
-    assert all("missing; a real device needs" in line for line in lines)
+    assert all("missing; name the EDS file" in line for line in lines)
 
 
 @pytest.mark.parametrize("verbose", [False, True])

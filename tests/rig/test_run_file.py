@@ -70,11 +70,11 @@ EDITS: dict[str, tuple[Callable[[Any], object], str]] = {
     "an unknown state": (lambda r: r["stages"][0].update(state="finished"), r"stages\[0\].state: "),
     "another load than its stage": (
         lambda r: r["segments"][2].update(stage="unloaded"),
-        r"differs from its stage's",
+        r"differs from the load condition of its stage",
     ),
     "another mass than its stage": (
         lambda r: r["segments"][2].update(weight_kg=11.0),
-        r"differs from its stage's",
+        r"differs from the confirmed mass of its stage",
     ),
     "no gear ratio": (
         lambda r: r["bench"].pop("gear_ratio"),

@@ -298,7 +298,7 @@ WORDS = {
     Check.DISAGREEMENT: (
         "encoder against drive",
         "check the coupling, and sign, counts and offset of encoder and drive in the bench file; "
-        "a drive that was homed may lose its zero with its supply: home it again then",
+        "if the supply of a homed drive was off after the homing, home it again",
     ),
     Check.TEMPERATURE: ("motor temperature", "let the motor cool, then run again"),
     Check.SUPPLY: (
@@ -315,7 +315,7 @@ WORDS = {
     ),
     Check.LATENESS: (
         "lateness of the control cycle",
-        "close what else runs on this computer, or lower cycle_Hz, then run again",
+        "close other programs on this computer, or lower cycle_Hz, then run again",
     ),
     Check.STAGE_TIME: (
         "time under power in this stage",

@@ -198,11 +198,11 @@ def test_an_approach_arrives_smoothly_within_its_speed(
         ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
         (
             "{name: a, stage: unloaded, duration_s: 3}",
-            ["needs exactly one of tones, ramp and flow"],
+            ["needs exactly one excitation: tones, ramp or flow"],
         ),
         (
             "{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}",
-            ["needs exactly one of tones, ramp and flow"],
+            ["needs exactly one excitation: tones, ramp or flow"],
         ),
         (
             "{name: a, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 2}, duration_s: 5}",

@@ -126,7 +126,7 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
         ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
         (
             {"motion": "linear"},
-            "motion: the result is of a linear bench, but the recordings are of a rotary one",
+            "motion: the result is of a linear bench, but the recordings are of a rotary bench",
         ),
         (
             {

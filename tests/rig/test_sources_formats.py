@@ -147,7 +147,7 @@ def test_a_cut_gzip_file(tmp_path: Path) -> None:
     path = tmp_path / "a.csv.gz"
     rows = "".join(f"{value}\n" for value in np.random.default_rng(1).random(5000))
     path.write_bytes(gzip.compress(f"x\n{rows}".encode())[:-5000])
-    with pytest.raises(InputError, match=r"cannot be read .*; check that it was copied whole"):
+    with pytest.raises(InputError, match=r"cannot be read .*; check that the file was copied"):
         DelimitedTable(path, PLAIN).read([0])
     path.write_bytes(b"not gzip at all")
     with pytest.raises(InputError, match="cannot be read"):
@@ -389,6 +389,6 @@ def test_a_mat_file_that_would_end_the_process(tmp_path: Path) -> None:
     raw[128 + 48] = 14  # the numbers' element says it is a matrix
     path.write_bytes(raw)
     with pytest.raises(
-        InputError, match=r"a\.mat: cannot be read \(values of the impossible type 14"
+        InputError, match=r"a\.mat: cannot be read \(values has the impossible type 14"
     ):
         MatTable(path)

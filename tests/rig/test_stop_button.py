@@ -136,8 +136,8 @@ def test_a_pause_is_asked_for_and_taken_back() -> None:
         assert not stop.pausing
         assert not stop.pressed
     assert told == [
-        "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes "
-        "it back",
+        "pause requested: at the end of this stage, with the drive off; SIGUSR1 again cancels "
+        "the pause",
         "no pause",
     ]
 

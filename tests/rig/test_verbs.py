@@ -136,7 +136,7 @@ def test_the_signal_asks_for_a_pause_and_ends_it() -> None:
     with StopButton(told.append) as stop:
         signal.raise_signal(PAUSE_SIGNAL)
         assert stop.pausing
-        assert "pause asked for: at the end of this stage" in told[-1]
+        assert "pause requested: at the end of this stage" in told[-1]
         signal.raise_signal(PAUSE_SIGNAL)
         assert not stop.pausing
         assert told[-1] == "no pause"

@@ -218,7 +218,10 @@ def test_a_result_file_is_read(tmp_path: Path) -> None:
         ("[]", "a result of `rig identify`"),
         ('{"schema": "loadrig.run/1"}', "got 'loadrig.run/1'"),
         ('{"schema": "loadrig.identify/1"}', "damaged"),
-        ('{"schema": "loadrig.identify/1", "motion": "linear"}', "a rotary bench is needed"),
+        (
+            '{"schema": "loadrig.identify/1", "motion": "linear"}',
+            "must be of a rotary bench",
+        ),
     ],
 )
 def test_a_file_that_is_no_result(tmp_path: Path, content: str, words: str) -> None:

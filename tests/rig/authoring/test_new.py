@@ -166,7 +166,7 @@ def test_a_linear_campaign_has_scales_terms_and_a_recording_to_validate() -> Non
         ("--terms", "backlash", "unknown: backlash; known are offset"),
         ("--validate", "c.csv", "--validate: no recording c.csv; there are a.csv"),
         ("--validate", "a.csv", "at least one recording must be left to fit"),
-        ("--time-scale", "0", "0 would erase the channel"),
+        ("--time-scale", "0", "a scale of 0 makes all samples 0"),
         ("--motion", "round", "round"),
     ],
 )
@@ -306,7 +306,7 @@ def test_questions_are_put_until_they_are_answered(capsys: pytest.CaptureFixture
     assert said == [
         "'ten' is not a number",
         "-1 must be above 0",
-        "an answer is needed: it has no default",
+        "an answer is needed: the value has no default",
     ]
     with pytest.raises(
         InputError,

@@ -94,7 +94,7 @@ def test_the_folder_is_closed_to_others(tmp_path: Path) -> None:
 def test_a_link_is_no_folder_for_sockets(tmp_path: Path) -> None:
     (tmp_path / "there").mkdir(mode=0o700)
     (tmp_path / "link").symlink_to(tmp_path / "there")
-    with pytest.raises(SocketFolderError, match="folder of this user"):
+    with pytest.raises(SocketFolderError, match="folder that belongs to this user"):
         require_own_folder(tmp_path / "link")
 
 

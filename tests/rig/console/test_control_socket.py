@@ -247,7 +247,7 @@ def test_an_answer_to_an_earlier_prompt_is_refused(bound: Bound, screen: Screen)
     prompt = Prompt(screen, control=bound.control, only_there=True, patience_s=0.1)
     with pytest.raises(OperatorStopError, match="nobody answered"):
         ConsoleOperator(screen, prompt, control=bound.control).confirm_weight("heavy", 30.6)
-    assert "does not wait for this answer" in bound.peer.get()["words"]
+    assert "no longer waits for this answer" in bound.peer.get()["words"]
 
 
 @pytest.mark.parametrize("verb", list(Verb))

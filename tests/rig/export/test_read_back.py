@@ -121,7 +121,7 @@ def test_constants_and_role_of_the_campaign_win(tmp_path: Path) -> None:
 )
 def test_what_the_file_states_is_not_stated_twice(tmp_path: Path, extra: str) -> None:
     name = exported(tmp_path, "mat", dataset())
-    with pytest.raises(InputError, match="itself; add `channels`, or remove `"):
+    with pytest.raises(InputError, match="itself; for a file of `rig export` remove `"):
         load_source(campaign(tmp_path, name, extra))
 
 

@@ -117,7 +117,7 @@ def test_traffic_is_looked_at_with_a_dbc_and_its_campaign_loads(
 ) -> None:
     path = write_traffic(tmp_path / "log.blf", map(motion, range(N)))
     assert status(["look", str(path)]) == 2
-    assert "state the meaning of its frames: give a DBC file" in capsys.readouterr().err
+    assert "the meaning of the frames is unknown: give a DBC file" in capsys.readouterr().err
     (tmp_path / "sub").mkdir()
     campaign = tmp_path / "sub" / "c.yaml"
     arguments = ["look", str(path), "--dbc", str(tmp_path / "bus.dbc"), "--campaign", str(campaign)]

@@ -117,7 +117,9 @@ def test_groups_at_several_rates_are_brought_to_that_of_time(tmp_path: Path) -> 
     recording = load_file(tmp_path, "log.mf4", CHANNELS.replace("time: time", "time: slow.time"))
     same(recording.channels["current"], CURRENT[::2])
     same(recording.channels["angle"], 2.0 * slow)
-    assert any("`current`: of fast (1000 Hz)" in n and "it is faster" in n for n in recording.notes)
+    assert any(
+        "`current`: of fast (1000 Hz)" in n and "its rate is higher" in n for n in recording.notes
+    )
     with pytest.raises(InputError, match="map `time` to the stamps of one"):
         load_file(tmp_path, "log.mf4", "{current: i, angle: q}", more="    rate: 1000\n")
 
