@@ -58,14 +58,14 @@ STEPS: Final = (
     Step("limits", f"Writes low limits into the drive and reads them back. {STILL}", still.limits),
     Step(
         "hold",
-        f"The drive is energised for {2 * moving.HOLD_S:g} s and holds; the joint stands still. "
-        "Then the power is off, and the joint must stay.",
+        f"The drive is energised for {2 * moving.HOLD_S:g} s and holds the joint at rest. "
+        "Then the power is off, and the joint must stay at rest.",
         moving.hold,
     ),
     Step(
         "watchdog",
-        "The drive is energised and holds, then this program sends nothing until the drive has "
-        "switched the power off by itself. The joint stands still.",
+        "The drive is energised and holds the joint at rest, then this program sends nothing until "
+        "the drive has switched the power off by itself.",
         moving.watchdog,
     ),
     Step(
@@ -76,8 +76,7 @@ STEPS: Final = (
     ),
     Step(
         "stop",
-        f"The joint turns at up to {0.5 * FASTEST_DEG_S:g} deg/s and is stopped on its way by a "
-        "quick stop.",
+        f"The joint turns at up to {0.5 * FASTEST_DEG_S:g} deg/s and a quick stop ends the motion.",
         moving.stop,
     ),
     Step(

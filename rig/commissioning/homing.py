@@ -71,13 +71,15 @@ def announced(setup: Setup, home: HomeRequest) -> str:
     what = f"The drive homes by method {home.method} ({method_words(home.method)})"
     alone = ""
     if setup.devices.servo.watch_s is None or not setup.devices.link.has_watchdog:
-        goes_on = "it STAYS UNDER POWER" if home.in_place else "THE HOMING GOES ON to its end"
+        goes_on = (
+            "the drive STAYS UNDER POWER" if home.in_place else "THE HOMING GOES ON to its end"
+        )
         alone = (
             f" This drive has no watchdog: if this program dies or the cable is lost, {goes_on}."
         )
     if home.in_place:
-        return f"{what}: it is energised, and the joint stands still.{alone}"
-    again = "" if home.home_deg is not None else ", and once more with the offset that was found"
+        return f"{what}: the drive is energised, and the joint stands still.{alone}"
+    again = "" if home.home_deg is not None else ", and a second time with the offset found"
     return (
         f"{what}: THE JOINT TURNS BY ITSELF at up to {0.5 * FASTEST_DEG_S:g} deg/s, as far as the "
         f"limits of the bench allow{again}.{alone}"
@@ -88,7 +90,7 @@ def homing(setup: Setup, step: StepRecord) -> None:
     """Home, and compare the drive's position with the joint angle of the home position.
 
     Raises:
-        SkippedError: The drive cannot home by this method.
+        SkippedError: The drive does not offer the requested homing method.
         WrongError: The homing failed, took too long, or ended at a wrong position.
         OperatorStopError: The operator stopped the homing.
     """

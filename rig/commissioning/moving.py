@@ -103,8 +103,9 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
 
 
 def small_move(setup: Setup, step: StepRecord) -> None:
-    """Move the joint a little in both directions, and compare the reports of drive and joint
-    encoder with each other and with the bench file; move further if the joint does not follow.
+    """Move the joint by half a degree in both directions, and compare the reports of drive and
+    joint encoder with each other and with the bench file; if the joint does not follow, move
+    further.
 
     Raises:
         WrongError: Units, signs, ratio or constants are wrong.

@@ -79,10 +79,10 @@ class Setup:
         recorder: Records samples and events.
         limits: Limits in force.
         cycle: The control cycle.
-        own: Limits stored in the drive before the commissioning; None until they are read.
+        own: Limits stored in the drive before the commissioning; None until the limits are read.
         safe: State in which the drive was left after it was last energised, or None if the drive
             was never energised.
-        steps: Steps so far.
+        steps: Records of the steps so far.
         home: The requested homing, or None.
         true_deg: True joint angle as given by the operator, or None if unknown.
     """
@@ -200,7 +200,7 @@ class Setup:
                 if ended:
                     raise
             else:
-                later = "" if shown == usual else f", {usual} once it is switched on"
+                later = "" if shown == usual else f", {usual} after the drive is switched on"
                 step.measure("mode of operation afterwards, 6061h", f"{shown}{later}")
 
     @contextmanager

@@ -46,7 +46,7 @@ def readings(setup: Setup, step: StepRecord) -> None:
     """Read values, state and settings.
 
     Raises:
-        WrongError: A run would not start with these values.
+        WrongError: A run would refuse to start with the values that were read.
     """
     devices, bench = setup.devices, setup.bench
     taken = take_readings(devices, bench.machine.gear_ratio)
@@ -122,7 +122,7 @@ def zero(setup: Setup, step: StepRecord) -> None:
 
 
 def _say_offer(setup: Setup) -> None:
-    """Show whether the drive can set its zero by a homing, and whether this will be done."""
+    """Show whether the drive can home, and whether this commissioning will start a homing."""
     offer, home = setup.homing_offer, setup.home
     if home is None:
         then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"

@@ -43,7 +43,7 @@ class Holder:
 
     @classmethod
     def here(cls, command: str, what: str) -> Self:
-        """Return this process as the holder, from now on."""
+        """Return a record of this process as the holder of a lock, with the present time."""
         since = utc_now().isoformat(timespec="seconds")
         return cls(os.getpid(), command, what, _user(), socket.gethostname(), since)
 
@@ -80,8 +80,8 @@ class Holder:
         return True
 
     def words(self, what: str, now: datetime) -> str:
-        """Return a description of the holder with its start time, and with the object that it has
-        locked if this is not ``what``.
+        """Return a description of the holder of a lock, with the start time of the holder, and with
+        the name of the locked object if this name is not ``what``.
         """
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""

@@ -212,7 +212,7 @@ class _Held:
 
 
 def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> Lock:
-    """Lock all of these files, in this order, or none of them."""
+    """Lock all given files in the given order; if one cannot be locked, release all others."""
     held: list[_Held] = []
     taken_over: list[str] = []
     try:

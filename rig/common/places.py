@@ -1,4 +1,4 @@
-"""Output paths: checked before the work, written atomically after it."""
+"""Checks output paths before a command's work, and writes the files atomically afterwards."""
 
 from __future__ import annotations
 

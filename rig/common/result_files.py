@@ -13,7 +13,7 @@ from rig.common.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 RESULT_FILE = "identify.json"
-"""Name of the result file of this kind in a run folder."""
+"""Name of the result file of ``rig identify`` in a run folder."""
 
 
 @dataclass(frozen=True)

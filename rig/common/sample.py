@@ -28,7 +28,7 @@ class Sample(NamedTuple):
         temperature: Temperature of the drive, deg C.
         following_error: Command minus joint angle as the drive computes it, rad.
         statusword: Object 6041h.
-        segment: 0 outside an excitation, else the number of the excitation in the run, from 1.
+        segment: Number of the excitation in the run, from 1; 0 outside an excitation.
         fresh: 1 if every part of the answer arrived in this cycle; 0 if values are those of the
             last good answer.
         pressure: Pressure in the gas generator's chamber, Pa. Not a number on a bench without a

@@ -78,7 +78,7 @@ def row(header: Sequence[Node], cells: Sequence[Node], place: Mark) -> Node:
 
     Args:
         header: Names of the columns.
-        cells: Values below them.
+        cells: Values of the row, one below each column name.
         place: Where the row starts.
 
     Raises:

@@ -124,7 +124,7 @@ class Bench(Schema):
         gas_generator: Nominal constants of the gas generator of hot firings.
         cycle_Hz: Control cycles per second. The period must be a whole number of milliseconds.
         limits: Limits of the bench.
-        weights_kg: Masses that can be hung on the lever; a planned experiment uses only these.
+        weights_kg: Masses that can be hung on the lever; planned experiments use only these masses.
         weight_tolerance: Greatest relative difference between the mass that the operator types and
             the planned mass.
         weights_hung_by: `hoist` states that a machine hangs the weights and that the hung mass is

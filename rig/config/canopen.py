@@ -85,10 +85,10 @@ class ServoSection(Schema):
             against the position as soon as the joint moves. Null if `velocity_unit_rad_s` or the
             maker's data state the unit.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units. If neither this key
-            nor the maker's data state it, the unit is one count per second.
+            nor the maker's data state the unit of speed, the unit is one count per second.
         acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah;
             checked against 60AAh where the drive has it. If neither this key nor the maker's data
-            state it, the unit is one unit of the speed per second.
+            state the unit, the unit is one unit of the speed per second.
         voltage_object: Index and subindex of the motor voltage; CiA 402 has none.
         voltage_unit_V: Voltage of one unit of `voltage_object`; 0.01 unless stated.
         temperature_object: Index and subindex of the drive's temperature; CiA 402 has none.
@@ -106,10 +106,11 @@ class ServoSection(Schema):
         rated_torque_object_unit_N_m: Torque of one unit of `rated_torque_object`; 0.001 unless
             stated.
         mode: Mode of operation of the drive. In `csp` the program sends a position in every cycle.
-            In `csv` and `cst` it sends speeds and torques and closes the position loop; the drive
-            must detect by itself that the program is silent. In `pp` the program sends set-points,
+            In `csv` the program sends speeds, in `cst` torques, and in these two modes the program
+            closes the position loop; the drive must then detect by itself that the program is
+            silent. In `pp` the program sends set-points,
             and the drive moves from one to the next in ramps; suitable for slow motions. Null
-            selects the mode of the maker's data, or `csp` if there is none.
+            selects the mode of the maker's data, or `csp` if the program has no data of this maker.
         position_loop: The position loop of `csv` and `cst`.
         profile_acceleration_deg_s2: Acceleration of the ramps of `pp`, at the joint (6083h, 6084h).
         stops_alone: Whether the drive switches the power off by itself when it receives nothing

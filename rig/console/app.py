@@ -52,13 +52,14 @@ class Console:
 
     Args:
         hub: The runs and the pages.
-        token: Token of this start.
+        token: Token that this start of the console has made.
         hosts: Values of the Host header that name this console.
 
-        Attributes:
+    Attributes:
         app: The routes.
         broken: Called when the console can no longer follow the runs.
-        failure: Reason why the console can no longer follow the runs; None while it follows them.
+        failure: Reason why the console can no longer follow the runs; None while the console
+            follows the runs.
     """
 
     def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:

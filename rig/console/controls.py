@@ -13,12 +13,13 @@ class Page:
 
     Attributes:
         name: Name for the operators.
-        may: Whether the page has the token of this start.
+        may: Whether the page has the token of this start of the console.
         key: Value that identifies the page in commands.
         last: Number of the last command of the page.
         run: The run that the user has chosen on the page, or None.
         kept: The run that the page shows if no run was chosen.
-        beyond: Number of runs that were known at the end of the run ``kept``; None before its end.
+        beyond: Number of runs that were known at the end of the run ``kept``; None before the end
+            of that run.
         started: Folder of the run that was started or continued from the page, until this run is
             found.
         before: Number of runs that were known when the run in ``started`` was started.

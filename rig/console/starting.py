@@ -1,4 +1,4 @@
-"""Starts runs from the console: shows the dry run first, then starts a run with the same files."""
+"""Starts runs from the console: shows a dry run, then starts a run with unchanged files."""
 
 from __future__ import annotations
 

@@ -186,8 +186,8 @@ class Cycle:
             stage: Name for the progress display.
             keep: Function that is called with every sample inside the limits.
             compensate: Function that is called before every command with the previous sample (None
-                before the first command). It returns the torque, N m, that the drive adds until the
-                next command. No torque is added after the last command.
+                before the first command). The function returns the torque, N m, that the drive adds
+                until the next command. No torque is added after the last command.
 
         Raises:
             TripError: A sample is outside a limit.

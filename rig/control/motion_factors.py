@@ -18,7 +18,7 @@ from rig.wiring.devices import Nominal
 
 BLOCK_S: Final = 0.02
 """Time over which samples are averaged, s; a block has at least two samples. The speed of a first
-pass hardly changes within this time.
+pass hardly changes within one block.
 """
 LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, rad at the joint."""

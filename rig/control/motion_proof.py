@@ -137,7 +137,7 @@ def hint(
     Args:
         motion: The samples up to the trip.
         nominal: Constants of the bench file.
-        servo: The drive, which names the remedy for its speed.
+        servo: The drive, whose driver states the remedy for a wrong unit of speed.
         too_fast: Whether the reported speed exceeded its limit.
         too_strong: Whether the torque, computed from current and torque constant, exceeded its
             limit.
@@ -168,7 +168,7 @@ def hint(
 
 def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     """Return the contradiction if the speed of the last sample is far above the change of the
-    position; None otherwise.
+    position, else None.
 
     The factor is rough: the position may have changed by one count in one cycle, or not at all if
     the position was read before the speed.

@@ -35,7 +35,8 @@ STANDS_STILL: Final = 0.005
 """Share of the motor encoder's travel below which the joint encoder counts as standing still."""
 SHAFT_SPREAD: Final = 1.3
 """Greatest ratio of the encoders' travels, of the larger to the smaller, at which the encoders
-count as turning 1:1. It is large, because before a trip the motor encoder moves only a few counts.
+count as turning 1:1. This ratio is large, because before a trip the motor encoder moves only a few
+counts.
 """
 NO_TORQUE: Final = (
     "the torque constant cannot be compared with a measurement: the drive reports neither a "
@@ -103,7 +104,7 @@ def wrong_speed(
         f"must be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
     )
     if other is not None:
-        words += f"; or it is {other:.4g} times: {servo.speed_remedy(other)}"
+        words += f"; or the factor is {other:.4g}: {servo.speed_remedy(other)}"
     if rough:
         words += "; few counts show this factor, so compare the unit with the manual of the drive"
     changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))

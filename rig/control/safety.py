@@ -172,7 +172,7 @@ def _check_gas(sample: Sample, limits: GasLimits) -> Trip | None:
 
 
 def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
-    """Compare the time with power on in a stage with its limit, both in s."""
+    """Compare the time with power on in a stage, s, with the limit on this time, s."""
     if not elapsed <= limit:
         return Trip(Check.STAGE_TIME, elapsed, limit, "s", time)
     return None

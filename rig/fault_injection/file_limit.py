@@ -15,7 +15,7 @@ class FileLimit:
         """Make every further write to a file fail, as on a full disk.
 
         Raises:
-            InputError: This system has no such limit.
+            InputError: This operating system cannot limit the size of files.
         """
         try:
             import resource

@@ -1,4 +1,4 @@
-"""Plans the first passes before a stage: the same motion at low amplitude under tighter limits.
+"""Plans the first passes before a stage: the stage's motion, smaller, under tighter limits.
 
 If the joint does not move, passes with larger amplitude follow.
 """
@@ -60,8 +60,8 @@ def plan_passes(
 def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Return one pass: tones about the same centre with less amplitude and duration, or a ramp at
-    the same speed with less travel.
+    """Return one first pass of a stage: the tones with smaller amplitude and duration, or the ramp
+    with less travel; centre of the tones and speed of the ramp are those of the stage.
     """
     if section.ramp is not None:
         ramp = section.ramp.model_copy(

@@ -1,7 +1,8 @@
 """Controls the gas flow by the valve angle: PI controller of the chamber pressure (Fig. 5, 11).
 
-A flow corresponds to a chamber pressure (eq. 2). The PI controller turns the valve, by the position
-servo, until the chamber has this pressure. Valve and gas generator are coupled: pressure and area
+Each gas flow corresponds to a chamber pressure (eq. 2). The PI controller turns the valve, by the
+position servo, until the chamber has the pressure of the commanded flow. Valve and gas generator
+are coupled: pressure and area
 load the valve (eq. 10), and friction under this load delays the valve.
 """
 

@@ -144,11 +144,11 @@ def gas_limits(bench: Bench) -> GasLimits | None:
 def hot_fire_words(stage: str, simulated: bool) -> str:
     """Return the message before a hot firing; the prompt of the firing asks for an empty lever."""
     lights = (
-        "is lit by this program"
+        "This program ignites the gas generator"
         if simulated
-        else "is yours to light: answer once its pressure is steady"
+        else "Ignite the gas generator yourself, and answer when its pressure is steady"
     )
     return (
-        f"Stage {stage} is a hot firing: a gas generator loads the valve, and no weight. It "
+        f"Stage {stage} is a hot firing: a gas generator loads the valve, and no weight is hung. "
         f"{lights}."
     )

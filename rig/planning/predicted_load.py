@@ -114,7 +114,7 @@ def _peak(stage: str, part: str, torque: float, limits: Limits) -> PredictedPeak
 
 
 def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionModel) -> float:
-    """Return the greatest torque at the joint while it follows commanded angles, N m.
+    """Return the greatest torque, N m, at a joint that follows commanded angles.
 
     The torque balances static friction at a breakaway, and friction, working load and inertia in
     motion (eq. 15). The prediction does not contain the feedback torque of the drive, which is

@@ -21,7 +21,7 @@ AGREE = 0.02
 simultaneous.
 """
 _SHARE = 0.01
-"""Share of samples that may exceed this age, so that single late stamps are tolerated."""
+"""Share of samples that may be older than ``AGREE``, so that single late stamps have no effect."""
 _BLOCKS = 500
 _LEAST = 5.0
 """Percentile of the ages in a block that counts as the least age of the block, so that single early

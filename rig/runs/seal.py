@@ -1,9 +1,10 @@
 """Writes the SHA-256 of a run's files into ``SHA256SUMS`` in the run folder.
 
 The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` verifies the files
-without this program. The digests show accidental damage and edits. They do not protect against a
-person who can write the folder, and who can then also write this file; a certificate with the
-digests that is kept elsewhere, for example on paper, protects against such a change.
+without this program. The digests show accidental damage and edits. The digests do not protect
+against a person who can write into the run folder, and who can therefore also change
+``SHA256SUMS``; a certificate with the digests that is kept elsewhere, for example on paper, shows
+such a change.
 """
 
 from __future__ import annotations

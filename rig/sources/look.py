@@ -187,7 +187,7 @@ def _time_of_most(table: Table, leaves: list[str], guesses: dict[str, Guess]) ->
 def _doubts(
     table: Table, series: list[Array | str], guesses: Mapping[str, Guess]
 ) -> tuple[str, ...]:
-    """Return notes on the guessed channels; the loading of a campaign gives the same notes."""
+    """Return the notes that the loading of a campaign would give on the guessed channels."""
     data = {k: values for k, values in enumerate(series) if isinstance(values, np.ndarray)}
     used = {name: int(g.column) for name, g in guesses.items() if int(g.column) in data}
     if "time" not in used:

@@ -26,8 +26,8 @@ SMOOTHER = 0.8
 """Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
 counts as right.
 
-Quantisation and noise contribute equally to both roughnesses. If they hide the jitter, the jitter
-has little effect on the result.
+Quantisation and noise contribute equally to both roughnesses. If quantisation and noise hide the
+jitter of the stamps, the jitter has little effect on results.
 """
 FAST, MOST = 0.25, 0.99
 """Share and quantile: a sample is compared only if its travel is at least this share of this

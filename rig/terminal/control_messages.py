@@ -1,4 +1,4 @@
-"""Messages between a run and the programs that watch and command it over its control socket.
+"""Messages on a run's control socket, between the run and the programs that watch or command it.
 
 Each message is one datagram of UTF-8 JSON. A question is ``{"ask": "status" | "about"}``. A command
 names the run by a value ``run``, which is different in every run, and has a ``number``, the

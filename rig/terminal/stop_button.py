@@ -59,8 +59,9 @@ class StopButton:
         presses: Number of stop requests.
         cause: Source of the first request, as text.
         pausing: Whether a pause at the next stage boundary was requested.
-        listen: Takes commands that arrived from elsewhere and acts on this button, without waiting;
-            called whenever the button is read. None if there is no such source.
+        listen: Function that takes commands from another source, such as the control socket, and
+            acts on this button, without waiting; called whenever the button is read. None without
+            another source.
     """
 
     def __init__(self, tell: Callable[[str], None] = lambda words: None) -> None:

@@ -196,7 +196,8 @@ def require_held(
 
 
 def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
-    """Read the limits back, and refuse a drive that does not hold the limits that it accepts.
+    """Read the limits back from the drive, and refuse a drive that has not stored a limit that the
+    drive accepts.
 
     Args:
         servo: The drive.

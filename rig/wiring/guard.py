@@ -108,8 +108,8 @@ class Guard:
 
         Raises:
             LinkError: The guardian has taken over, or is gone. While the guardian has the drive,
-                every call raises this error; after the guardian has released the drive, only the
-                next call does, so that the drive can then be read back.
+                every call raises LinkError; after the guardian has released the drive, only the
+                next call raises LinkError, so that the drive can then be read back.
         """
         if self._taken:
             self._await_report(0.0)

@@ -1,7 +1,7 @@
 """Checks before a run: of the bench file and of the devices.
 
 ``rig run``, ``resume`` and ``jog`` refuse to start if a check fails; ``rig check`` and ``rig run
---dry-run`` report the same messages. Checks that need a write to a device are made by the run.
+--dry-run`` report failed checks. Checks that need a write to a device are made by the run.
 """
 
 from __future__ import annotations

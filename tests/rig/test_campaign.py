@@ -143,7 +143,7 @@ def test_negative_weight(tmp_path: Path) -> None:
         ),
         ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
         ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),
-        ("fixed: {J: -1}", "model.fixed: must not be negative: J = -1"),
+        ("fixed: {J: -1}", "model.fixed: a fixed value must not be negative: J = -1"),
         (
             "fixed: {Mc: 2, Ms: 1}",
             "model.fixed.Ms: static friction Ms must be at least Coulomb friction Mc = 2 (got 1)",

@@ -169,7 +169,7 @@ def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     assert "to split current_offset, asymmetric_coulomb: " in printed
     assert AMBIGUOUS.effects[0].separating_experiment in printed
     assert (
-        "These recordings cannot distinguish it from asymmetric_coulomb."
+        "These recordings cannot distinguish current_offset from asymmetric_coulomb."
         in (out / "report.html").read_text()
     )
 
@@ -182,7 +182,7 @@ def test_the_sequence_that_splits_the_group_lies_beside_the_report(
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     assert (
-        "<code>split.yaml</code>: splits current_offset, asymmetric_coulomb"
+        "<code>split.yaml</code>: distinguishes current_offset, asymmetric_coulomb"
         in (out / "report.html").read_text()
     )
     capsys.readouterr()

@@ -249,7 +249,7 @@ def test_more_torque_than_the_limit_is_refused_beforehand(
         status(["run", "ramps.yaml", "--feedforward", str(result_file(mu_c=0.3)), "--dry-run"]) == 2
     )
     err = capsys.readouterr().err
-    assert "stages[1].weight_kg: feed-forward asks for" in err
+    assert "stages[1].weight_kg: feed-forward needs" in err
     assert "limit torque_N_m 75 N m" in err
 
 

@@ -135,8 +135,8 @@ def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
 def test_the_operator_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["run", "hot.yaml", *BENCH, "--yes", "--out", "told"]) == 0
     words = (
-        "Stage sine is a hot firing: a gas generator loads the valve, and no weight. It is "
-        "lit by this program."
+        "Stage sine is a hot firing: a gas generator loads the valve, and no weight is hung. "
+        "This program ignites the gas generator."
     )
     assert words in capsys.readouterr().err
 

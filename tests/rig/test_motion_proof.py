@@ -298,7 +298,7 @@ def test_a_rough_factor_names_a_power_of_ten_that_is_nearer_than_the_common_unit
             return 68.0 if 68.0 / spread <= factor <= 68.0 * spread else 10.0
 
     moved = np.linspace(0.0, 1e-4, 8)
-    for factor, words in ((12.0, "unit 68; or it is 10 times: unit 10"), (60.0, "unit 68; few")):
+    for factor, words in ((12.0, "unit 68; or the factor is 10: unit 10"), (60.0, "unit 68; few")):
         few = early(moved, moved, factor * np.gradient(moved, 1e-3))
         found = hint(few, NOMINAL, Drive())  # type: ignore[arg-type]
         assert found is not None

@@ -202,8 +202,8 @@ def bench_text(name: str, answers: Answers) -> str:
     head = (
         f"# Bench {name}, written by `rig new bench`. A comment above each key states meaning, "
         f"unit and default.\n"
-        f"# Look at it with `rig check`, which moves nothing; then `rig new sequence` and `rig "
-        f"run`.\n"
+        f"# Check the bench with `rig check`, which moves nothing; then use `rig new sequence` "
+        f"and `rig run`.\n"
     )
     return head + render(Block(Bench, sections, {"mock": ""}))
 

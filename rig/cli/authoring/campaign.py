@@ -98,7 +98,7 @@ def campaign_text(
     Args:
         path: Future path of the campaign file; recordings are named relative to its folder.
         files: The recordings.
-        answers: Answers about them.
+        answers: The user's answers to the questions about the recordings.
         read: Options to read text files; empty for files that are read without options.
     """
     bench = {

@@ -39,7 +39,7 @@ class DataFile:
 
     Attributes:
         path: The file.
-        names: Its columns.
+        names: Names of the columns of the file.
         mass_kg: Mass on the lever according to its file name; 0 for none.
     """
 
@@ -49,7 +49,7 @@ class DataFile:
 
 
 def questions(files: Sequence[DataFile]) -> tuple[Question, ...]:
-    """Return the questions about these files."""
+    """Return the questions about the given data files."""
 
     def has(*channels: str) -> Callable[[Mapping[str, Any]], bool]:
         return lambda answers: any(answers[channel] != NONE for channel in channels)
@@ -298,7 +298,7 @@ OPTIONS: Final = (
     Question("lever_ratio", "Lever ratio, contact force over weight"),
     Question(
         "validate",
-        "Recordings set aside to validate, by file name, such as b.csv,c.csv; else all are fitted",
+        "Recordings for validation only, such as b.csv,c.csv; without a name all are fitted",
         kind=Names(),
     ),
     Question(

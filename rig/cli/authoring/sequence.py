@@ -90,7 +90,7 @@ def _stage(mass: float, before: int, answers: Answers, bare: bool) -> Block:
 
 
 def load_for(bench: Document[Bench] | None, path: Path) -> None:
-    """Read a sequence back, and check it against the limits of a bench if one is given.
+    """Read a written sequence file; with a bench, check the sequence against the bench's limits.
 
     Raises:
         InputError: The sequence is not valid, or exceeds a limit of the bench.

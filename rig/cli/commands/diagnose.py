@@ -60,10 +60,9 @@ def command(
     that these recordings do not distinguish, with a sequence file of an experiment that
     distinguishes the effects; missing physics outside the catalogue; or nothing missing.
 
-    Recordings with role validate are used in no fit; they decide only whether an identified effect
-    is kept, because the effect must lower the error on them. Without recordings of this role, parts
-    of the recordings are predicted from the other parts. The corrected model is written next to the
-    report.
+    Recordings with role validate are used in no fit, but an identified effect is kept only if it
+    lowers the error on these recordings. Without recordings of this role, parts of the recordings
+    are predicted from the other parts. The corrected model is written next to the report.
 
     \b
     Example:

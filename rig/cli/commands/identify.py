@@ -95,7 +95,7 @@ def command(**options: Any) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
     With --plan, nothing is identified: the command predicts which parameters a sequence determines,
-    and proposes a better sequence of at most the same duration. The proposal may have more stages
+    and proposes a better sequence that takes no longer. The proposed sequence may have more stages
     and other weights.
 
     \b

@@ -65,10 +65,10 @@ def command(
     folder.
 
     A recording whose writer died is repaired first. The unfinished stage is repeated from its
-    beginning; its earlier samples stay in the recording but are not used. Bench and sequence file
-    must be unchanged since the start of the run. The complete run is judged by the limits of
-    --acceptance, else by those of the file that was given to `rig run`, else by those of the
-    sequence. Ctrl-C acts as in `rig run`.
+    beginning; earlier samples of this stage stay in the recording but are not used. Bench and
+    sequence file must be unchanged since the start of the run. The complete run is judged by the
+    limits of --acceptance, else by the limits of the file given to `rig run`, else by the limits of
+    the sequence. Ctrl-C acts as in `rig run`.
 
     \b
     Example:

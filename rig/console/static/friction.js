@@ -26,8 +26,8 @@ export class Friction {
   use(curves) {
     this.curves = curves;
     this.words.textContent = curves
-      ? `Points are means of 10 samples in excitations: circles and squares are those of odd and even excitations. Lines: friction by ${curves.source}; dashed where a mass hangs.`
-      : "Points are means of 10 samples in excitations: circles and squares are those of odd and even excitations. No identification of this bench was found beside the run.";
+      ? `Points are means of 10 samples in excitations: circles are points of odd excitations, squares of even excitations. Lines: friction by ${curves.source}; dashed where a mass hangs.`
+      : "Points are means of 10 samples in excitations: circles are points of odd excitations, squares of even excitations. No identification of this bench was found beside the run.";
     this.schedule();
   }
 

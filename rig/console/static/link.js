@@ -7,7 +7,7 @@ const LONG = ["/dry-run", "/compare", "/trend"];
 const RETRY_MS = 500;
 const SILENT_MS = 1500;
 
-// The fragment of an address is not sent to anyone by the browser. It is taken off the address.
+// A browser sends the fragment of an address to no server. The page removes it from its address.
 function readToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
@@ -37,7 +37,7 @@ export class Link {
     const socket = new WebSocket(`ws://${location.host}/live`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
-      // A page that lost its contact keeps its run, and so the run that STOP is for.
+      // A page that lost its contact keeps its run, so that STOP stops the run shown before.
       socket.send(JSON.stringify({ token: this.token, shown: this.shown }));
       socket.send(JSON.stringify(this.wanted));
     };

@@ -86,7 +86,7 @@ function showContact(silentMs) {
   at("contact").textContent = lost ? "NO CONTACT" : link.token ? "live" : "live, read only";
   const since = Number.isFinite(silentMs) ? ` for ${Math.round(silentMs / 1000)} s` : "";
   alertOnce("contact", lost
-    ? `No contact with the console${since}: what is shown is old. The bench goes on without this page. If STOP does not work, use the emergency stop.`
+    ? `No contact with the console${since}: the values on this page are old. The run continues without this page. If STOP does not work, use the emergency stop.`
     : "");
 }
 
@@ -132,14 +132,14 @@ function showRun() {
   showEnding();
   showPrompt();
   alertOnce("silent", live?.silent
-    ? "The run does not answer: its program is busy or hangs. What takes the power off then is named below. If in doubt, use the emergency stop." : "");
+    ? "The run does not answer: its program is busy or hangs. The page names below what switches the drive's power off in this case. If in doubt, use the emergency stop." : "");
   alertOnce("gone", live?.gone
-    ? "The program of the run is gone without an ending. Look at the bench: the state of the drive is not known here. `rig recover` repairs the recording." : "");
+    ? "The program of the run ended without recording an end. Look at the bench: this page does not know the state of the drive. `rig recover` repairs the recording." : "");
   alertOnce("trouble", live?.trouble || "");
   if (live?.values) charts.values(live.values, going() && !OFF.includes(phase) ? "now" : "last");
 }
 
-// Outside the phases with power the run has read the drive back as off; the last sample is older.
+// In phases without power, the run has read back that the drive is off; the last sample is older.
 function driveWords(phase, over, live, record) {
   if (over && record?.drive_state) {
     return `${record.de_energised ? "off: " : ""}${record.drive_state} (read back)`;
@@ -165,14 +165,14 @@ function showEnding() {
   alertOnce("unverified", record?.de_energised === false
     ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
   if (endSaid !== state.run && (record?.de_energised ?? null) !== null) {
-    // What was said before, such as an answer to a prompt, is of no use any more.
+    // Earlier messages, such as the answer to a prompt, no longer apply.
     say(record.de_energised ? "The run has ended; the drive is off (read back)"
       : "The run has ended; the state of the drive could NOT be verified");
     endSaid = state.run;
   }
 }
 
-// The verdict on the run that has ended, and its pages, once the list of recorded runs has them.
+// Verdict on a run that has ended, and links to its pages, when the list of runs contains them.
 function showJudged() {
   const run = state.run && state.status?.ended ? recorded.of(state.about?.folder) : null;
   const line = at("judged");
@@ -273,15 +273,15 @@ function showControls() {
   const may = Boolean(controls?.may);
   const mine = may && controls.yours;
   at("holder").textContent = !link.token ? "Read only: open the address that `rig console` printed."
-    : !may ? "Read only: the token is of another start of the console."
+    : !may ? "Read only: the token belongs to another start of the console."
       : mine ? `This page (${link.name}) holds the controls.`
-        : `${controls.holder || "No page"} holds the controls; STOP works here too.`;
+        : `${controls.holder || "No page"} holds the controls; STOP works on this page as well.`;
   at("take").hidden = !may || mine;
   const on = mine && going() && !status.stopping;
   at("pause").hidden = may && !mine;
   at("pause").disabled = !on || Boolean(status?.prompt);
   at("pause").setAttribute("aria-pressed", String(Boolean(status?.pausing)));
-  at("pause").textContent = status?.pausing ? "Pause is asked for: take it back"
+  at("pause").textContent = status?.pausing ? "Cancel the requested pause"
     : "Pause at the end of the stage";
   at("resume").disabled = !mine || !state.live?.closed;
   for (const id of ["mass", "go-on", "repeat", "abort"]) at(id).disabled = !on;
@@ -305,15 +305,15 @@ async function pressStop() {
   const took = Math.round(performance.now() - now);
   alertOnce("stop", answer.ok ? ""
     : `STOP was NOT confirmed (${answer.words}). Use the emergency stop.`);
-  if (answer.ok && !state.status?.ended) say(`STOP was taken after ${took} ms; the drive's state is read back`);
+  if (answer.ok && !state.status?.ended) say(`The run accepted STOP after ${took} ms and reads the drive's state back`);
   if (!answer.ok) say("STOP was NOT confirmed");
 }
 
-// A click that waited in a frozen page was meant for what was shown then.
+// A click that waited in a frozen page refers to the content that the page showed at that time.
 function fresh(event) {
   const age = performance.now() - event.timeStamp;
   if (age <= FROZEN_MS) return true;
-  say(`Not sent: this page was frozen for ${(age / 1000).toFixed(1)} s after it. Do it again if it is still meant.`);
+  say(`The command was not sent: this page was frozen for ${(age / 1000).toFixed(1)} s after the click. Click again if you still want the command.`);
   return false;
 }
 
@@ -334,7 +334,7 @@ at("stop").addEventListener("click", pressStop);
 at("pause").addEventListener("click", (event) => {
   const pausing = state.status?.pausing;
   command(event, { command: pausing ? "no pause" : "pause" },
-    pausing ? "No pause" : "The run pauses at the end of this stage");
+    pausing ? "The pause is cancelled" : "The run pauses at the end of this stage");
 });
 at("mass-form").addEventListener("submit", (event) => {
   const text = at("mass").value.trim();
@@ -376,10 +376,10 @@ addEventListener("keydown", (event) => {
   event.preventDefault();
   if (!event.repeat) pressStop();
 }, { capture: true });
-// A button is clicked when the space bar is let go.
+// A browser clicks a focused button when the space bar is released.
 addEventListener("keyup", (event) => {
   if (isSpaceOfStop(event)) event.preventDefault();
 }, { capture: true });
 
-// For tests and the browser's console: what the charts show.
+// Content of the charts, for tests and for the browser's console.
 window.rigConsole = { extremes: () => charts.extremes() };

@@ -1,5 +1,5 @@
-// The runs in the folder of this console, with the pages that lie in their folders, and the pages
-// that are made of them: comparisons and trends.
+// List of the runs in the folder of this console, with the pages in the run folders, and with
+// pages made from several runs: comparisons and trends.
 
 const at = (id) => document.getElementById(id);
 const AFTER_MS = 4000; // between two lists after a run has ended: a verdict may follow
@@ -19,7 +19,7 @@ function choose(select, first, names) {
 }
 
 export class Recorded {
-  // `going` tells whether a run goes on: then the list is read only when it is asked for.
+  // `going`: whether a run is in progress; the list is then read only on request of the user.
   constructor(going, shown, link) {
     this.list = null;
     this.link = link;
@@ -36,7 +36,7 @@ export class Recorded {
       at(id).addEventListener("change", () => this.take());
     }
     at("recorded").addEventListener("change", (event) => this.choose(event.target));
-    // While a run goes on the space bar is STOP; Enter chooses as well.
+    // While a run is in progress, the space bar is STOP; a checkbox is then changed with Enter.
     at("recorded").addEventListener("keydown", (event) => {
       if (event.key === "Enter" && event.target.type === "checkbox") event.target.click();
     });
@@ -67,7 +67,7 @@ export class Recorded {
       const answer = await fetch(`/recorded?${query}`, { cache: "no-store", credentials: "omit" });
       if (!answer.ok) throw new Error(answer.statusText);
       const list = await answer.json();
-      // An answer to an earlier choice may arrive after that to the last one.
+      // The answer to an earlier choice may arrive after the answer to the latest choice.
       if (`${query}` !== `${new URLSearchParams(this.choice())}`) return;
       this.list = list;
     } catch (error) {
@@ -77,13 +77,13 @@ export class Recorded {
     const { root, count, problem, runs, benches, constants } = this.list;
     const more = count > runs.length ? `, ${runs.length} of which are listed` : "";
     at("recorded-words").textContent = problem
-      || `${count} ${count === 1 ? "run" : "runs"} in ${root}${more}; \`rig runs list\` chooses among all.`;
+      || `${count} ${count === 1 ? "run" : "runs"} in ${root}${more}; \`rig runs list\` lists all runs.`;
     choose(at("recorded-bench"), [new Option("every bench", "")], benches);
     choose(at("constant"), constants.length ? [] : [new Option("none known", "")], constants);
     const listed = new Set(runs.filter((run) => run.identified).map((run) => run.folder));
     for (const folder of this.chosen) if (!listed.has(folder)) this.chosen.delete(folder);
     const rows = runs.map((run) => this.row(run));
-    // Not while a link or a checkbox has the focus: it would be lost.
+    // While a link or a checkbox has the focus, the list is kept, because a new list has no focus.
     if (!at("recorded").contains(document.activeElement)) at("recorded").replaceChildren(...rows);
     this.showButtons();
     this.shown();
@@ -95,7 +95,7 @@ export class Recorded {
     this.showButtons();
   }
 
-  // Whether this page may have pages made: with the token only, as that takes processor time.
+  // Whether this page may request comparisons and trends: only with the token (processor time).
   allow(may) {
     this.may = may;
     this.showButtons();
@@ -106,20 +106,20 @@ export class Recorded {
     const on = this.may && !this.making;
     at("compare").disabled = !on || count < LEAST || count > MOST;
     at("trend").disabled = !on || !at("constant").value;
-    const words = this.may ? `${count} chosen. Of ${LEAST} to ${MOST} runs, each is compared with the earliest.`
-      : "Read only: comparisons and trends are made with the token, as they take processor time.";
+    const words = this.may ? `${count} runs chosen. Choose ${LEAST} to ${MOST} runs; the earliest is compared with every other.`
+      : "Read only: without the token, no comparisons and trends are made, because they take processor time.";
     if (at("chosen-words").textContent !== words) at("chosen-words").textContent = words;
   }
 
   async make(path, content) {
     this.making = true;
     this.showButtons();
-    at("made-words").textContent = "The page is being made.";
+    at("made-words").textContent = "The console is making the page.";
     const answer = await this.link.post(path, content);
     this.making = false;
     this.showButtons();
     if (!answer.ok) {
-      at("made-words").textContent = `Not made: ${answer.words}`;
+      at("made-words").textContent = `The page was not made: ${answer.words}`;
       return;
     }
     at("made-words").textContent = "The page is ready; open it below.";

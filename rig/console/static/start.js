@@ -1,4 +1,4 @@
-// Starts a run: first its dry run is shown.
+// Starts a run after showing its dry run.
 
 const at = (id) => document.getElementById(id);
 
@@ -40,7 +40,7 @@ export function setUpStart(link, state, say) {
     at("dry").hidden = false;
     at("dry-words").textContent = answer.words;
     at("dry-verdict").textContent = answer.status === 0 ? "The dry run found no problem."
-      : answer.status === 1 ? "The dry run found problems: read them before you start."
+      : answer.status === 1 ? "The dry run found problems: read the problems before you start the run."
         : "This run cannot be started.";
     at("dry-real").hidden = !answer.real;
     at("typed-bench").value = "";

@@ -1,17 +1,17 @@
-// Words for what the run states.
+// Descriptions of the phases of a run, and of times.
 
 export const PHASES = {
   connecting: "The run connects to the bench. Nothing is energised.",
-  load: "The drive is off. The weight is hung and its mass is asked for.",
-  prepare: "The drive is off. Its limits are written and read back.",
+  load: "The drive is off. The operator hangs the weight and types its mass.",
+  prepare: "The drive is off. The drive's limits are written and read back.",
   enable: "The drive is being energised.",
   "first pass": "The joint moves at low amplitude, under tighter limits.",
-  "weight check": "The drive holds. The friction is compared with the mass.",
+  "weight check": "The drive holds the joint. The measured friction is compared with the confirmed mass.",
   approach: "The joint moves to the start of the stage.",
-  settle: "The drive holds at the start of the stage.",
+  settle: "The drive holds the joint at the start of the stage.",
   excite: "The joint follows the planned motion.",
-  hold: "The drive holds at the end of the motion.",
-  release: "The power is being taken off.",
+  hold: "The drive holds the joint at the end of the motion.",
+  release: "The power of the drive is being switched off.",
   "between stages": "The drive is off, between two stages.",
   finished: "The run is finished.",
 };

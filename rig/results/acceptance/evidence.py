@@ -43,8 +43,8 @@ class Evidence:
 
     Attributes:
         record: ``run.json``.
-        digests: SHA-256 of its recordings, by file.
-        dataset: Its finished excitations, or None if there are none.
+        digests: SHA-256 of the recordings of the run, by file.
+        dataset: Finished excitations of the run, or None if no excitation was finished.
         constants: Identified constants; empty if no limit needs an identification.
         method: Method of the identification; empty without one.
         fit_rms: Torque error of the identification; None without one.
@@ -121,7 +121,7 @@ def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
 
 
 def _current(path: Path, digests: Mapping[str, str]) -> dict[str, Any]:
-    """Return a result file if it was made from the present recordings; else an empty record."""
+    """Return the record of a result file made from the present recordings; otherwise, {}."""
     try:
         found = json.loads(path.read_bytes())
         used = {each["sha256"] for each in found["inputs"] if Path(each["file"]).suffix == ".mcap"}

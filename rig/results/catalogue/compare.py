@@ -44,7 +44,7 @@ class Difference:
     Attributes:
         name: Name of the constant.
         first: Value in the first run.
-        other: Value in the other run, or None if that run has none.
+        other: Value in the later run, or None if that run did not identify the parameter.
         change: Difference, or None if one of the values is not known.
         joint: Half width of the 90 % interval of the difference of two independent estimates, or
             None if one of the values has no interval.

@@ -84,7 +84,7 @@ def histories(
         entries: The runs, the earliest first.
         seed: Seed of the simulated distribution of the test.
         only: Name of the constant to which histories are restricted, or None for all constants.
-            The p-value of the constant is then that among all constants.
+            The p-value of this constant also accounts for the tests of all other constants.
     """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}

@@ -20,7 +20,7 @@ def verification_document(found: Sequence[Verification]) -> Document:
     statement = (
         f"Changed, damaged or incomplete: {', '.join(bad)}."
         if bad
-        else "Every file with a recorded digest is unchanged since the digest was recorded."
+        else "Every file with a recorded digest still has that digest."
     )
     headline = f"{len(found) - len(bad)} of {len(found)} runs are as recorded"
     verdict = Verdict(headline, statement, "open" if bad else "good")

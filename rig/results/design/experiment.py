@@ -45,7 +45,7 @@ class Experiment:
         nominal_source: Origin of the model's parameter values, as text.
         current_noise_A: Noise of the logged current, rms.
         proposal: Parameters determined by the given and by the proposed sequence.
-        proposed: The sequence to run instead.
+        proposed: The proposed sequence, to be run instead of the given sequence.
         seed: Seed of the search.
         seconds: Wall-clock time spent.
     """
@@ -73,8 +73,8 @@ def plan_experiment(
 
     Args:
         sequence: The experiment to assess.
-        bench: Its limits, sensors and stated constants; the simulated machine's section is not
-            used.
+        bench: Bench whose limits, sensors and stated constants are used; the section of the
+            simulated machine is not used.
         nominal_file: Result of ``rig identify --json`` on this bench, or None for the default
             nominal values.
         current_noise_A: Noise of the logged current, A rms, or None for the value in the nominal

@@ -27,7 +27,7 @@ class NominalValues:
 
     Attributes:
         values: The nine parameters, SI.
-        source: Their origin, as text.
+        source: Origin of the nominal values, as text.
         weakest: The least accurate parameter, or None if unknown.
         recordings: The recordings from which the values were identified, if the run can still be
             read.

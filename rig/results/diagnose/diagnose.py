@@ -76,16 +76,17 @@ def diagnose_source(
         bandwidth_Hz: Bandwidth of every equation except that of the pressure; None to choose it
             from the recordings.
         progress: Called with the current step and the completed share.
-        refine: Whether to refine the nominal parameters: if nothing is missing, they are those of
-            ``rig identify``; if physics is missing, they are fitted again by prediction errors,
+        refine: Whether to refine the nominal parameters: if nothing is missing, the values are
+            those of ``rig identify``; if physics is missing, the parameters are fitted again by
+            prediction errors,
             with the effects subtracted, for at most :data:`REFINED_SAMPLES` samples. The parameters
             of a gas generator are always fitted again.
         gas: Whether to diagnose the gas generator although the recordings have torque too;
             recordings without a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas
             generator.
-        partial: Whether to take the unfinished excitations of a run as well; the result warns of
-            them.
+        partial: Whether to use unfinished excitations of a run as well; a warning in the result
+            names these excitations.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.

@@ -153,7 +153,9 @@ def _effect(effect: Effect, found: Diagnosis) -> Section:
         blocks.append(Paragraph(effect.statement))
     if others:
         blocks.append(
-            Paragraph(f"These recordings cannot distinguish it from {', '.join(others)}.")
+            Paragraph(
+                f"These recordings cannot distinguish {effect.name} from {', '.join(others)}."
+            )
         )
     if effect.separating_experiment:
         lead = "To distinguish them:" if others else "To confirm it:"

@@ -93,6 +93,9 @@ def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
         group = effect.alias_group
         sequence = separating_sequence(group, limits) if len(group) > 1 else None
         if sequence is not None:
-            use = f"splits {', '.join(group)}: rig run {SEQUENCE_FILE}, then diagnose both together"
+            use = (
+                f"distinguishes {', '.join(group)}: rig run {SEQUENCE_FILE}, then diagnose the old "
+                "and the new recordings together"
+            )
             return Export(SEQUENCE_FILE, use, sequence)
     return None

@@ -70,7 +70,7 @@ class Outcome:
         simulated: The rungs fitted to the simulated angle, if requested and if the recordings can
             be simulated.
         transfer: The first result scored on other recordings, if requested.
-        scored_on: Source of these recordings.
+        scored_on: Source of the other recordings in ``transfer``.
         comparison: Comparison of all estimators, if requested.
     """
 
@@ -89,15 +89,15 @@ class Request:
     """Settings of an identification.
 
     Attributes:
-        methods: Names from :data:`METHODS`; each starts from the same seed.
+        methods: Names from :data:`METHODS`; every method starts its random generator from ``seed``.
         bandwidth_Hz: Bandwidth of the fit; None to choose it from the recordings.
         seed: Seed of the random generator.
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
         draws: Bootstrap draws of the default method, 0 for none.
-        take_partial: Whether to take the unfinished excitations of a run as well; the result warns
-            of them.
+        take_partial: Whether to use unfinished excitations of a run as well; a warning in the
+            result names these excitations.
     """
 
     methods: Sequence[str] = ("default",)
@@ -226,7 +226,7 @@ def compare_methods(
 
     Args:
         source: The source, for messages.
-        outcome: Its identification; the first result is of the default method.
+        outcome: Identification of the source; the first result is of the default method.
         truth: True parameters of a simulated bench, used only in the table.
         progress: Called with the current step and the completed share.
 

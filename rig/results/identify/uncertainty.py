@@ -22,16 +22,16 @@ PROFILE_NOTE = (
 
 
 BOOTSTRAP_NOTE = (
-    "Bootstrap: the central 90 % of estimates from motion segments drawn with replacement. It "
-    "assumes only that the errors of different segments are independent; with few "
-    "segments the ranges are somewhat narrow."
+    "Bootstrap: the central 90 % of estimates from motion segments drawn with replacement. "
+    "The bootstrap assumes only that the errors of different segments are independent; with few "
+    "segments its ranges are somewhat too narrow."
 )
 
 
 CONSTANTS_NOTE = (
     "The 90 % intervals of the parameters contain the uncertainty (one standard deviation) of "
-    "these constants; the values are those for the constants as given. Floor, profiles and "
-    "bootstrap do not contain this uncertainty."
+    "these constants; the values of the parameters are for the constants as given. Floor, "
+    "profiles and bootstrap do not contain this uncertainty."
 )
 PRIORS_NOTE = (
     "Prior and recordings are combined as independent; +- is one standard deviation, which for the "

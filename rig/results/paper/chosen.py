@@ -57,6 +57,6 @@ def chosen() -> list[str]:
         "Compensation: the drive's torque offset (60B2h) from parameters identified from the same "
         "bench's log, with "
         "stiffness and damping against the command, and pulses where friction falls too steeply "
-        "for them; the paper "
-        "proposes none.",
+        "for stiffness and damping; the paper "
+        "proposes no compensation.",
     ]

@@ -24,7 +24,7 @@ CONTACT_FORCE_N = 3000.0
 DURATION_S = 5.0
 RATE_HZ = 1000.0
 """Duration, s (one period of the command), and sample rate, Hz, which the paper does not state. The
-fitness sqrt(sum e^2) is over these samples.
+fitness sqrt(sum e^2) is the sum over all samples of this duration.
 """
 WRONG_BASIN_PERCENT = 20.0
 """Largest error of a parameter other than J above which a seed counts as converged to a wrong

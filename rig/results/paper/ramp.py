@@ -70,9 +70,8 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
     fig_9 = Exhibit(
         "fig_9",
         "Fig. 9: a position loop that should turn uniformly",
-        "The speed, or angle, of the regulator under a command of uniform motion: stick-slip "
-        "instead. For this reason the paper regards the conventional identification (eq. 14) as "
-        "impossible here.",
+        "The regulator is commanded to move uniformly, but sticks and slips. For this reason the "
+        "paper regards the conventional identification (eq. 14) as impossible for this regulator.",
         tuple(
             _words(f"{name}, {how}", track(recording))
             for name, pair in zip(names, pairs, strict=True)
@@ -97,7 +96,7 @@ def _words(what: str, t: Tracking) -> str:
     return (
         f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; "
         f"at rest "
-        f"{100.0 * t.waiting:.0f} % of the time in which it should move; {1e3 * t.at_end:+.3g} "
+        f"{100.0 * t.waiting:.0f} % of the time in which the command moves; {1e3 * t.at_end:+.3g} "
         f"mrad off at the end; "
         f"{t.energy:.0f} J electrical."
     )

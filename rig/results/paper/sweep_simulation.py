@@ -47,8 +47,9 @@ class Sweep:
         area: Impacted area A_s at the angle, m^2.
         steady_pressure: Steady pressure at that angle, Pa.
         uniform: Samples at the commanded speed.
-        rank_pressure: Spearman's rank correlation of current and pressure over these samples.
-        rank_area: Spearman's rank correlation of current and area.
+        rank_pressure: Spearman's rank correlation of current and pressure over the samples in
+            ``uniform``.
+        rank_area: Spearman's rank correlation of current and area over the samples in ``uniform``.
     """
 
     speed_deg_s: float

@@ -59,7 +59,7 @@ def remarks(found: Reproduction) -> list[str]:
     """Return remarks on the tables."""
     lines = [
         f"Literal bench: gear ratio 1, J as printed, no noise; {DURATION_S:g} s at {RATE_HZ:g} Hz "
-        f"per case; the fitness is over those samples.",
+        f"per case; the fitness is the sum over all samples of a case.",
         "omega_sf is 0.0577 in Table 1 and 0.0557 in the text; 0.0557 is simulated.",
     ]
     for method, runs in found.runs.items():

@@ -96,8 +96,8 @@ def exhibit(study: UniformStudy) -> Exhibit:
         "eq_14",
         "Eq. 14: the conventional method, friction from uniform motion",
         "J domega/dt = M_T - M_f(omega) = 0: the motor's torque at constant speed is the "
-        "friction. The paper calls this almost impossible here, because stick-slip prevents "
-        "uniform motion; it gives no figures.",
+        "friction. The paper calls this method almost impossible for the regulator, because "
+        "stick-slip prevents uniform motion; the paper gives no figures.",
         tuple(_words(gains, study.points[gains]) for gains in study.points)
         + _verdict(fits, study.truth),
         (

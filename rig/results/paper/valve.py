@@ -37,7 +37,7 @@ def exhibit() -> Exhibit:
         "Fig. 3: impacted and effective throat area",
         "The platform, and the schematic of the impacted area: d = 25 mm, D = 40 mm, b = 54 mm; "
         "the greatest throat is the sum of both areas; the valve turns from 0 to 30 deg. The "
-        "paper announces the curve, but does not print it.",
+        "paper announces the curve of the throat area, but does not print this curve.",
         (
             f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate has "
             f"left the opening at {clear:.2f} deg, by the paper at 30 deg; A_s + A_t = "

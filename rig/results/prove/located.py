@@ -47,10 +47,12 @@ def located(
 
     Returns:
         ``equation``: whether the mismatch is in the equation in which the effect shows;
-        ``coordinate``: whether it is over the coordinate of the catalogue; ``place``: whether it is
-        over this or an equivalent coordinate or, for effects of one recording, whether this
-        recording is listed with at most one other recording; ``found``: the coordinate found. All
-        are null if the diagnosis found no mismatch; the power curve shows these trials.
+        ``coordinate``: whether the mismatch is over the coordinate of the catalogue; ``place``:
+        whether the
+        mismatch is over this coordinate or an equivalent coordinate, or, for effects of one
+        recording, whether the diagnosis lists this recording with at most one other recording;
+        ``found``: the coordinate found. All four values are null if the diagnosis found no
+        mismatch; the power curve shows these trials.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
     if diagnosis["verdict"] in ("nothing_missing", REFUSED) or where is None:

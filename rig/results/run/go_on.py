@@ -15,8 +15,8 @@ NOT_READ_BACK = (
     "drive is off"
 )
 NEW_RUN = (
-    "if the bench or sequence file is changed for this, start a new run: a run can continue "
-    "only with unchanged files"
+    "if a remedy changes the bench or sequence file, start a new run: a run can continue only "
+    "with unchanged files"
 )
 _FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
 _BY_FILE = frozenset(

@@ -60,10 +60,10 @@ def _explanations(found: Simulation) -> Iterator[str]:
     yield from _left_out(found)
     if found.cases:
         yield (
-            "The loop is simulated from the first sample on; its inputs are only the command, the "
-            "supply and the declared loads."
+            "The closed loop is simulated from the first sample on; its inputs are only the "
+            "command, the supply and the declared loads."
         )
-        yield f"Errors of angle are over all samples; those of torque {at}."
+        yield f"Errors of angle are over all samples; errors of torque are {at}."
 
 
 def _left_out(found: Simulation) -> list[str]:

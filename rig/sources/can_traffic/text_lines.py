@@ -53,7 +53,9 @@ class Lines:
             self.number += 1
             if not text.endswith("\n"):
                 if text.strip():
-                    self.notes.append(f"line {self.number} has no end: dropped, it may be cut off")
+                    self.notes.append(
+                        f"line {self.number} has no line end and may be cut off: line dropped"
+                    )
                 return
             yield text
 

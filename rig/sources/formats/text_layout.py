@@ -171,8 +171,8 @@ def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
 
     Args:
         cells: Cells of the first line.
-        below: Cells of the next line with content. If there are two columns, the line counts as a
-            header only if these cells have decimals.
+        below: Cells of the next line with content. If there are two columns, the first line counts
+            as a header only if these cells of the next line have decimals.
     """
     if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
         return False

@@ -146,7 +146,7 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     page.press("#mass", "Enter")
     expect(page.locator("#prompt")).to_be_hidden()
     page.click("#pause")
-    expect(page.locator("#pause")).to_have_text("Pause is asked for: take it back")
+    expect(page.locator("#pause")).to_have_text("Cancel the requested pause")
     expect(page.locator("#told")).to_contain_text("Paused after stage empty; the drive is off")
     expect(page.locator("#go-on")).to_be_visible()
     shoot(page, "pause")

@@ -41,13 +41,13 @@ def test_a_command_survives_its_encoding() -> None:
     [
         ({}, 0, None),
         ({"run": "another"}, 0, "another run"),
-        ({}, NOW, "received before"),
+        ({}, NOW, "already received"),
         ({}, NOW - 1, None),
         ({"number": NOW + 1}, 0, "future"),
         ({"number": NOW - STALE_NS}, 0, None),
         ({"number": NOW - STALE_NS - 1}, 0, "5.0 s old"),
         ({"number": NOW - 100 * NS, "command": Command.STOP}, 0, None),
-        ({"number": NOW, "command": Command.STOP}, NOW, "received before"),
+        ({"number": NOW, "command": Command.STOP}, NOW, "already received"),
         ({"run": "another", "command": Command.STOP}, 0, "another run"),
     ],
 )

@@ -90,7 +90,7 @@ def test_a_replayed_stop_is_no_second_press(bound: Bound) -> None:
     assert bound.sent(order)["taken"]
     again = bound.sent(order)
     assert not again["taken"]
-    assert "received before" in again["words"]
+    assert "already received" in again["words"]
     assert bound.stop.presses_now() == 1
     assert bound.sent(bound.peer.order("stop"))["taken"]
     assert bound.stop.presses == 2
@@ -107,7 +107,7 @@ def test_pause_is_asked_for_and_taken_back(bound: Bound) -> None:
     assert bound.stop.pausing
     assert bound.sent(bound.peer.order("no pause"))["taken"]
     assert not bound.stop.pausing
-    assert bound.said == ["pause asked for, by a test"] * 2 + ["no pause, by a test"]
+    assert bound.said == ["pause requested, by a test"] * 2 + ["no pause, by a test"]
 
 
 @pytest.mark.parametrize("data", [b"\x00", b"[]", b"{" + b" " * LONGEST_BYTES + b"}", b"{}"])

@@ -177,7 +177,7 @@ def test_a_page_without_contact_and_a_repeated_command_make_nothing(desk: Desk) 
     answer = desk.post("/compare", {"runs": ["mine-01", "mine-02"], "page": "gone"})
     assert (answer[0], "not connected" in words(answer)) == (409, True)
     answer = desk.post("/trend", {"constant": "Mc", "number": 0})
-    assert "received before" in words(answer)
+    assert "already received" in words(answer)
 
 
 @pytest.mark.parametrize(

@@ -205,7 +205,7 @@ def test_a_replayed_command_of_a_page_is_refused(console: Served, page: Page) ->
     content = {"page": page.key, "number": 7}
     assert console.request("POST", "/controls", content)[0] == 200
     status, text, _ = console.request("POST", "/controls", content)
-    assert (status, "received before" in text) == (409, True)
+    assert (status, "already received" in text) == (409, True)
     assert console.request("POST", "/controls", {"page": page.key, "number": 6})[0] == 409
     assert console.request("POST", "/controls", {"page": page.key, "number": 8})[0] == 200
 

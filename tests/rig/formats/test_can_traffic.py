@@ -356,7 +356,7 @@ def test_an_asc_file_without_its_usual_head_loses_no_frame(tmp_path: Path) -> No
     same(found.read([found.names.index("Motion.Turns")])[0], np.arange(100) * 0.5 - 100)
     words = "the time stamps count from the previous event: summed to times since the start"
     assert words in found.notes
-    assert "line 103 has no end: dropped, it may be cut off" in found.notes
+    assert "line 103 has no line end and may be cut off: line dropped" in found.notes
 
 
 def test_a_blf_file_that_was_cut_off_is_said(tmp_path: Path) -> None:

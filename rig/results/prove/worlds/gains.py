@@ -41,7 +41,8 @@ def gains(world: World) -> Gains:
     """Return the gains of the drive, or of the host that computes the drive's torque.
 
     A ``pd`` loop needs an angle error to overcome the static friction. This angle error is
-    inversely proportional to the gain; the gain is chosen so that the error is a third of the
+    inversely proportional to the gain of the position loop; the gain is chosen so that the angle
+    error is a third of the
     amplitude of the smallest motion if the bandwidth of the position loop is 1 Hz.
     """
     drive, motor, J = world.drive, world.motor, world.constants.J

@@ -51,8 +51,8 @@ class Load(NamedTuple):
     Attributes:
         moment: Moment of the contact force, N m.
         inertia: Inertia of known masses, kg m^2.
-        hung: Greatest torque of a weight that turns with the joint, N m.
-        zero: Angle at which this weight hangs straight down, rad.
+        hung: Greatest torque of the weight that turns with the joint, N m.
+        zero: Angle at which the weight that turns with the joint hangs straight down, rad.
         steady: Torque that does not depend on the angle, N m.
     """
 

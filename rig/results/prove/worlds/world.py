@@ -282,7 +282,8 @@ class World:
         """Return stiffness, N m/rad, and damping, N m s/rad, of the law that the host computes.
 
         A position loop needs an angle error to overcome the static friction. This angle error is
-        inversely proportional to the gain; the gain is chosen so that the error is a third of the
+        inversely proportional to the gain of the position loop; the gain is chosen so that the
+        angle error is a third of the
         amplitude of the smallest motion if the bandwidth of the loop is 1 Hz. The rate of the host
         limits the gain.
         """

@@ -24,12 +24,12 @@ flatten the curve.
 
 @dataclass(frozen=True)
 class Panel:
-    """One chart: its channels, and the limit on each side in SI units, if there is one.
+    """One chart of a run: its channels, and its upper and lower limit in SI units, if any.
 
     Attributes:
-        title: What it shows.
+        title: Title of the chart.
         unit: Unit of the chart.
-        scale: Scale from SI to that unit.
+        scale: Factor from the SI unit to ``unit``.
         channels: Names of the curves by their columns; the limits are those of the first curve.
         checks: Checks whose trips the chart shows.
         upper: Upper limit.

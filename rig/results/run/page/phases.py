@@ -121,7 +121,7 @@ def moment_of(
         record: ``run.json``.
         tail: The end of the last recording.
         segments: Excitations of the recording.
-        events: Its events.
+        events: Events of the last recording.
     """
     last = float(tail.time[-1])
     words = record.state

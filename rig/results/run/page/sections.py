@@ -157,8 +157,8 @@ def whole(recorded: Recorded) -> Iterator[str]:
     axis = TimeAxis(_powered(traces))
     shades = _shades(found, numbered=True)
     words = (
-        f"{traces.count} samples. Each column of a chart shows the least and the greatest of "
-        f"its samples. "
+        f"{traces.count} samples. Each column of a chart shows the least and the greatest "
+        f"value of the samples in its time interval. "
     )
     words += f"Grey: the drive was off{', which is not drawn to scale' if axis.pauses else ''}. "
     yield f'<p class="note">{escape(words + _limits_words(recorded))}</p><div class="pair">'
