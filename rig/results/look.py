@@ -39,7 +39,7 @@ def _clock_words(look: Look) -> str:
         words.append(f"{1.0 / clock.period:.6g} Hz (median period {clock.period:.4g} s)")
     if clock.high - clock.low > 0.05 * abs(clock.period):
         words.append(f"uneven: 90 % of the steps from {clock.low:.4g} to {clock.high:.4g} s")
-        words.append(f"{clock.gaps} gaps, the longest step {clock.longest:.4g} s")
+    words.append(f"{clock.gaps} gaps, the longest step {clock.longest:.4g} s")
     words += [f"{clock.backwards} steps backwards"] if clock.backwards else []
     words += [f"{clock.repeated} repeated"] if clock.repeated else []
     return ", ".join(words)

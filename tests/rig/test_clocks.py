@@ -33,7 +33,7 @@ def test_what_is_found_is_told() -> None:
     host = time + np.where(np.arange(len(time)) % 100 == 0, 3e-3, 3e-4)
     notes = describe(time, host, time * (1.0 + 40e-6), time * (1.0 - 10e-6))
     assert notes == [
-        "2 gaps, 4 samples lost, the longest 4 ms",
+        "2 gaps, 4 samples lost, the longest gap 4 ms",
         "1 % of the answers came more than one period late",
         "the drive's clock runs +40.0 ppm against the host's",
         "the encoder's clock runs -50.0 ppm against the drive's",

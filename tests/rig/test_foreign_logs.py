@@ -121,7 +121,7 @@ def test_a_windows_nan_is_missing_and_does_not_end_its_row(tmp_path: Path) -> No
     recording = load(tmp_path, HEAD + "\n".join(lines))
     np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
     assert abs(recording.channels["current"][100] - CURRENT[100]) < 0.05
-    assert any("-1.#IND taken as missing" in note for note in recording.notes)
+    assert any("-1.#IND read as missing" in note for note in recording.notes)
 
 
 def test_decimal_commas_in_quotes_between_commas(tmp_path: Path) -> None:
@@ -137,7 +137,9 @@ def test_rows_of_another_topic_are_dropped_and_counted(tmp_path: Path) -> None:
         lines += [",".join([*row, ""]), f"{float(row[0]) + 4e-4!r},,,,1.0"]
     recording = load(tmp_path, "t,i,m,q,other\n" + "\n".join(lines))
     is_truth(recording)
-    assert recording.notes == ("300 rows dropped that contain only a time",)
+    assert recording.notes == (
+        "300 rows dropped that contain only a time, probably rows of another topic",
+    )
 
 
 def test_channels_of_two_topics_are_named(tmp_path: Path) -> None:
@@ -370,7 +372,7 @@ def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
     # A compressor gives back whole blocks only.
     assert 0.3 * N * share < count <= N
     np.testing.assert_array_equal(recording.channels["angle"], ANGLE[:count])
-    assert f"cut off: its {count} messages" in recording.notes[0]
+    assert f"cut off: its {count} complete messages" in recording.notes[0]
 
 
 def test_an_mcap_damaged_inside_or_cut_in_its_first_chunk_is_refused(tmp_path: Path) -> None:

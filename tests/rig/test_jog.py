@@ -111,7 +111,7 @@ def test_a_bus_that_dies(fake_bench: Any) -> None:
 @pytest.mark.parametrize(
     ("angles", "speed", "words"),
     [
-        ((31.0, -40.0), 5.0, "--to 31: outside the bench's -30 to 30 deg"),
+        ((31.0, -40.0), 5.0, "--to 31: outside the bench's range -30 to 30 deg"),
         ((0.0,), 31.0, "--speed 31: must be above 0 and at most 30 deg/s"),
         ((0.0,), 0.0, "--speed 0: must be above 0"),
         ((float("nan"),), 5.0, "--to nan: outside"),

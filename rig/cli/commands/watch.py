@@ -123,4 +123,4 @@ def _announce(offer: Offer, record: RunRecord, port: int) -> None:
         click.echo(_NO_TOKEN)
     else:
         click.echo("PlotJuggler: its client cannot send a token; give this command --no-token")
-        click.echo("read only; Ctrl-C ends this command")
+    click.echo("read only; Ctrl-C ends this command")
