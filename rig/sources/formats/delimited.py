@@ -65,7 +65,7 @@ class DelimitedTable(Table):
                 skipped = [text for text in islice(stream, options.skip_rows) if text.strip()]
                 head = _head(stream, options.skip_rows)
         except _READ_ERRORS as error:
-            raise damaged(path, error, "check that it was copied whole") from error
+            raise damaged(path, error, "check that the file was copied completely") from error
         if not head:
             where = f" after the {options.skip_rows} skipped lines" if options.skip_rows else ""
             raise InputError(f"{path}: the file is empty{where}")
@@ -163,7 +163,7 @@ class DelimitedTable(Table):
         except ValueError:
             table = self._read_tolerant(columns)
         except _READ_ERRORS as error:
-            raise damaged(self.path, error, "check that it was copied whole") from error
+            raise damaged(self.path, error, "check that the file was copied completely") from error
         if table.size == 0:
             raise InputError(f"{self.path}: no rows of numbers below line {self._skip}")
         return [table[:, k] for k in range(len(columns))]

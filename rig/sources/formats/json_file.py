@@ -55,7 +55,7 @@ class JsonTable(Table):
             with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
                 text = stream.read()
         except (OSError, EOFError, zlib.error) as error:
-            raise damaged(path, error, "check that it was copied whole") from error
+            raise damaged(path, error, "check that the file was copied completely") from error
         try:
             found = list(self._tables(parse(text), "", 0))
         except (ValueError, RecursionError) as error:

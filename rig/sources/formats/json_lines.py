@@ -34,7 +34,7 @@ class JsonLinesTable(Table):
                     if text.strip():
                         self._take(line, text)
         except (OSError, EOFError, zlib.error) as error:
-            raise damaged(path, error, "check that it was copied whole") from error
+            raise damaged(path, error, "check that the file was copied completely") from error
         self.names = tuple(dict.fromkeys(field for row in self._rows for field in row))
         if not self.names:
             raise InputError(f"{path}: no JSON object contains a number")

@@ -36,7 +36,7 @@ class ParquetTable(Table):
             with open_binary(path) as stream:
                 self.names = tuple(parquet.read_schema(stream).names)
         except (self._arrow.ArrowException, OSError, EOFError) as error:
-            raise damaged(path, error, "check that it was copied whole") from error
+            raise damaged(path, error, "check that the file was copied completely") from error
 
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`."""
@@ -45,7 +45,7 @@ class ParquetTable(Table):
             with open_binary(self.path) as stream:
                 table = self._parquet.read_table(stream, columns=names)
         except (self._arrow.ArrowException, OSError, EOFError) as error:
-            raise damaged(self.path, error, "check that it was copied whole") from error
+            raise damaged(self.path, error, "check that the file was copied completely") from error
         return [self._numbers(name, table.column(name)) for name in names]
 
     def _numbers(self, name: str, column: Any) -> Array:

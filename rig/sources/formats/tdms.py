@@ -159,7 +159,7 @@ class TdmsTable(Table):
             raise
         except _DAMAGED as error:
             raise damaged(
-                self.path, error, "check that it was copied completely, or save it again"
+                self.path, error, "check that the file was copied completely, or save it again"
             ) from error
         for words in said:
             if _UNSUPPORTED in words:
