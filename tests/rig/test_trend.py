@@ -125,7 +125,7 @@ def test_one_constant_alone_is_judged_as_among_all() -> None:
     assert "Mc, run by run" in shown
     assert "2026-11-06 08:00" in shown
     (quiet,) = histories(ROOT, entries, only="J")
-    assert "J did not change beyond" in text(trend_document([quiet]))
+    assert "J did not change by more than" in text(trend_document([quiet]))
 
 
 def test_the_figure_has_the_number_that_a_run_has_in_the_history() -> None:
