@@ -118,7 +118,7 @@ def latency(
     """Press STOP in many runs, each at a random moment of its motion; return a row of the table."""
     chance = random.Random(0)
     off, answered, device = [], [], []
-    phases, unverified, unconfirmed, ended = Counter[str](), 0, 0, 0
+    phases, unverified, unconfirmed, faults, ended = Counter[str](), 0, 0, 0, 0
     parts: list[list[float]] = [[], [], []]
     with started(bench, presses, realtime, False, making, wire) as desk:
         for _ in range(presses):
@@ -143,8 +143,9 @@ def latency(
                 part.append((finish - begin) * 1e-6)
             answered.append((taken - pressed) * 1e-6)
             phases[end["phase"]] += 1
+            unverified += not end["verified"]
+            faults += end["ending"] != "stopped"
             if not end["verified"] or end["ending"] != "stopped":
-                unverified += 1
                 print(end["message"], file=sys.stderr)
             if wire is not None:
                 after_s = wire.account().off_after_s(pressed)
@@ -159,6 +160,7 @@ def latency(
         *("{:.0f}, {:.0f}".format(*np.percentile(part, (50, 99))) for part in parts),
         str(unverified),
         str(unconfirmed),
+        str(faults),
         str(ended),
         str(len(desk.made)),
         ", ".join(f"{name} {n}" for name, n in phases.most_common()),
@@ -175,7 +177,7 @@ def latencies(given: argparse.Namespace) -> None:
         rows.append(latency(name, given.presses, given.realtime, given.making))
     heads = ["bench", "time", "presses", "p50 ms", "p99 ms", "most ms", "at the device p99"]
     heads += ["answer p99 ms", "to the loop p50, p99", "ramp", "off and read back"]
-    heads += ["not off", "not confirmed", "ended before", "pages made", "phases"]
+    heads += ["not off", "not confirmed", "fault meanwhile", "ended before", "pages made", "phases"]
     print(table(heads, rows, right=list(range(2, len(heads) - 1))))
     _print_load()
 
