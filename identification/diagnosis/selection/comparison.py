@@ -143,6 +143,7 @@ def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
         "V": voltage,
         "ohm": voltage / current,
         "K/W": 1.0 / (voltage * current),
+        "kg": mass,
         "N m": torque,
         "N m/s": torque,
         "1/rad": 1.0 / angle,

@@ -66,3 +66,18 @@ def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> Non
         beyond.append(implausible(replace(joint, effects=(effect,), equations=equations)))
     assert beyond[0].startswith("slope_per_rad 4, outside its plausible range")
     assert not beyond[1]
+
+
+def test_the_plausible_mass_grows_with_the_weights_of_the_bench() -> None:
+    joint = nominal_fit(honest())
+    effect = Added(TERM["wrong_weight"], (2.0,), (0.5,))
+    masses = {1.0: False, 10.0: True}
+    for scale, plausible in masses.items():
+        views = tuple(
+            replace(v, recording=replace(v.recording, weight_mass=scale * v.recording.weight_mass))
+            for v in joint.equations[0].views
+        )
+        equations = tuple(replace(e, views=views) for e in joint.equations)
+        heavy = replace(effect, term=replace(effect.term, read=lambda *_: {"mass_kg": 300.0}))
+        reason = implausible(replace(joint, effects=(heavy,), equations=equations))
+        assert (reason == "") == plausible
