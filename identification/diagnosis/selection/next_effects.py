@@ -28,16 +28,34 @@ each.
 """
 
 
-def best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the best candidate of each effect that is not negligible, best first."""
-    best: dict[str, Candidate] = {}
+def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Term]) -> list[Candidate]:
+    """Return the best candidate of each effect that is not negligible, best first.
+
+    Args:
+        candidates: Candidates of all effects.
+        terms: Terms of the candidates, by name.
+    """
+    each: dict[str, list[Candidate]] = {}
     for candidate in candidates:
-        if candidate.name not in best or candidate.score > best[candidate.name].score:
-            best[candidate.name] = candidate
+        each.setdefault(candidate.name, []).append(candidate)
+    best = [max(c, key=lambda c: _rank(c, terms[c.name])) for c in each.values()]
     return sorted(
-        (c for c in best.values() if c.score > 0.0 and c.share > RULES.least_share),
+        (c for c in best if c.score > 0.0 and c.share > RULES.least_share),
         key=lambda c: -c.score,
     )
+
+
+def _rank(candidate: Candidate, term: Term) -> float:
+    """Return by what the trials of one effect are compared: the score, and for an effect whose
+    nonlinear parameters determine its size, the score at this size.
+
+    The score has a free coefficient, so that all delays far below the time of a motion score alike.
+    A fit starts from the trial and searches nearby: it needs the trial of the right size.
+    """
+    if term.size is None or candidate.score <= 0.0:
+        return candidate.score
+    short = 1.0 - term.size / float(candidate.coefficients[0])
+    return candidate.score - candidate.gain * short**2
 
 
 def finalist_groups(

@@ -226,7 +226,7 @@ def _next_effect(
         steps: Steps so far; the new step is appended.
     """
     baseline, joint = fits
-    best = best_of_each(test.trials)
+    best = best_of_each(test.trials, case.terms)
     if case.options.thorough and not joint.effects:
         tried = [*best[: RULES.finalists], *unscored(joint, case.terms, best)]
         tell(tried)

@@ -16,7 +16,12 @@ from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.diagnosis.selection.comparison import preference
-from identification.diagnosis.selection.next_effects import TRIALS, finalist_groups, unscored
+from identification.diagnosis.selection.next_effects import (
+    TRIALS,
+    best_of_each,
+    finalist_groups,
+    unscored,
+)
 from identification.diagnosis.selection.removal import (
     left_beyond_noise,
     share_equation,
@@ -288,3 +293,29 @@ def test_a_slip_in_one_short_recording_is_a_candidate() -> None:
     assert best.shape[0] == 1.0
     assert abs(best.coefficients[0]) == pytest.approx(2e-3, rel=0.1)
     assert best.gain > 0.5 * left_beyond_noise(joint, BY_NAME["encoder_slip"])
+
+
+def test_the_trial_of_an_effect_has_the_size_that_its_coefficient_states() -> None:
+    """Delays far below the time of the motion score alike, and a fit searches near its trial."""
+    joint = nominal_fit(honest())
+    context = Context(joint.equations[0].views, joint.nominal)
+    term = BY_NAME["time_skew"]
+    alike = [
+        Candidate(
+            "time_skew",
+            shape,
+            np.array([0.002 / shape[0]]),
+            gain=1000.0 + shape[0],
+            penalty=1.0,
+            statistic=50.0,
+            blocks=np.zeros((0, 1)),
+            weights=np.zeros((0, 1, 1)),
+            share=1.0,
+        )
+        for shape in term.shapes(context)
+        if shape[0] > 0.0
+    ]
+    (best,) = best_of_each(alike, {"time_skew": term})
+    assert best.shape[0] == pytest.approx(0.002, rel=0.5)
+    (longest,) = best_of_each(alike, {"time_skew": replace(term, size=None)})
+    assert longest.shape[0] == max(c.shape[0] for c in alike)
