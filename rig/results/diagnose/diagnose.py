@@ -78,9 +78,8 @@ def diagnose_source(
         progress: Called with the current step and the completed share.
         refine: Whether to refine the nominal parameters: if nothing is missing, the values are
             those of ``rig identify``; if physics is missing, the parameters are fitted again by
-            prediction errors,
-            with the effects subtracted, for at most :data:`REFINED_SAMPLES` samples. The parameters
-            of a gas generator are always fitted again.
+            prediction errors, with the effects subtracted, for at most :data:`REFINED_SAMPLES`
+            samples. The parameters of a gas generator are always fitted again.
         gas: Whether to diagnose the gas generator although the recordings have torque too;
             recordings without a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas
