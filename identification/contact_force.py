@@ -15,9 +15,10 @@ from identification.signals import resample
 def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return F_P on ``grid``, N, shape (n,).
 
-    The force is the `load_force` channel if there is one. In a hot firing the force is (p_g - p_c0)
-    A_s(theta_r) of eq. 10, from the `pressure` channel, and zero if p_g is below p_c0. In all other
-    cases the force is that of the weight, eq. 17.
+    If the recording has a `load_force` channel, F_P is this channel. Otherwise, in a hot firing,
+    F_P is (p_g - p_c0) A_s(theta_r) (eq. 10), with the pressure p_g of the `pressure` channel; F_P
+    is zero where p_g is below the downstream pressure p_c0. In all other cases F_P is the force of
+    the weight (eq. 17).
 
     Args:
         recording: The recording.
@@ -34,8 +35,8 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
         return np.full(len(grid), recording.contact_force)
     if generator is None:
         raise RecordingError(
-            f"{recording.name}: F_P = (p_g - p_c0) A_s of a hot firing needs valve and p_c0 of "
-            f"bench.gas_generator"
+            f"{recording.name}: the contact force of a hot firing, F_P = (p_g - p_c0) A_s, is "
+            "computed from valve and p_c0 of bench.gas_generator, which the bench does not have"
         )
     pressure = resample(recording.time, recording.channels["pressure"], grid)
     return np.asarray(

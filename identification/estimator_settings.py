@@ -1,8 +1,8 @@
 """Settings of the default estimator, as frozen records with their units; (M...) are equations of
 docs/method.md.
 
-:data:`DEFAULT` are the settings of ``rig identify``; the intervals were verified with them. Other
-settings are for studies and tests.
+:data:`DEFAULT` are the settings of ``rig identify``; the coverage of its 90 % intervals was
+verified with these settings. Other settings are for studies and tests.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ class AcceptanceLimits:
         repeating_share: Greatest repeating share of the correlated noise (M26).
         chi2: Greatest chi-square of the estimating equations of the unloaded fit (M29).
         drop: Greatest drop of the likelihood of the loaded fit, as deviance (M24).
-        error_ratio: Greatest ratio of the equation error to the start values'; it reaches 1.14 at
-            true values.
+        error_ratio: Greatest ratio of the equation error at the refined values to the equation
+            error at the start values; at the true values of simulated benches the ratio reaches
+            1.14.
     """
 
     whiteness: float = 0.15
@@ -37,19 +38,22 @@ class ReplicateSettings:
     """Settings of the Monte Carlo bias correction by simulated replicates (M33 to M36).
 
     Attributes:
-        pairs: Number of noise series at first; each is used with both signs.
-        most_pairs: Greatest number of noise series, where the bias is uncertain.
+        pairs: Number of noise series in the first round; each series is simulated with both signs.
+        most_pairs: Greatest number of noise series, used if the bias is uncertain.
         uncertain: Standard error of the bias, in standard errors of the estimate, above which more
             noise series are simulated.
-        tried: Greatest number of pairs tried; replicates fail where the filter diverges.
-        enough: Least number of pairs that succeed; with fewer there is no correction.
-        large: Bias, in standard errors, above which the simulation is repeated at corrected values.
-        turns: Greatest number of such simulations.
-        unseen: Logged share of the noise variance that is assumed where the recordings do not show
-            it (M34).
-        headroom: Assumed torque limit of the drive, over the greatest torque in the recordings.
-        farthest: Step, in standard deviations, above which the filter counts as diverged and the
-            replicate is dropped.
+        tried: Greatest number of pairs of replicates that are tried; a replicate fails if the
+            filter diverges.
+        enough: Least number of pairs that succeed; with fewer pairs the bias is not corrected.
+        large: Bias, in standard errors of the estimate, above which the replicates are simulated
+            again at the corrected values.
+        turns: Greatest number of rounds of simulation, the first round included.
+        unseen: Logged share of the noise variance (M34) that is assumed if the recordings do not
+            determine this share.
+        headroom: Ratio of the assumed torque limit of the drive to the greatest torque in the
+            recordings.
+        farthest: Step of the estimate of a replicate, in standard deviations, above which the
+            filter counts as diverged and the replicate is dropped.
     """
 
     pairs: int = 3

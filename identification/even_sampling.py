@@ -1,8 +1,8 @@
 """Even sampling: missing or late samples of a recording are interpolated and marked.
 
-The Kalman filter runs from sample to sample with one period. On a sound bench few samples are lost
-or late, and such gaps are short; torque and angle are nearly linear across them. Callers leave out
-longer gaps.
+The Kalman filter runs from sample to sample with one period. On a bench without faults few samples
+are lost or late, and gaps are short; torque and angle are nearly linear across a short gap. The
+callers of this module omit the samples in longer gaps.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from identification.recording import Recording
 from identification.signals import quantum
 
 OFF_GRID = 0.01
-"""Distance from the grid, in periods, up to which a sample is on it."""
+"""Greatest distance of a time stamp from its time on the grid, in periods."""
 MOST_FILLED = 0.1
-"""Greatest share of the grid that may be interpolated; above it the sampling counts as uneven."""
+"""Greatest share of interpolated samples; above this share the sampling counts as uneven."""
 SHORT_HOLE = 3
-"""Most samples in a row that are interpolated and used."""
+"""Greatest number of missing samples in a row that are interpolated and used."""
 _COUNTED = ("angle", "motor_angle")
 
 
 def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
-    """Return the recording on its even grid and a mask of the samples in gaps too long to use; None
-    where the sampling is uneven.
+    """Return the recording with evenly spaced samples, and a mask of the samples in gaps that are
+    too long to be used; None if the sampling is uneven.
 
     The grid is fitted to all time stamps, because a grid with the median period would drift away
-    from them within seconds. An even recording is returned unchanged.
+    from the time stamps within seconds. A recording with even samples is returned unchanged.
     """
     time = recording.time
     steps = np.diff(time)
@@ -62,9 +62,10 @@ def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
 def _grid(
     time: Array, period: float
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
-    """Return the grid index of each sample, and origin and period of the line through their times.
+    """Return the grid index of each sample, and origin and period of the grid, s.
 
-    The line is fitted twice, the second time without the samples that are far from the line.
+    Origin and period are those of a straight line of time stamp over index. The line is fitted
+    twice, the second time without the samples that are far from the first line.
     """
     index = np.concatenate(
         ([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))
@@ -82,7 +83,7 @@ def _grid(
 
 
 def _long(missing: BoolArray) -> BoolArray:
-    """Return only the marks in runs longer than :data:`SHORT_HOLE`."""
+    """Return the marks in runs of more than :data:`SHORT_HOLE` missing samples."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], missing.astype(np.int64), [0]))))
     out = np.zeros(len(missing), dtype=bool)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):

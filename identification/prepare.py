@@ -2,8 +2,8 @@
 bandwidth.
 
 Torque and regressors must pass the same filter, or every parameter is biased. The filter is a
-symmetric FIR filter, so that the outputs that depend on a sample at rest are known and can be
-omitted: at rest friction follows no equation.
+symmetric FIR filter, whose outputs depend on a known range of samples. Outputs that depend on a
+sample at rest are omitted, because at rest friction is not a function of speed.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from identification.signals import (
 )
 
 POSITION_BANDWIDTH = 2.5
-"""Cut-off of the filter on position over the stated bandwidth (EMPS practice: 100 Hz and 40 Hz)."""
+"""Ratio of the position filter's cut-off to the bandwidth (EMPS benchmark: 100 Hz, 40 Hz)."""
 DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
-"""Default bandwidth over the sample rate, where encoder quantisation does not require less."""
+"""Ratio of the default bandwidth to the sample rate, unless quantisation requires a lower one."""
 SLOW_BANDWIDTH_HZ = 20.0
-"""Bandwidth of slowly sampled recordings, up to a sixth of their rate; servo motion has content up
-to this frequency.
+"""Default bandwidth of slowly sampled recordings, at most a sixth of their sample rate; the motion
+of a servo drive has components up to about 20 Hz.
 """
 RATE_TOLERANCE = 1e-6
-"""Share of the rate by which rounded time stamps may lower it."""
+"""Greatest relative error of the sample rate due to rounded time stamps."""
 IRREGULAR, STANDS_OUT = 0.25, 8.0
-"""Least difference of an irregular sample interval from the period: as a share of the period, and
-over the usual difference.
+"""Least deviation of an irregular sample interval from the median interval: as a share of the
+median interval, and as a multiple of the median absolute deviation.
 """
 LEAST_CLEAN = 0.1
-"""Least share of the moving samples that must remain for those near late or missing samples to be
-removed.
+"""Samples near a late or missing sample are removed only if at least this share of the moving
+samples remains.
 """
 REST_SAMPLES = 8
-"""Samples over which the angle changes by no more than one step of its encoder that count as
-rest.
+"""Number of successive samples over which the angle of a joint at rest changes by at most one
+encoder step.
 """
 
 
@@ -56,25 +56,26 @@ rest.
 class Prepared:
     """The signals of one recording for the equation error.
 
-    Arrays have shape (n,), are in SI units at the joint, and have all passed the same filter.
+    Arrays have shape (n,), are in SI units at the joint, and have passed the same filter;
+    ``raw_velocity`` and ``raw_load`` have not.
 
     Attributes:
-        recording: The recording it was made from.
+        recording: The recording from which the signals were computed.
         time: s.
         angle: rad.
         velocity: rad/s.
         acceleration: rad/s^2.
-        torque: Drive torque plus that of the known loads, less what their inertia takes, N m; A
-            where no torque constant is known.
+        torque: Drive torque plus the torque of the known loads, less the inertia torque of these
+            loads, N m; A if no torque constant is known.
         drive_torque: Drive torque alone, N m.
         moment: Contact moment F_P L1, which multiplies m_L in eq. 13, N m; zero when unloaded.
-        used: Samples in motion whose filter window contains no sample at rest and none near a late
-            or missing one.
-        bandwidth_Hz: Bandwidth of all these series.
+        used: Mask of the samples in motion whose filter window contains no sample at rest and no
+            sample near a late or missing sample.
+        bandwidth_Hz: Bandwidth of the filter.
         filter: The filter, to be applied to regressors that are not linear in the velocity.
-        raw_velocity: Velocity before that filter, rad/s, shape (m,), from which such regressors are
-            formed.
-        raw_load: Magnitude of the known loads' torque before that filter, N m, shape (m,).
+        raw_velocity: Velocity before the filter, rad/s, shape (m,), for regressors that are not
+            linear in the velocity.
+        raw_load: Magnitude of the known loads' torque before the filter, N m, shape (m,).
     """
 
     recording: Recording
@@ -102,8 +103,8 @@ def joint_angle(recording: Recording) -> Array | None:
     """Return the joint angle from the finer of the two encoders, rad, or None if neither was
     recorded.
 
-    The motor angle is divided by the gear ratio (assumption 5) and shifted to the joint encoder's
-    zero.
+    A motor angle is divided by the gear ratio (assumption 5) and shifted to the zero of the joint
+    encoder.
     """
     channels = recording.channels
     joint = channels.get("angle")
@@ -118,7 +119,9 @@ def joint_angle(recording: Recording) -> Array | None:
 
 
 def finer_joint(recording: Recording) -> bool:
-    """Whether the joint encoder was recorded and is finer than the motor encoder at the joint."""
+    """Whether the joint angle was recorded, and with finer steps than a recorded motor angle has at
+    the joint.
+    """
     joint, motor = (recording.channels.get(name) for name in ("angle", "motor_angle"))
     if joint is None or motor is None:
         return joint is not None
@@ -126,12 +129,12 @@ def finer_joint(recording: Recording) -> bool:
 
 
 def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
-    """Return the drive's torque at the joint on ``grid``, N m (N on a linear bench, A without a
-    torque constant).
+    """Return the drive's torque at the joint on ``grid``, N m (N on a linear bench; A if the torque
+    constant is unknown).
 
-    The torque comes from the torque channel, else from the current, else from the voltage: I = (U -
-    Ke omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
-    ending at its time is shifted by half a period.
+    The torque is computed from the torque channel; without a torque channel from the current;
+    without a current from the voltage, with I = (U - Ke omega_motor)/R, and I = 0 while the power
+    stage is off. Averaged channels are shifted by half a period.
 
     Raises:
         RecordingError: No channel gives the torque.
@@ -161,7 +164,7 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
 
 
 def torque_unit(recording: Recording) -> str:
-    """Return the unit of the fit: N m, N on a linear bench, A where no torque constant is known."""
+    """Return the unit of torque in the fit: N m, N on a linear bench, A if Km is unknown."""
     if "torque" not in recording.channels and recording.bench.torque_constant is None:
         return "A"
     return unit_on(recording.bench.motion, "N m")
@@ -175,8 +178,8 @@ def drive_channel(recording: Recording) -> str:
 
 
 def volts_per_torque(recording: Recording) -> float | None:
-    """Return the armature voltage R I of one unit of joint torque, V, or None unless torque comes
-    from the voltage.
+    """Return the armature voltage R I for one unit of joint torque, V, if the torque is computed
+    from the voltage; else None.
     """
     if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
         return None
@@ -187,8 +190,9 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     """Mark runs of at least ``samples`` samples in which the angle changes by at most one encoder
     step.
 
-    Samples between two such runs are also marked if the encoder only flickers: the angle of these
-    samples, and of the next run, stays within one step of the angle at which the first run ended.
+    Samples between two such runs are also marked if the encoder only alternates between
+    neighbouring readings: the angles of these samples and of the second run lie within one step of
+    the last angle of the first run.
     """
     tolerance = max(1.01 * quantum(angle), 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0)
     if len(angle) <= samples:
@@ -215,8 +219,9 @@ def irregular(time: Array, grid: Array) -> BoolArray:
     """Mark grid samples at which the recording's own samples came too early, too late, or not at
     all.
 
-    In a real-time run a few cycles are late, and near them the joint accelerates faster than the
-    samples resolve. Where sampling is uneven throughout, nothing is marked.
+    In a real-time run a few control cycles are late, and near a late cycle the joint accelerates
+    faster than the samples resolve. If the sampling of the whole recording is uneven, no sample is
+    marked.
     """
     steps = np.diff(time)
     median = float(np.median(steps))
@@ -231,8 +236,8 @@ def irregular(time: Array, grid: Array) -> BoolArray:
 
 
 def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolArray:
-    """Return which outputs depend on neither ``bad`` nor ``rare`` samples; if too few outputs
-    remain, outputs that depend on ``rare`` samples are allowed.
+    """Return a mask of the outputs that depend on neither ``bad`` nor ``rare`` samples; if too few
+    such outputs remain, the mask includes outputs that depend on ``rare`` samples.
     """
     every = low_pass.untouched(bad)
     clean = low_pass.untouched(bad | rare)
@@ -240,20 +245,21 @@ def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolAr
 
 
 def widened(marks: BoolArray, samples: int) -> BoolArray:
-    """Return the marks widened by ``samples`` on either side, where a position filter mixes rest
-    and motion.
+    """Return the marks widened by ``samples`` on either side, where the outputs of a position
+    filter depend on samples at rest and in motion.
     """
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
     return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
 
 
 def default_bandwidth(recording: Recording) -> float:
-    """Choose a bandwidth, Hz: 1/25 of the rate (at slow rates 20 Hz or a sixth of the rate), or
-    less where encoder quantisation would dominate the acceleration.
+    """Return the default bandwidth, Hz: 1/25 of the sample rate (at slow rates 20 Hz or a sixth of
+    the rate), or less if encoder quantisation would dominate the acceleration.
 
-    White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12)
-    sqrt(2 b / (5 rate)); the bandwidth keeps this rms below a tenth of the rms of the acceleration
-    itself, estimated at the lowest bandwidth tried.
+    Quantisation noise of rms q/sqrt(12), with the quantum q, is taken as white. At a bandwidth b
+    its second derivative has the rms (2 pi b)^2 q/sqrt(12) sqrt(2 b / (5 rate)). The bandwidth is
+    the highest of those tried at which this rms is below a tenth of the rms of the acceleration at
+    that bandwidth.
     """
     rate = 1.0 / recording.period
     top = max(DEFAULT_SHARE_OF_RATE * rate, min(SLOW_BANDWIDTH_HZ, rate / 6.0))
@@ -275,12 +281,13 @@ def default_bandwidth(recording: Recording) -> float:
 
 
 def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared:
-    """Bring a recording to torque, velocity and acceleration on an even grid at one bandwidth.
+    """Compute torque, velocity and acceleration of a recording on an even grid at one bandwidth.
 
     Args:
         recording: Any recording with an angle or a velocity, and a torque, current or voltage.
-        bandwidth_Hz: Bandwidth; None chooses one. At 0.45 of the rate or more nothing is filtered,
-            and samples whose acceleration the rate cannot resolve are left out.
+        bandwidth_Hz: Bandwidth, or None for :func:`default_bandwidth`. From 0.45 of the sample rate
+            on nothing is filtered, and samples whose acceleration the sample rate does not resolve
+            are omitted.
 
     Raises:
         RecordingError: A needed channel is missing, the bandwidth exceeds half the rate, or the
@@ -328,26 +335,27 @@ def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz
     """Refuse a bandwidth that the recording's rate or length does not allow.
 
     Raises:
-        RecordingError: It exceeds half the rate, or the filter is longer than the recording.
+        RecordingError: The bandwidth is not between 0 and half the sample rate, or the filter is
+            longer than the recording.
     """
     if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state more "
-            f"than 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
+            f"bandwidth above 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
         )
     _, half = reach(rate, bandwidth_Hz)
     if samples < 2 * half + 8:
         raise RecordingError(
-            f"{recording.name}: {samples} samples are fewer than the {2 * half + 8} that a "
-            f"bandwidth of {bandwidth_Hz:.3g} Hz needs; state a higher bandwidth, or use a "
-            "longer recording"
+            f"{recording.name}: the recording has {samples} samples, but the filter for a "
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {2 * half + 8}; state a higher "
+            "bandwidth"
         )
 
 
 def _motion(
     recording: Recording, grid: Array, rate: float, cutoff: float
 ) -> tuple[Array, Array, BoolArray]:
-    """Return smoothed angle and smoothed velocity on ``grid``, and which samples are at rest."""
+    """Return smoothed angle and velocity on ``grid``, and a mask of the samples at rest."""
     position = joint_angle(recording)
     if position is not None:
         series = resample(recording.time, position, grid)
@@ -361,17 +369,17 @@ def _motion(
     velocity = smooth(raw, rate, cutoff)
     if position is None:
         series = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-        # A velocity within one step of the channel cannot be distinguished from rest.
+        # A velocity of at most one quantisation step cannot be distinguished from rest.
         still = np.asarray(np.abs(raw) <= 1.01 * quantum(recording.channels["velocity"]))
     return series, velocity, still
 
 
 def _unresolved(velocity: Array, rate: float) -> BoolArray:
-    """Mark samples where three-point and seven-point differences disagree: the rate does not
-    resolve the motion there.
+    """Mark samples at which three-point and seven-point differences disagree, because the sample
+    rate does not resolve the motion.
 
-    This test is used for exact channels, which are not filtered: near breakaway and stop their
-    speed changes within microseconds.
+    This test is used for channels without noise, which are not filtered: near a breakaway or a stop
+    their speed changes within microseconds.
     """
     fine = derivative(velocity, 1.0 / rate)
     steps = np.abs(np.diff(velocity, n=7, prepend=velocity[:4], append=velocity[-3:]))

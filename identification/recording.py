@@ -28,12 +28,12 @@ CHANNELS: Mapping[str, str] = {
     "pressure": "Pa",
     "enabled": "1",
 }
-"""Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N, but
-the angle of the motor is in rad).
+"""Canonical channels and their units on a rotary bench. On a linear bench m replaces rad and N
+replaces N m; only the angle of the motor stays in rad.
 
 ``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear;
-``motor_angle``, ``current`` and ``voltage`` at the motor; ``feedforward`` is added to the
-controller's output, in its unit.
+``motor_angle``, ``current`` and ``voltage`` are at the motor; ``feedforward`` is added to the
+controller's output and has the unit of this output.
 """
 
 
@@ -47,8 +47,8 @@ class Bench:
 
     Attributes:
         motion: ``rotary`` (rad, N m) or ``linear`` (m, N).
-        torque_constant: Km, N m/A at the motor shaft, or None if a torque channel is given or the
-            fit is in amperes.
+        torque_constant: Km, N m/A at the motor shaft, or None if the recordings have a torque
+            channel or the fit is in amperes.
         back_emf_constant: Ke, V s/rad of the motor shaft.
         resistance: R, ohm.
         inductance: L, H.
@@ -57,8 +57,8 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
-        gas_generator: Nominal constants of the valve (Fig. 3), the pressure behind it and the gas
-            generator (eq. 2 to 8); only hot firings need it.
+        gas_generator: Nominal constants of the valve (Fig. 3), the downstream pressure and the gas
+            generator (eq. 2 to 8); needed for hot firings only.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -91,7 +91,7 @@ class Pendulum:
     Attributes:
         mass: kg.
         length: m, from the axis to the centre of mass.
-        zero: rad, the joint angle at which it hangs straight down.
+        zero: rad, the joint angle at which the weight hangs straight down.
     """
 
     mass: float
@@ -152,15 +152,16 @@ class Controller:
 
 @dataclass(frozen=True)
 class Model:
-    """Terms fitted beyond the nominal nine parameters, and parameters that are fixed.
+    """Terms fitted in addition to the nine nominal parameters, and parameters that are not fitted.
 
     Attributes:
-        terms: Declared physics of the bench by catalogue name, or ``offset``; it is fitted, and a
-            diagnosis does not report it.
+        terms: Catalogue names of the effects that the bench is declared to have, or ``offset``;
+            declared terms are fitted, and a diagnosis does not report them.
         fixed: Parameters that are not fitted: name to value.
         priors: Parameters known with an uncertainty: name to value and standard deviation.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
-        friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
+        friction: Rung of :data:`identification.model.ladder.LADDER` that is fitted to the unloaded
+            recordings.
     """
 
     terms: tuple[str, ...] = ()
@@ -179,24 +180,27 @@ class Recording:
         channels: Canonical name to samples, shape (n,), SI units; always holds ``time``, strictly
             increasing. NaN marks samples that were not measured (``voltage`` while the power stage
             is off).
-        bench: The machine.
+        bench: Constants of the machine.
         stage: ``unloaded`` or ``loaded``.
         weight_mass: m_w on the lever, kg; 0 in a hot firing, where gas pressure loads the valve.
-        pendulum: A weight that turns with the joint, or None.
-        hoist: A mass that the joint lifts, or None.
-        constant_torque: Known constant torque on the joint, N m; positive drives it forward.
-        controller: The loop in which it was made, if known; only simulations need it.
-        role: ``fit``; ``validate``: in no fit, but tests the effects of a diagnosis; or
-            ``unused``: in no fit and no test, only its time counts.
+        pendulum: Known weight that turns with the joint, or None.
+        hoist: Known mass that the joint lifts, or None.
+        constant_torque: Known constant torque on the joint, N m; a positive torque drives the joint
+            forward.
+        controller: Position loop in which the recording was made, or None if unknown; needed for
+            simulations only.
+        role: ``fit``; ``validate``, for a recording that tests the effects of a diagnosis and is
+            not fitted; or ``unused``, for a recording of which only the duration is used.
         averaged: Channels whose samples are means over the period that ends at their time.
-        source: File the samples came from.
+        source: File from which the samples were read.
         sha256: SHA-256 digest of that file.
-        notes: Every correction made on reading, as text.
-        partial: Whether its run stopped before the end of its command.
-        start: When its first sample was taken, s on the clock of the session, or None if nothing
-            but its time stamps says so.
+        notes: Statement of each correction made on reading.
+        partial: Whether the run stopped before the end of the command of this recording.
+        start: Session time of the first sample, s, or None if only the recording's own time stamps
+            are known.
         uncertainties: Standard deviations of known constants, by their place in this record
-            (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); others count as exact.
+            (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); constants that are not
+            listed count as exact.
     """
 
     name: str
@@ -258,8 +262,8 @@ class Recording:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Start and end of the recording, s: on the session's clock if known, else by the
-        recording's time stamps.
+        """Start and end of the recording, s: as session time if known, else as time stamps of the
+        recording.
         """
         first, last = float(self.time[0]), float(self.time[-1])
         return (first, last) if self.start is None else (self.start, self.start + last - first)

@@ -35,7 +35,7 @@ class Parameter:
 class Fit:
     """Torque error at the stated bandwidth.
 
-    ``*_relative`` is the norm of the residual over the norm of the torque.
+    A value ``*_relative`` is the norm of the residual over the norm of the torque.
     """
 
     unit: str
@@ -48,7 +48,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Convergence:
-    """Record of one stage's search.
+    """Record of the search of one part of the fit: unloaded, loaded or joint.
 
     Attributes:
         stage: ``unloaded``, ``loaded`` or ``joint``.
@@ -57,7 +57,7 @@ class Convergence:
         generations: Generations or iterations spent.
         cost: Final cost, in ``cost_unit``.
         target: Cost at which the search stops early, or None.
-        reached: Whether the target was met (None without one).
+        reached: Whether the target was reached; None without a target.
         cost_history: Best cost after each generation, shape (g,).
         parameter_history: Name to best value after each generation, shape (g,).
     """
@@ -82,9 +82,9 @@ class Starts:
         stage: ``unloaded`` or ``loaded``.
         cost: Name of the quantity that was compared.
         ends: Final cost of each start, in the order they were tried.
-        reached: Cost up to which a start counts as having reached the best end.
-        absolute: Whether ``reached`` is a fixed limit that ends the search; else it is a margin
-            above the least end.
+        reached: Limit of the cost up to which a start counts as having reached the best end.
+        absolute: Whether ``reached`` is a fixed cost that ends the search; otherwise ``reached`` is
+            a margin above the least final cost.
     """
 
     stage: str
@@ -109,7 +109,7 @@ class Profile:
         values: Values at which the parameter was held, rising, shape (n,).
         deviance: Deviance at these values less the deviance at the estimate, shape (n,).
         low: Lower end of the 90 % range, or None if ``values`` do not reach it.
-        high: Upper end of the 90 % range, or None likewise.
+        high: Upper end of the 90 % range, or None if ``values`` do not reach it.
         scale: Factor applied to the deviance, so that its curvature agrees with the interval.
     """
 
@@ -132,7 +132,7 @@ class Tradeoff:
     """Two parameters that correlate strongly, and the combination that is determined.
 
     Attributes:
-        names: Names of the two.
+        names: Names of the two parameters.
         correlation: Correlation of their estimates.
         statement: Text with the combination that is determined.
     """
@@ -165,8 +165,9 @@ class Resampled:
     Attributes:
         name: Name of the parameter.
         unit: Unit of the parameter.
-        low: Lower end of the central 90 % of the samples, or None if too few were solved.
-        high: Upper end, likewise.
+        low: Lower end of the central 90 % of the bootstrap samples, or None if the equations of too
+            few samples could be solved.
+        high: Upper end of the central 90 % of the bootstrap samples, or None as for ``low``.
         draws: Number of bootstrap samples.
         solved: Number of samples whose equations could be solved.
     """
@@ -190,10 +191,10 @@ class MeasuredNoise:
 
     Attributes:
         torque: White noise of the measured torque, a mean over one period, rms in ``unit``.
-        correlated: Correlated noise of the torque, a first-order process, rms in ``unit``; zero
-            where none was needed.
-        correlation_s: Correlation time of that process, s.
-        angle_rad: Noise of the joint angle beyond its quantisation, rad rms.
+        correlated: Correlated noise of the torque, a first-order process, rms in ``unit``; zero if
+            the fit has no correlated noise.
+        correlation_s: Correlation time of the correlated noise, s.
+        angle_rad: Noise of the joint angle in addition to the quantisation error, rad rms.
         encoder_step_rad: Quantisation step of the angle at the joint, rad.
         unit: Unit of the torque.
     """
@@ -214,11 +215,11 @@ class Prior:
     Attributes:
         name: The parameter.
         value: Prior value.
-        uncertainty: Its standard deviation.
+        uncertainty: Standard deviation of the prior value.
         alone: Estimate from the recordings alone.
-        alone_uncertainty: Its standard deviation.
-        posterior: Value of both together.
-        posterior_uncertainty: Its standard deviation.
+        alone_uncertainty: Standard deviation of this estimate.
+        posterior: Combination of prior value and estimate.
+        posterior_uncertainty: Standard deviation of the combination.
     """
 
     name: str
@@ -236,10 +237,11 @@ class KnownConstant:
     the estimates.
 
     Attributes:
-        place: Its place in a recording, such as ``bench.torque_constant`` or ``weight_mass``.
+        place: Place of the constant in a recording, such as ``bench.torque_constant``.
         value: The constant, SI.
-        uncertainty: Its standard deviation.
-        shifts: Parameter to its change with the constant raised by one standard deviation.
+        uncertainty: Standard deviation of the constant.
+        shifts: Name of each parameter to the change of its estimate when the constant is raised by
+            one standard deviation.
     """
 
     place: str
@@ -265,17 +267,17 @@ class Identification:
         evaluations: Residual evaluations spent.
         seconds: Wall-clock time spent.
         fitted: Name to the value at the end of the fit, including parameters that are not
-            identifiable by themselves; a simulation of the fitted model needs them.
+            identifiable by themselves but are needed to simulate the fitted model.
         friction: Rung of :data:`identification.model.ladder.LADDER`.
-        starts: Search ends of each search; empty where there was one start only.
+        starts: Search ends of each search; empty if each search had one start only.
         tradeoffs: Pairs of parameters that correlate strongly.
         least_pinned: Text that states the least determined combination of parameters.
-        noise: Noise of the measurement, or None if refined values were not accepted.
-        profiles: Profile likelihoods, if requested.
-        resampled: Spread over bootstrap samples, if requested.
-        known_constants: Constants given with an uncertainty; the intervals of ``parameters``, not
-            profiles and bootstrap, hold it.
-        priors: Priors of parameters that were joined with the recordings.
+        noise: Noise of the measurement, or None if the refined values were not accepted.
+        profiles: Profile likelihoods; empty unless requested.
+        resampled: Spread over bootstrap samples; empty unless requested.
+        known_constants: Constants given with an uncertainty. The intervals of ``parameters``
+            include this uncertainty; profile likelihoods and bootstrap do not.
+        priors: Prior values that were combined with the estimates from the recordings.
     """
 
     method: str
@@ -302,8 +304,8 @@ class Identification:
 
     @property
     def torque_unit(self) -> str:
-        """Unit of the torques in ``traces``; it differs from the fit's unit if the fit is in
-        volts.
+        """Unit of the torques in ``traces``, which differs from the unit of the fit if the fit is
+        in volts.
         """
         return self.parameters["Mc"].unit
 

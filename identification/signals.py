@@ -14,19 +14,21 @@ from identification.numerics.compiled import compiled_sums
 from identification.numerics.low_pass import forwards_and_backwards, sections
 
 _LEAST_STEPS = 8
-"""Least steps near the smallest one for which a common divisor is not chance."""
+"""Least number of small steps for which a common divisor of the steps is not attributed to
+chance.
+"""
 _KAISER = 5.0
-"""Shape of Kaiser's window of the low-pass."""
+"""Shape parameter beta of the Kaiser window of the low-pass."""
 
 
 def quantum(values: Array) -> float:
     """Return the resolution of a quantised channel, its smallest step; 0.0 if the values look
     continuous.
 
-    A channel counts as quantised when its steps are whole multiples of the smallest step within 2
-    %, which holds for an encoder after any scale and offset. Steps of up to 20 units determine the
-    unit and steps of up to 400 units test it, because near a turning point the steps of a smooth
-    curve can also be 1, 3 and 5 units at first.
+    A channel counts as quantised if its steps are whole multiples of the smallest step within 2 %
+    of this step, as the steps of an encoder are after any scale and offset. Steps of up to 20 times
+    the smallest step determine the quantum. Steps of up to 400 times the quantum test the result,
+    because near a turning point the steps of a smooth curve are also as 1 to 3 to 5.
     """
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     steps = steps[steps > 1e-9 * float(np.max(steps, initial=0.0))]
@@ -67,7 +69,7 @@ def central_difference(values: Array, step: float) -> Array:
 
 
 def smooth(values: Array, rate: float, cutoff: float) -> Array:
-    """Low-pass without phase: fourth-order Butterworth run forwards and backwards."""
+    """Low-pass without phase lag: a fourth-order Butterworth filter, forwards and backwards."""
     if cutoff >= 0.45 * rate:
         return values
     padding = min(len(values) - 1, int(3 * rate / cutoff))
@@ -77,7 +79,7 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
 
 @dataclass(frozen=True)
 class Decimator:
-    """A symmetric FIR low-pass with decimation, the same for the torque and every regressor.
+    """A symmetric FIR low-pass with decimation, which torque and regressors pass alike.
 
     Attributes:
         taps: Filter, shape (2 half + 1,), sum 1; a single tap means no filtering.
@@ -89,12 +91,12 @@ class Decimator:
 
     @property
     def half(self) -> int:
-        """Number of samples on either side on which an output depends."""
+        """Number of samples before and after its own time on which an output depends."""
         return len(self.taps) // 2
 
     def __call__(self, values: Array) -> Array:
-        """Filter and decimate along the last axis; outputs whose window exceeds the ends are
-        dropped.
+        """Filter and decimate along the last axis, without the outputs whose window exceeds the
+        ends of the series.
         """
         if self.half == 0:
             return values[..., :: self.factor]
@@ -112,7 +114,7 @@ class Decimator:
         )
 
     def untouched(self, bad: BoolArray) -> BoolArray:
-        """Return, at the decimated rate, which outputs depend on no sample marked ``bad``."""
+        """Return a mask of the outputs, after decimation, that depend on no ``bad`` sample."""
         spread = np.convolve(bad.astype(np.float64), np.ones(len(self.taps)), mode="valid")
         return np.asarray(spread[:: self.factor] < 0.5)
 
@@ -147,7 +149,8 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
             size += abs(value)
         if size == 0.0:
             continue
-        # Four outputs at a time, so that the additions of one do not wait for each other.
+        # Four outputs are computed at a time, so that no addition waits for the result of the
+        # previous one.
         for j in range(0, count - 3, 4):
             a = series[i, places[j] * factor : places[j] * factor + reach]
             b = series[i, places[j + 1] * factor : places[j + 1] * factor + reach]
@@ -176,7 +179,7 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
 
 def reach(rate: float, bandwidth: float) -> tuple[int, int]:
     """Return decimation factor and half length, in samples, of the low-pass for a bandwidth in Hz;
-    (1, 0) where no filter is needed.
+    (1, 0) if no filter is needed.
     """
     if bandwidth >= 0.45 * rate:
         return 1, 0
@@ -205,7 +208,7 @@ def _low_pass(half: int, cutoff: float) -> Array:
         half: Taps on either side of the middle one.
         cutoff: Frequency at -6 dB over half the sampling rate.
     """
-    # scipy.signal.firwin gives the same; its import takes a quarter of all imports' time.
+    # scipy.signal.firwin returns the same taps, but takes a quarter of the time of all imports.
     place = np.arange(-half, half + 1, dtype=np.float64)
     bessel = scipy.special.i0  # imported here, since no run needs it
     window = bessel(_KAISER * np.sqrt(1.0 - (place / half) ** 2.0)) / bessel(_KAISER)

@@ -10,7 +10,7 @@ from identification.numerics.arrays import Array
 from identification.recording import Recording
 
 REST_RAD_S = 1e-4
-"""Mean speed over :data:`REST_SPAN_S` below which a joint counts as at rest."""
+"""Mean speed over :data:`REST_SPAN_S` below which a joint counts as resting."""
 REST_SPAN_S = 0.05
 
 
@@ -21,7 +21,8 @@ class Tracking:
     Attributes:
         rms: Rms of command less angle, rad.
         largest: Greatest magnitude of command less angle, rad.
-        at_end: Last value of command less angle, rad: the steady-state error if the command rests.
+        at_end: Last value of command less angle, rad; the steady-state error if the command is
+            constant.
         energy: Electrical energy consumed by the motor, the integral of U I, J.
         waiting: Share of the commanded motion time in which the joint rested.
     """
@@ -34,16 +35,16 @@ class Tracking:
 
 
 def tracking_error(recording: Recording) -> Array:
-    """Return command less angle, rad, shape (n,); each command is compared one sample after it was
-    sent.
+    """Return command less angle, rad, shape (n,); each command is compared with the angle one
+    sample after the command was sent.
     """
     command = recording.channels["command"]
     return np.asarray(np.concatenate([command[:1], command[:-1]]) - recording.channels["angle"])
 
 
 def resting(recording: Recording) -> Array:
-    """Return 1 where the joint rests, else 0, shape (n,): its mean speed around the sample is near
-    zero.
+    """Return 1 at samples around which the mean speed of the joint is near zero, else 0, shape
+    (n,).
     """
     n = max(1, round(REST_SPAN_S / recording.period))
     angle = recording.channels["angle"]

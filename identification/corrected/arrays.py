@@ -1,5 +1,5 @@
-"""Computes the signals of a motion from plain arrays, for the model that is exported as a separate
-file.
+"""Computes the signals of a motion from plain arrays, for the corrected model that is exported as a
+separate file.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from identification.numerics.arrays import Array
 
 
 def rest_times(time: Array, velocity: Array) -> Array:
-    """Return the duration of the last rest, s, held until the next rest ends, shape (n,)."""
+    """Return the duration of rest at each sample, s, shape (n,): at rest the time since the rest
+    began, in motion the duration of the last rest.
+    """
     out = np.zeros(len(time))
     began = -1
     for k in range(1, len(time)):
@@ -55,8 +57,8 @@ def signals(
         voltage: Logged voltage, V.
         supply: Supply voltage, V.
         known: Torque of a weight that turns with the joint, less its inertia torque, N m.
-        known_inertia: Inertia of that weight about the joint, kg m^2.
-        run_start: Time from the start of the first recording to the start of this one, s.
+        known_inertia: Inertia of the weight that turns with the joint, kg m^2.
+        run_start: Time from the start of the first recording to the start of this recording, s.
         number: Number of the recording, from 1.
     """
     one = np.ones(len(time))

@@ -33,19 +33,18 @@ PARAMETERS = (
     "offset",
 )
 COORDINATES = {"angle": "angle", "speed": "velocity", "time": "time"}
-"""Coordinates that a curve may have, with the signal of each."""
+"""Coordinates of an empirical curve, with the signal of each coordinate."""
 
 
 @dataclass(frozen=True)
 class CorrectedModel:
-    """Result of a diagnosis for simulation: nominal parameters, identified effects, empirical
-    curve.
+    """Result of a diagnosis as a model: nominal parameters, identified effects, empirical curve.
 
     Attributes:
-        parameters: Nominal parameters, name to value; absent ones count as 0.
+        parameters: Nominal parameters, name to value; parameters that are absent count as 0.
         alpha: Stribeck exponent.
-        effects: Name of each effect to its parameters; an effect in one recording has
-            ``recording``, counted from 1.
+        effects: Name of each effect to its parameters; an effect that occurs in one recording only
+            has the parameter ``recording``, the number of this recording, counted from 1.
         curve: Empirical curve of a mismatch outside the catalogue, or None.
     """
 

@@ -1,4 +1,4 @@
-"""Torque and voltage of the logged current (eq. 1), and the additions of each effect."""
+"""Torque and voltage of the logged current (eq. 1), and what each effect adds to them."""
 
 from __future__ import annotations
 
@@ -25,12 +25,14 @@ def cogging(s: Any, m: Any, torque_Nm: float, per_motor_turn: float, phase_rad: 
 def torque_ripple(
     s: Any, m: Any, fraction: float, per_motor_turn: float, phase_rad: float
 ) -> Array:
-    """Ripple of Km with the motor's angle."""
+    """Ripple of the torque constant Km with the motor's angle."""
     return np.asarray(s["drive"] * fraction * np.sin(per_motor_turn * s["motor_angle"] + phase_rad))
 
 
 def torque_saturation(s: Any, m: Any, knee_A: float, rational: float = 0.0) -> Array:
-    """Saturation: I_k tanh(I / I_k), or I / (1 + (I / I_k)^2), in place of I."""
+    """Saturation of the torque: I_k tanh(I / I_k), or I / (1 + (I / I_k)^2), in place of the
+    current I.
+    """
     knee = m["ampere_torque"] * knee_A
     if rational:
         return np.asarray(s["drive"] / (1.0 + (s["drive"] / knee) ** 2) - s["drive"])
@@ -45,14 +47,16 @@ def current_loop_lag(s: Any, m: Any, time_s: float) -> Array:
 def winding_heating(
     s: Any, m: Any, rise_K_per_W: float, time_s: float, magnet: float = 1.0
 ) -> Array:
-    """Decrease of Km with the magnets' temperature, which is the winding's temperature if
-    ``magnet`` is 1.
+    """Decrease of Km with the temperature of the magnets; if ``magnet`` is 1, this temperature
+    equals the winding's.
     """
     return np.asarray(-0.001 * magnet * winding_rise(s, m, rise_K_per_W, time_s) * s["drive"])
 
 
 def transmission_efficiency(s: Any, m: Any, efficiency: float) -> Array:
-    """Loss of joint torque in driving, gain in back-driving."""
+    """Gear loss: less joint torque if the motor drives the load, more if the load drives the
+    motor.
+    """
     driving = s["drive"] * s["velocity"] >= 0.0
     return np.asarray(s["drive"] * (np.where(driving, efficiency, 1.0 / efficiency) - 1.0))
 
@@ -65,8 +69,9 @@ def gear_mesh_ripple_drive(
     phase_rad: float,
     with_torque: float = 1.0,
 ) -> Array:
-    """Torque ripple due to the ripple of the transmission ratio: power is conserved, so torque is
-    greater where the motor turns faster; none if ``with_torque`` is 0.
+    """Torque ripple due to the ripple of the transmission ratio: the gear conserves power, so the
+    joint torque is greater where the motor turns faster than the mean ratio requires. There is no
+    torque ripple if ``with_torque`` is 0.
     """
     steepness = amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad)
     return np.asarray(with_torque * steepness * s["drive"])
@@ -78,7 +83,7 @@ def time_skew(s: Any, m: Any, time_s: float) -> Array:
 
 
 def current_offset(s: Any, m: Any, current_A: float) -> Array:
-    """Constant offset: the logged current is too high."""
+    """Constant offset of the current sensor: the logged current is too high by ``current_A``."""
     return np.full(len(s["time"]), -m["ampere_torque"] * current_A)
 
 
@@ -88,19 +93,19 @@ def current_drift(s: Any, m: Any, rate_A_s: float) -> Array:
 
 
 def inverter_dead_time_voltage(s: Any, m: Any, voltage_V: float) -> Array:
-    """Sharp voltage step with the sign of the current."""
+    """Voltage loss of the inverter: a sharp step with the sign of the current."""
     return np.asarray(voltage_V * mean_step(s["current"], 0.0))
 
 
 def brush_drop_voltage(s: Any, m: Any, voltage_V: float, current_A: float) -> Array:
-    """Rounded voltage step with the sign of the current."""
+    """Voltage drop of the brushes: a rounded step with the sign of the current."""
     return np.asarray(voltage_V * mean_step(s["current"], current_A))
 
 
 def winding_heating_voltage(
     s: Any, m: Any, rise_K_per_W: float, time_s: float, magnet: float = 1.0
 ) -> Array:
-    """Increase of R with the winding's temperature, and decrease of Ke if ``magnet`` is 1."""
+    """Increase of R with the winding's temperature; if ``magnet`` is 1, also a decrease of Ke."""
     rise = winding_rise(s, m, rise_K_per_W, time_s)
     weaker = 0.001 * magnet * m["Ke"] * m["i"] * s["velocity"]
     return np.asarray(rise * (0.00393 * m["R"] * s["current"] - weaker))
@@ -114,12 +119,12 @@ def supply_sag_voltage(s: Any, m: Any, resistance_ohm: float) -> Array:
 
 
 def current_offset_voltage(s: Any, m: Any, current_A: float) -> Array:
-    """Voltage of a constant current offset: the winding carries less current than is logged."""
+    """Voltage due to a constant current offset: the winding carries less current than is logged."""
     return np.full(len(s["time"]), -m["R"] * current_A)
 
 
 def current_drift_voltage(s: Any, m: Any, rate_A_s: float) -> Array:
-    """Voltage of a drifting current offset within a recording."""
+    """Voltage due to a current offset that drifts within a recording."""
     return np.asarray(-m["R"] * rate_A_s * (s["time"] - s["time"][0]))
 
 

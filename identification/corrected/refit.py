@@ -1,9 +1,9 @@
 """Refits the nominal parameters, by the default estimator, to recordings from which the effects are
 subtracted.
 
-The diagnosis works on equation errors, which do not resolve friction's falling branch under load.
-The default estimator refines by prediction errors, but only if no physics is missing; subtracting
-the identified effects makes this refinement possible.
+The diagnosis uses equation errors, which do not resolve the falling branch of friction under load.
+The default estimator refines its values by prediction errors, but accepts the refined values only
+if no physics is missing; therefore the identified effects are subtracted first.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ _REPLACED = ("current", "voltage", "torque")
 def without_effects(
     recordings: Sequence[Recording], model: CorrectedModel, bandwidth_Hz: float
 ) -> list[Recording]:
-    """Return recordings whose torque channel is the drive torque that would have occurred without
-    the effects.
+    """Return the recordings with the drive torque that would have occurred without the effects as
+    torque channel.
 
     Raises:
-        RecordingError: A recording has no torque, or does not allow this bandwidth.
+        RecordingError: A recording has neither torque nor current, or does not allow this
+            bandwidth.
     """
     seen = views(recordings, bandwidth_Hz)
     return [
@@ -44,8 +45,8 @@ def refit(
     bandwidth_Hz: float,
     rng: np.random.Generator | None = None,
 ) -> Identification:
-    """Return the nominal parameters of a dataset without its effects, with intervals; ``rng`` as in
-    :func:`identify`.
+    """Return the nominal parameters of a dataset without its effects, with intervals; ``rng`` is
+    that of :func:`identify`.
 
     Raises:
         RecordingError: The recordings do not determine the model.
@@ -62,7 +63,7 @@ def _without(recording: Recording, view: View, model: CorrectedModel) -> Recordi
     if "torque" not in measured and "current" not in measured:
         raise RecordingError(
             f"{recording.name}: effects are subtracted from the torque or the current, but "
-            "neither was measured"
+            "the recording has neither channel"
         )
     raw = measured["torque"] if "torque" in measured else m["ampere_torque"] * measured["current"]
     averaged = recording.averaged & {"torque", "current"}

@@ -1,7 +1,8 @@
 """Computes the errors of a corrected model on recordings: the error of each equation at the stated
 bandwidth.
 
-Both sides of an equation are formed at the full rate and pass the same filter.
+The measured and the modelled side of an equation are computed at the full sample rate and pass the
+same filter.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ class Predicted:
         recording: Name of the recording.
         role: ``fit`` or ``validate``.
         time: s, shape (n,).
-        measured: Measured side in the equation's unit, shape (n,), or NaN if the equation does not
-            apply (at rest, or unpowered).
-        model: Model side, shape (n,), likewise.
+        measured: Measured side in the equation's unit, shape (n,); NaN at samples where the
+            equation does not apply (at rest, or with the power stage off).
+        model: Modelled side in the equation's unit, shape (n,); NaN at the same samples.
     """
 
     equation: str
@@ -51,11 +52,11 @@ class Predicted:
 def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
     """Return every equation that the recording's channels allow, measured and predicted.
 
-    The offset between motor and joint angle is removed for each recording, so that ``transmission``
-    has no constant.
+    In the transmission equation the median of the measured less the modelled difference is
+    subtracted for each recording, because the zeros of the two encoders are arbitrary.
     """
     s, m, recording = signals_of(view), model.numbers(view.recording), view.recording
-    # What the known loads give or take, the drive need not.
+    # The known loads supply a part of the required torque; the drive supplies the rest.
     asked = model.torque(s, m) - view.known
     found = [_one(view, "torque", model.drive(s, m), asked, ~view.moving)]
     if view.lag is not None:
@@ -74,7 +75,9 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
 
 
 def rms(parts: Iterable[Predicted]) -> float | None:
-    """Return the root mean square of the errors of several recordings, or None if none applies."""
+    """Return the root mean square of the errors of several recordings, or None without any
+    error.
+    """
     errors = [p.error for p in parts]
     count = sum(len(e) for e in errors)
     return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None

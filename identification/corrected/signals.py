@@ -11,8 +11,8 @@ from identification.diagnosis.terms.device import label_kg
 
 
 def signals_of(view: View) -> dict[str, Any]:
-    """Return the full-rate signals of a view, SI, at the joint unless stated otherwise; arrays of
-    shape (m,).
+    """Return the signals of a recording at the full sample rate, SI, at the joint unless stated
+    otherwise; arrays of shape (m,).
 
     ``drive`` is the nominal torque of the current, including the torque against known loads;
     ``number`` counts recordings from 1.

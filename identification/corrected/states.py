@@ -26,10 +26,10 @@ def lagged(series: Array, time: Array, time_s: float) -> Array:
 
 
 def advanced(series: Array, time: Array, time_s: float) -> Array:
-    """Return the series advanced by ``time_s``, with the end values held, shape (n,).
+    """Return the series shifted to earlier times by ``time_s``, with its end values held, shape (n,).
 
-    Between two samples the series is the cubic through the four nearest samples, and beside the
-    ends a straight line.
+    Between two samples the series is the cubic through the four nearest samples; in the first and
+    in the last interval it is a straight line.
     """
     last = len(series) - 1
     place = np.interp(time + time_s, time, np.arange(last + 1.0))
@@ -71,11 +71,11 @@ def play(angle: Array, gap: float) -> Array:
 
 
 def mean_step(current: Array, knee: float) -> Array:
-    """Return the mean of tanh(I / knee) over each sample's period, for a current that is linear in
-    time, shape (n,).
+    """Return the mean of tanh(I / knee) over the period of each sample, for a current I that is
+    linear in time, shape (n,).
 
-    A knee of 0 is a sharp step. Around a reversal the current changes by more than the knee within
-    one period.
+    With a knee of 0 the function is a sharp step. The mean is needed because the current may change
+    by more than the knee within one period when it reverses.
     """
     ends = 0.5 * (current[1:] + current[:-1])
     before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))

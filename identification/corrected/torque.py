@@ -17,22 +17,22 @@ from identification.numerics.arrays import Array
 
 
 def friction_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return the magnitude of eq. 9 without its viscous part, N m."""
+    """Return the magnitude of the system load (eq. 9) without its viscous part, N m."""
     fall = np.exp(-(np.abs(speed / m["omega_sf"]) ** alpha)) if m["omega_sf"] > 0.0 else 0.0
     return np.asarray(m["Mc"] + (m["Ms"] - m["Mc"]) * fall + np.zeros_like(speed))
 
 
 def load_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return the magnitude of eq. 12's bracket without its viscous part; this magnitude times F_P
-    L1 is a torque.
+    """Return the magnitude of the load coefficient m_L (eq. 12) without its viscous part; the
+    product of this magnitude and F_P L1 is a torque.
     """
     fall = np.exp(-(np.abs(speed / m["omega_sL"]) ** alpha)) if m["omega_sL"] > 0.0 else 0.0
     return np.asarray(m["mu_c"] + (m["mu_s"] - m["mu_c"]) * fall + np.zeros_like(speed))
 
 
 def gear_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return the factor on the torque of a declared weight, if load-dependent friction is
-    declared.
+    """Return the friction per torque of a declared weight; not zero only if load-dependent friction
+    is declared.
     """
     fall = np.exp(-(np.abs(speed / m["omega_sf"]) ** alpha)) if m["omega_sf"] > 0.0 else 0.0
     return np.asarray(m["mu_gc"] + (m["mu_gs"] - m["mu_gc"]) * fall + np.zeros_like(speed))
@@ -91,7 +91,7 @@ def quadratic_drag(s: Any, m: Any, coefficient_Nms2_rad2: float) -> Array:
 
 
 def stribeck_shape(s: Any, m: Any, alpha: float) -> Array:
-    """Stribeck curves with another exponent."""
+    """Stribeck curves with another exponent than that of the nominal model."""
     return np.asarray(s["sense"] * (dry_level(s, m, alpha) - dry_level(s, m, m["alpha"])))
 
 
@@ -108,8 +108,8 @@ def friction_memory(s: Any, m: Any, time_s: float, of_speed: float = 0.0) -> Arr
 
 
 def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Array:
-    """Static friction Ms that grows with the time at rest; a little sliding removes the growth, so
-    that it has no effect in motion.
+    """Static friction Ms that grows with the time at rest. A short travel removes the growth, so
+    that friction in motion does not change.
     """
     still = np.asarray(s["still"])
     ends = np.concatenate(([False], still[:-1] & ~still[1:]))
@@ -119,8 +119,8 @@ def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Ar
 
 
 def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """Dahl friction in place of friction that jumps with the sign of the speed; its start value
-    follows from the drive's torque over the first 20 ms.
+    """Dahl friction in place of friction that jumps with the sign of the speed; the friction at the
+    start follows from the drive's torque over the first 20 ms.
     """
     level = dry_level(s, m, m["alpha"])
     begin = slice(0, max(2, round(0.02 / (s["time"][1] - s["time"][0]))))
@@ -167,8 +167,8 @@ def return_spring(s: Any, m: Any, stiffness_Nm_rad: float, rest_rad: float) -> A
 def end_stop(
     s: Any, m: Any, angle_rad: float, stiffness_Nm_rad: float, other_rad: float = 0.0
 ) -> Array:
-    """Torque of an end stop: k (theta - a) for angles beyond a, in the direction of the sign of a;
-    with a second stop b, for angles above a and for angles below b.
+    """Torque of end stops: k (theta - a) at angles beyond the stop a, in the direction of the sign
+    of a; with a second stop b, at angles above a, and k (theta - b) at angles below b.
     """
     if other_rad != 0.0:
         beyond = np.maximum(s["angle"] - angle_rad, 0.0) + np.minimum(s["angle"] - other_rad, 0.0)
@@ -184,7 +184,7 @@ def load_exponent(s: Any, m: Any, exponent: float) -> Array:
 
 
 def load_position_dependence(s: Any, m: Any, slope_per_rad: float) -> Array:
-    """Contact force that depends on the angle: F_P (1 + s theta)."""
+    """Contact force that depends on the angle: F_P (1 + s theta), with the slope s per rad."""
     return np.asarray(load_torque(s, m) * slope_per_rad * s["angle"])
 
 
@@ -219,7 +219,7 @@ def lever_pivot_friction(s: Any, m: Any, torque_Nm: float) -> Array:
 
 
 def load_dependent_friction(s: Any, m: Any, coefficient: float) -> Array:
-    """Friction proportional to the torque of the known loads."""
+    """Friction proportional to the torque of the known loads that turn with the joint."""
     return np.asarray(s["sense"] * coefficient * borne(s, m))
 
 

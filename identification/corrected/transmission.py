@@ -52,7 +52,7 @@ def transport_delay(s: Any, m: Any, time_s: float) -> Array:
 
 
 def encoder_eccentricity(s: Any, m: Any, amplitude_rad: float, phase_rad: float) -> Array:
-    """Eccentricity: the joint encoder reads A sin(theta + p) too much."""
+    """Eccentricity: the reading of the joint encoder is too high by A sin(theta + p)."""
     return np.asarray(-amplitude_rad * np.sin(s["angle"] + phase_rad))
 
 

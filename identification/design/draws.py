@@ -13,41 +13,47 @@ import numpy as np
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps, Tone
 
 TRIAL_S, TRIAL_PERIODS = 5.0, 3.0
-"""Least duration of the stage on which an excitation is judged, in s and in its periods."""
+"""Least duration of the short stage on which an excitation is judged, in s and in periods of the
+excitation.
+"""
 MARGIN = 0.85
-"""Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
+"""Share of the limits on angle, speed and torque that a proposal may reach when it is simulated on
+the nominal model.
+"""
 _SLOWEST_HZ, _FASTEST_HZ = 0.2, 4.0
 _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Speed of a random sine at its centre, rad/s."""
 _LEAST_ACCELERATION = 0.25
-"""Acceleration of a random sine at its ends, rad/s^2.
+"""Least acceleration of a random sine at its ends, rad/s^2.
 
-With a lower one the joint stays near rest for longer and sticks and slips.
+With a lower acceleration the joint stays near rest for longer and sticks and slips.
 """
 _LEAST_ANGLE = math.radians(0.3)
-"""Least amplitude; in smaller motions backlash and presliding, which the nominal model lacks,
-dominate.
+"""Least amplitude of a sine, rad. Motions of smaller amplitude are dominated by backlash and
+presliding, which the nominal model lacks.
 """
 _HEAVIEST = 0.25
-"""Share of loaded sines that always get the heaviest weight."""
+"""Share of the loaded sines that always have the heaviest weight."""
 _NEAR = 0.75
-"""Share of sines drawn near the falling branch of friction."""
+"""Share of the sines whose speed is drawn near the falling branch of friction."""
 _NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
-"""Speeds of these sines at the centre, over the Stribeck speed, and accelerations at the ends,
-rad/s^2: at lower ones the joint sticks and slips; at higher ones it passes the falling branch of
-friction within one sample.
+"""Sines near the falling branch: speed at the centre, as multiples of the Stribeck speed, and
+acceleration at the ends, rad/s^2. At lower accelerations the joint sticks and slips; at higher
+accelerations it crosses the falling branch within one sample.
 """
 _RAMPS = 0.4
 """Share of ramps among the excitations that are drawn."""
 _RAMP_SPEEDS, _RAMP_TIMES = (1.2, 5.0), (0.15, 1.0)
-"""Speeds of ramps over the Stribeck speed, and times to the far end, s.
+"""Speeds of ramps, as multiples of the Stribeck speed, and durations of a ramp in one direction, s.
 
 Where friction falls faster than the drive's velocity gain can compensate, the joint sticks and
-slips. Just above that speed every sample carries information on the falling branch; samples after a
-breakaway carry most, and short ramps have more of them.
+slips. Just above that speed every sample carries information on the falling branch. Samples just
+after a breakaway carry most information, and short ramps have more breakaways.
 """
 _SPREAD, _RAMP_SPREAD = 0.2, 0.06
-"""Standard deviation of the logarithm of a small change, and of a change of a ramp's speed."""
+"""Standard deviation of the logarithm of the factor by which a quantity is changed, and of the
+factor on the speed of a ramp.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class Draws:
     Attributes:
         frames: The stages.
         bounds: Limits of the bench.
-        stribeck: Stribeck speeds without and with a load, rad/s.
+        stribeck: Stribeck speeds of the system load and of the working load, rad/s.
         slot: Least time of each stage of a design, s.
         rng: Source of all randomness.
     """
@@ -69,8 +75,8 @@ class Draws:
     rng: np.random.Generator
 
     def random(self, loaded: bool) -> Part:
-        """Return a sine of any speed, or a sine or ramps near the falling branch of friction, under
-        one of the weights.
+        """Return a random excitation with one of the weights: a sine of any speed, a sine near the
+        falling branch of friction, or ramps near the falling branch.
         """
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
@@ -100,20 +106,20 @@ class Draws:
         return self._away(number, speed, _log_uniform(self.rng, *_RAMP_TIMES))
 
     def _away(self, number: int, speed: float, seconds: float) -> Excitation:
-        """Return ramps at this speed with the wanted duration, as far as the range of the angle and
-        the time of the stage allow.
+        """Return ramps at this speed; ``seconds`` is the duration of a ramp, which the range of the
+        angle and the time of the stage may shorten.
         """
         slot = self.slot - self.frames[number].pause
         longest = min(
             _RAMP_TIMES[1], self._reach / speed, 0.25 * slot
-        )  # the shortest excitation is twice away and back
+        )  # the shortest excitation has two ramps away and two back
         shortest = max(_RAMP_TIMES[0], _LEAST_ANGLE / speed)
         away = math.floor(100.0 * min(max(seconds, shortest), longest)) / 100.0
         return Excitation((), 0.0, 0.0, Ramps(speed, max(away, 0.01)))
 
     def changed(self, part: Part) -> Part:
-        """Return a small change of an excitation, sometimes with the next heavier or lighter
-        weight.
+        """Return an excitation that differs a little from the given one, sometimes with the next
+        heavier or lighter weight.
         """
         e, ladder = part.excitation, sorted({*self.bounds.weights, part.excitation.weight})
         weight = e.weight
@@ -160,7 +166,9 @@ class Draws:
         return min(max(frequency, _SLOWEST_HZ), self.bounds.highest_Hz), speed
 
     def _tried(self, number: int, e: Excitation) -> Excitation:
-        """Return an excitation with the duration for which excitations are judged."""
+        """Return the excitation with the duration of the short stage on which excitations are
+        judged.
+        """
         period = e.step if e.ramps else 2.0 * e.step
         return e.lasting(
             min(max(TRIAL_S, TRIAL_PERIODS * period), self.frames[number].present.seconds)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from identification.numerics.arrays import Array
 
 _RAMP_ACCELERATION, _LEAST_RAMP_S, _LONGEST_RAMP = 2.0, 0.05, 0.25
-"""Fade of a proposed sine: acceleration, rad/s^2, least time, s, and greatest share of the
-duration, which includes both fades.
+"""Fade of a proposed sine: acceleration, rad/s^2; least time, s; and greatest share of the duration
+of the sine, fade-in and fade-out included.
 """
 
 Tone = tuple[float, float]
@@ -38,10 +38,10 @@ class Excitation:
 
     @property
     def fade(self) -> float:
-        """Time in which a proposal's sines fade in and out, s.
+        """Time in which the sine of a proposal fades in, and in which it fades out, s.
 
-        The time is short because the joint creeps or nearly stops during a fade, where the filter
-        may diverge.
+        The time is short because the joint creeps or nearly stops during a fade, and then the
+        filter may diverge.
         """
         speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
         longest = min(1.0, _LONGEST_RAMP * self.seconds)
@@ -63,7 +63,7 @@ class Excitation:
 
     def lasting(self, seconds: float) -> Excitation:
         """Return the excitation with as many half periods or ramps as fit into the time, so that
-        the motion ends where it began.
+        the motion ends at its start angle.
         """
         longest = max(math.floor(seconds / self.step + 1e-6) * self.step, self.shortest)
         return replace(self, seconds=round(longest, 3))
@@ -72,7 +72,7 @@ class Excitation:
 @dataclass(frozen=True)
 class Frame:
     """A stage of the given sequence: whether the stage is loaded, its excitation, its total time,
-    s, and a function that renders an excitation as joint angles.
+    s, and a function that computes the joint angles of an excitation.
 
     ``pause`` is the time of the stage without its excitation, s.
     """
@@ -86,8 +86,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Part:
-    """A proposed stage: the number of the present stage whose settings it has, and its
-    excitation.
+    """A proposed stage: its excitation, and the number of the present stage whose settings the
+    proposed stage keeps.
     """
 
     frame: int

@@ -3,12 +3,12 @@
 The nominal response is recorded with the bench's noise and sensors, and the information is computed
 from the residuals that the default method minimises. The information therefore accounts for the
 encoder's quantisation, the current's noise, the unknown breakaway times, and the samples that the
-estimator omits around them. A motion segment's own sensitivities contain the current's noise, and a
-segment in which the joint almost stops by chance would give an information that other runs do not
-have. Therefore a stage is simulated with several drives and noises, and only products of two
-different runs are used, as in the floor of an estimate
-(:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by several
-simulated runs (:mod:`identification.design.simulated_trial`).
+estimator omits around them. The sensitivities of one simulated run contain the current's noise: a
+motion segment in which the joint almost stops by chance would have an information that other runs
+do not confirm. Therefore a stage is simulated with several drives and noise series, and the
+information is computed from products of the sensitivities of two different runs, as for the floor
+of an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then
+judged by several simulated runs (:mod:`identification.design.simulated_trial`).
 """
 
 from __future__ import annotations
@@ -33,21 +33,23 @@ from identification.numerics.spread import CONFIDENCE
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
-"""Least breakaways of a stage with information: the estimator needs several to separate their times
-from Ms.
+"""Least number of breakaways of a stage that has information: the estimator needs several
+breakaways to distinguish breakaway times from Ms.
 """
 _CLEAR = 1e-9
-"""Share of the greatest eigenvalue below which a direction counts as not identifiable."""
+"""Ratio of an eigenvalue of the information to the greatest eigenvalue, below which the direction
+of the eigenvector counts as not identifiable.
+"""
 
 
 @dataclass(frozen=True)
 class Information:
     """Information of a stage on the nine parameters relative to their values, in the order of
-    NAMES; it is additive over stages.
+    NAMES; the information of several stages is the sum of that of each stage.
 
     Attributes:
-        normal: Fisher information, from products of the sensitivities of different simulated runs
-            (replicates), at most ``power``, shape (9, 9).
+        normal: Fisher information from products of the sensitivities of different simulated runs
+            (replicates), bounded by ``power``, shape (9, 9).
         power: Covariance of the scores that the noise model predicts: the Fisher information from
             the products of each run's own sensitivities, shape (9, 9).
         scatter: Covariance of the scores observed over the motion segments of the simulated runs,
@@ -63,11 +65,13 @@ class Information:
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
     def effective(self, weights: Array) -> Information:
-        """Return the information that is effective for one parameter; the error of its estimate is
-        the sum of the scores times ``weights``, shape (9,).
+        """Return the information that is effective for one parameter. The information is divided by
+        the ratio of the scores' observed variance to their variance by the noise model, if this
+        ratio exceeds one.
 
-        The information is reduced by the ratio of the scores' observed scatter to their scatter in
-        the noise model, if this ratio exceeds one.
+        Args:
+            weights: Weights of the scores in the error of the parameter's estimate, from
+                :func:`weights_of_scores`, shape (9,).
         """
         ratio = float(weights @ self.scatter @ weights) / max(
             float(weights @ self.power @ weights), 1e-300
@@ -88,7 +92,7 @@ class Intervals:
 
     @property
     def weakest(self) -> str:
-        """The parameter with the widest interval relative to its value."""
+        """Name of the parameter with the widest interval relative to the parameter's value."""
         return max(self.half_widths, key=lambda name: self.half_widths[name])
 
     @property
@@ -100,9 +104,9 @@ class Intervals:
 def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> Information:
     """Return the information of one stage, from simulated runs that are replicates of one another.
 
-    The information is :data:`NOTHING` where a run has too few breakaways or the filter diverges.
-    The information is relative to the values, so that the matrices are well scaled; static limits
-    take the place of the rises.
+    The information is :data:`NOTHING` if a run has too few breakaways or the filter diverges. The
+    parameters are taken relative to their values, so that the matrices are well scaled; they are
+    the static levels, not the rises.
 
     Args:
         stage: Command and weight of the stage.
@@ -125,8 +129,8 @@ def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> 
 
 
 def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array:
-    """Return the information of a run from its replicates, with variance inflation, shape (p,
-    p).
+    """Return the information of a run from products with its replicates, with variance inflation,
+    shape (p, p).
     """
     point, jacobian = run.point, run.sensitivities
     alike = matching_means(jacobian, instruments(point, jacobian), point.experiment.matching_count)
@@ -135,8 +139,8 @@ def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return two covariances of a stage's scores, as predicted by the noise model and as observed
-    over motion segments; breakaway times are eliminated, shape (p, p) each.
+    """Return two covariances of the scores of a stage, with breakaway times eliminated: by the
+    noise model, and as observed over the motion segments; shape (p, p) each.
     """
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
@@ -160,11 +164,11 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
 
 
 def _bounded(information: Array, power: Array) -> Array:
-    """Return the information from replicates, clipped between zero and the information of the
-    stage's own sensitivities.
+    """Return the information from replicates, limited in every direction to between zero and
+    ``power``, the information from products of each run with itself.
 
-    Products of two runs have neither bound: with few matching half cycles they can by chance be
-    negative, or far greater than the stage's own information.
+    Products of two different runs are not bounded: with few matching half cycles they can by chance
+    be negative, or far greater than ``power``.
     """
     scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
     values, vectors = np.linalg.eigh(power / np.outer(scale, scale))
@@ -179,11 +183,11 @@ def _bounded(information: Array, power: Array) -> Array:
 def likelihood_slope(point: Point) -> float:
     """Return the steepness of the likelihood at a point.
 
-    Where noise decides whether the joint stops or moves on, the errors of the linearised filter
-    have a nonzero mean. Values other than the simulated values are then far likelier, and the
-    information of such a stage is wrong. With the slope g of the log likelihood and the information
-    I of p parameters, the steepness is g' I^-1 g / p, which is about 1 if noise alone causes the
-    slope. The inertia is excluded from the steepness, because it is not estimated by likelihood.
+    If noise decides whether the joint stops or moves on, the errors of the linearised filter have a
+    nonzero mean. The likelihood of other values is then far greater than that of the simulated
+    values, and the information of the stage is wrong. With the gradient g of the log likelihood and
+    the information I of p parameters, the steepness is g' I^-1 g / p, which is about 1 if noise
+    alone causes the gradient. The inertia is excluded, because it is not estimated by likelihood.
     """
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
@@ -204,8 +208,8 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
 
 
 def _turn(names: Sequence[str], nominal: PlannedModel) -> Array:
-    """Return the matrix from relative changes of named parameters to the search's coordinates
-    (logarithms, rises).
+    """Return the matrix that transforms relative changes of named parameters to changes of the
+    coordinates of a search (logarithms, rises).
     """
     turn = np.eye(len(names))
     for k, name in enumerate(names):
@@ -218,9 +222,9 @@ def _turn(names: Sequence[str], nominal: PlannedModel) -> Array:
 
 
 def weights_of_scores(informations: Sequence[Information], target: str, loaded: bool) -> Array:
-    """Return the weights of the scores, shape (9,): the row of the ``target`` in the inverse of
-    the information of several stages. To first order, the error of the estimate is the sum of the
-    scores times these weights.
+    """Return the weights of the scores in the error of an estimate, shape (9,): the row of the
+    ``target`` parameter in the inverse of the information of several stages. To first order, the
+    error of the estimate is the sum of the scores times these weights.
     """
     count = len(NAMES) if loaded else len(SYSTEM_PARAMETERS)
     total = np.sum([i.normal for i in informations], axis=0)[:count, :count]
@@ -233,16 +237,16 @@ def weights_of_scores(informations: Sequence[Information], target: str, loaded: 
 
 
 def effective(informations: Sequence[Information], target: str, loaded: bool) -> list[Information]:
-    """Return the effective information of each stage on the ``target``, estimated from all
-    stages.
+    """Return the effective information of each stage on the ``target`` parameter, which is
+    estimated from all stages together.
     """
     weights = weights_of_scores(informations, target, loaded)
     return [i.effective(weights) for i in informations]
 
 
 def intervals_of(informations: Sequence[Information], loaded: bool) -> Intervals:
-    """Return the intervals from all stages together: of all nine parameters if any stage is
-    ``loaded``, else of five.
+    """Return the intervals from all stages together: of all nine parameters if any stage is loaded,
+    otherwise of the five system parameters.
     """
     names = NAMES if loaded else SYSTEM_PARAMETERS
     total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]

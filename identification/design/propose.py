@@ -3,11 +3,12 @@ limits of a bench and with the duration of the given excitation.
 
 The information of stages is additive and proportional to time. Therefore many sines and ramps are
 each judged once on a short stage, and a convex problem shares the time among them
-(:mod:`identification.design.shares`). The few excitations that get a share replace the stages: one
-sine alone leaves parameters correlated; a slow and a fast sine, or a light and a heavy weight,
-separate these parameters. Each excitation is also judged with softer and stiffer drives, since
-stick-slip depends on the loop. The best few designs are then simulated with those drives and noise,
-and the best design that the default method identifies is proposed.
+(:mod:`identification.design.shares`). The few excitations that get a share of the time replace the
+present stages. From one sine alone the estimates of some parameters would be correlated; a slow and
+a fast sine, or a light and a heavy weight, reduce this correlation. Each excitation is also judged
+with softer and stiffer drives, since stick-slip depends on the loop. The best few designs are then
+simulated with these drives and with noise. The proposal is the best design from which the default
+method identifies the parameters.
 """
 
 from __future__ import annotations
@@ -25,23 +26,29 @@ from identification.design.simulated import PlannedModel, PlannedStage, with_dri
 from identification.design.simulated_trial import attained, expected
 
 CANDIDATES = (60, 200)
-"""Number of random excitations judged for unloaded and for loaded stages; the latter have a choice
-of weights as well.
+"""Number of random excitations that are judged: for unloaded stages, and for loaded stages, for
+which a weight is drawn too.
 """
 REFINEMENTS, TOGETHER = 24, 10
-"""Number of rounds of small changes of the selected excitations, and changes per round."""
+"""Number of rounds in which the selected excitations are changed a little, and number of changes
+per round.
+"""
 TRIALS = 3
-"""Greatest number of designs that are simulated and identified before half-time designs are
-tried.
+"""Greatest number of designs that are simulated and identified before designs in half of the time
+are tried.
 """
 CONFIRMED = 2.0
-"""Ratio of attained to expected merit below which no further design is simulated."""
+"""Ratio of the attained to the expected merit (relative half width of the target parameter) below
+which a design is confirmed and no further design is simulated.
+"""
 NOISES = 3
 """Number of noise series with which a design is simulated and identified; the worst result
 counts.
 """
 WHOLE_SEED = 100
-"""First seed of these noise series; seeds of the drives start at 0."""
+"""First seed of the noise series with which whole designs are simulated; the seeds for different
+drives start at 0.
+"""
 Progress = Callable[[str, float], None]
 
 
@@ -50,7 +57,7 @@ class Proposal:
     """A proposed excitation, with the intervals of the present and of the proposed excitation.
 
     Attributes:
-        weakest: The parameter whose interval is to be narrowed.
+        weakest: The target parameter, whose interval is to be narrowed.
         present: Intervals of the present excitation, by simulation.
         stages: The proposal; the present excitation if nothing better was found.
         proposed: Intervals of the proposal, from simulation and identification by the default
@@ -80,13 +87,14 @@ def propose(
     """Search for the excitation that narrows one parameter's relative interval most.
 
     Args:
-        frames: The present stages; the total time and the load conditions stay the same.
+        frames: The present stages; the proposal has the same total time and the same load
+            conditions.
         nominal: The model.
         bounds: Limits of the bench.
         rng: Source of all randomness.
         progress: Called with the label of a step and the share that is done.
-        weakest: The parameter; if None, or if these stages do not involve it, the one with the
-            widest relative interval.
+        weakest: The target parameter; if None, or if these stages do not depend on it, the
+            parameter with the widest relative interval.
     """
     report = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
@@ -101,7 +109,8 @@ def propose(
             search.add(search.draws.random(loaded))
             report("candidates", (number + (k + 1) / wanted) / len(kinds))
     if not search.complete:
-        # An identification cannot start from any of the draws, but from the present excitations.
+        # An identification cannot start from any drawn excitation, but from the present
+        # excitations.
         for part in present:
             search.add(part)
     for k in range(REFINEMENTS):
@@ -122,16 +131,16 @@ def propose(
 def _best_confirmed(
     designs: Iterable[Design], search: Search, now: Intervals, report: Progress
 ) -> tuple[Intervals, Design | None, int]:
-    """Return the intervals of the best design that the default method identifies, the design, and
-    the number of designs simulated.
+    """Return the intervals of the best design by simulation and identification, the design, and the
+    number of designs simulated.
 
     The best is the first design whose simulated trials confirm the expected intervals; if no design
     is confirmed, it is the design with the best attained intervals.
     """
     frames, nominals = search.frames, search.nominals
     judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
-    # Where the likelihood is steep at the simulated values, the estimate ends away from them, so
-    # such widths are multiplied by the steepness.
+    # If the likelihood is steep at the simulated values, the estimate ends far from these values;
+    # therefore the expected half widths are multiplied by the steepness.
     ranked = sorted(
         (p for p in judged if search.merit(p[0]) < search.merit(now)),
         key=lambda p: search.merit(p[0]) * p[1],
@@ -150,8 +159,8 @@ def _best_confirmed(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Intervals:
-    """Return the intervals of the worst of a few simulated trials; the first trial that fails ends
-    the series.
+    """Return the intervals of the worst of a few simulated trials; no trial follows a trial that
+    fails.
     """
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):

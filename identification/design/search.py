@@ -33,29 +33,33 @@ DESIGNS = 8
 PARTS = 7
 """Greatest number of stages of a design."""
 _LONGER = 1.3
-"""Ratio of an excitation's duration to the duration on which the filter was tested, above which it
-is tested again.
+"""Ratio of an excitation's duration to the duration on which the filter was tested, above which the
+filter is tested again.
 """
 _OTHER_NOISES = (1000, 1001)
-"""Seeds of further noise series for that test: the filter may diverge with one series in six."""
+"""Seeds of further noise series with which the filter is tested, because the filter may diverge
+with one noise series in six.
+"""
 _SUPPORT = 12
-"""Number of excitations, those with the greatest shares, from which a design is chosen."""
+"""Number of excitations from which a design is chosen; they are those with the greatest shares of
+the time.
+"""
 LEAST_S = 3.0
 """Least duration of a proposed stage."""
 _FOLLOWING_MARGIN = 0.5
-"""Share of the following-error limit that may be used; the error depends on the assumed drive
-loop.
+"""Share of the following-error limit that a proposal may reach; the margin is wide because the
+following error depends on the assumed drive loop.
 """
 _STARTING_ACCELERATION = 0.5
-"""Least acceleration of one unloaded sine, rad/s^2, about the value of Figure 10: with less the
-equation error does not find the inertia.
+"""Acceleration, rad/s^2, that at least one unloaded sine must have, about the value of Figure 10;
+with a lower acceleration the equation error does not determine the inertia.
 """
 
 
 @dataclass(eq=False)
 class Candidate:
-    """An excitation on a short stage, its information per second, and the longest duration, s, on
-    which the filter was tested not to diverge.
+    """An excitation on a short stage, its information per second, and the longest duration, s, for
+    which a test showed that the filter does not diverge.
     """
 
     part: Part
@@ -63,7 +67,7 @@ class Candidate:
     followed_s: float = 0.0
 
     def like(self, part: Part) -> bool:
-        """Return whether a part has this excitation, of any duration."""
+        """Return whether a proposed stage has this excitation, of any duration."""
         return (
             replace(part, excitation=replace(part.excitation, seconds=self.part.excitation.seconds))
             == self.part
@@ -101,8 +105,8 @@ def halved(
 ) -> Design:
     """Return the design in half of the time, with the present excitation in the other half.
 
-    With the present excitation the searches of an identification reach the right basin, to which a
-    design alone may not lead.
+    With the present excitation the searches of an identification reach the basin of the true
+    values, which they may not reach with the design alone.
     """
     parts, left = [], 0.0
     for number, frame in enumerate(frames):
@@ -127,22 +131,24 @@ class Search:
     rng: np.random.Generator
     target: str
     now: float
-    """Relative half width of the target with the present excitation; no other parameter's should
-    exceed it.
+    """Relative half width of the target parameter with the present excitation; the relative half
+    width of every other parameter should stay below this value.
     """
     pool: list[Candidate] = field(default_factory=list)
     count: int = 0
 
     def merit(self, pins: Intervals) -> float:
-        """Return the merit to minimise: the target's relative half width, increased if the half
-        width of another parameter exceeds its present value in ``now``.
+        """Return the merit, which is minimised: the relative half width of the target parameter,
+        increased if the relative half width of another parameter exceeds ``now``.
         """
         return pins.half_widths[self.target] * max(
             1.0, pins.worst / max(self.now, pins.half_widths[self.target])
         )
 
     def add(self, part: Part) -> None:
-        """Judge an excitation on a short stage and keep it if it has information."""
+        """Simulate an excitation on a short stage, and keep the excitation if it has
+        information.
+        """
         rate = self._rate(part)
         if rate is not None:
             self.pool.append(Candidate(part, rate))
@@ -165,8 +171,8 @@ class Search:
         return Draws(self.frames, self.bounds, stribeck, self._total / self._room, self.rng)
 
     def changed(self, count: int) -> list[Part]:
-        """Return small changes of the excitations that have a share of the time; none if a kind of
-        stage has no excitation.
+        """Return excitations that differ a little from those with a share of the time; the list is
+        empty if there is no excitation for unloaded or for loaded stages.
         """
         if not self.complete:
             return []
@@ -177,8 +183,8 @@ class Search:
         ]
 
     def designs(self) -> list[Design]:
-        """Return the best design and variants without one of its longest excitations, sorted by
-        merit, best first.
+        """Return the best design and its variants that omit one of the longest excitations, sorted
+        by merit, best first.
         """
         best = self._design(list(self.pool))
         if best is None:
@@ -195,8 +201,8 @@ class Search:
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool, and its excitations, or None if a kind of stage has
-        no excitation.
+        """Return the best design from a pool, and its excitations, or None if there is no
+        excitation for unloaded or for loaded stages.
 
         An excitation on whose whole stage the filter diverges is removed from the pool permanently.
         """
@@ -240,11 +246,11 @@ class Search:
         )
 
     def _starts(self, candidate: Candidate) -> bool:
-        """Return whether identification can start from this unloaded stage: its motion leaves the
-        falling branch of friction fast enough.
+        """Return whether an identification can start from this unloaded stage: its motion has
+        enough acceleration, and a speed above the falling branch of friction.
 
-        On the falling branch the equation error confuses inertia torque with friction, and finds no
-        inertia if the acceleration is small.
+        On the falling branch of friction the equation error does not distinguish inertia torque
+        from friction, and at small accelerations it does not determine the inertia.
         """
         if not candidate.part.excitation.tones:
             return False
@@ -269,8 +275,8 @@ class Search:
         """Return successively smaller selections of a pool; each step removes the excitation whose
         removal worsens the merit least.
 
-        Selections range from the greatest to the least possible number of stages. Each excitation
-        gets at least the shortest time that it may have.
+        The first selection has the greatest possible number of stages, the last the least possible
+        number. Each excitation gets at least its shortest duration.
         """
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
@@ -293,15 +299,17 @@ class Search:
         return self.frames[candidate.part.frame].loaded
 
     def _reached(self, chosen: Sequence[Candidate]) -> float:
-        """Return the merit of sharing the whole time among these candidates, without pauses."""
+        """Return the merit of the best design that shares the whole time, without pauses, among
+        these candidates.
+        """
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
         parts = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
         return self.merit(intervals_of(parts, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
-        """Return the smallest share of the time that each candidate may have, with the pause of its
-        stage, shape (n,).
+        """Return the least share of the time of each candidate, the pause of its stage included,
+        shape (n,).
         """
         shortest = [c.part.excitation.shortest + self.frames[c.part.frame].pause for c in chosen]
         least = np.maximum(min(LEAST_S, self._total / len(chosen)), shortest)
@@ -316,7 +324,8 @@ class Search:
         spans = total * shares
         parts: dict[int, Part] = {}
         informations, left = [], 0.0
-        # Time left over by rounding goes to the next excitation, the longest last.
+        # Time that rounding leaves is given to the next excitation; the longest excitation is the
+        # last.
         for k in np.argsort(spans, kind="stable").tolist():
             part, pause = chosen[k].part, self.frames[chosen[k].part.frame].pause
             room = float(spans[k]) + left
@@ -332,8 +341,8 @@ class Search:
         )
 
     def _rate(self, part: Part) -> Information | None:
-        """Return an excitation's information per second, or None if it breaks a limit or has no
-        information.
+        """Return the information per second of an excitation, or None if the excitation violates a
+        limit or has no information.
         """
         b, period = self.bounds, self.nominals[0].sensors.period
         stage = planned(self.frames[part.frame], part.excitation)
@@ -349,7 +358,9 @@ class Search:
         return None if found is NOTHING else found.times(1.0 / (len(stage.command) * period))
 
     def _within_limits(self, stage: PlannedStage, nominal: PlannedModel) -> bool:
-        """Return whether the response of a drive stays within the limits by a margin."""
+        """Return whether the simulated response of a drive stays within the limits, less a
+        margin.
+        """
         b, response = self.bounds, stage_response(stage, nominal)
         return (
             response.peak_speed < MARGIN * b.speed

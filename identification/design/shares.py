@@ -1,10 +1,10 @@
 """Computes the optimal shares of the time among many excitations, which minimise the variance of
 one parameter.
 
-Information is additive and proportional to time, so the variance of a parameter is convex in the
-shares of time. The multiplicative algorithm (Silvey, Titterington and Torsney, Communications in
-Statistics A 7 (1978) 1379) needs no step length and gives a share to few excitations, which
-complement one another.
+The information of an experiment is the sum of that of its excitations, and proportional to time;
+therefore the variance of a parameter is convex in the shares of time. The multiplicative algorithm
+(Silvey, Titterington and Torsney, Communications in Statistics A 7 (1978) 1379) needs no step
+length, and converges to a few excitations with nonzero shares.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2
 _OTHERS = 0.04
-"""Weight of the other parameters' relative variances in the criterion, over the target's weight, so
-that none stays undetermined.
+"""Weight of the relative variances of the other parameters in the criterion, relative to the weight
+of the target parameter's variance; with this weight no parameter stays undetermined.
 """
 _FLOOR = 1e-12
 
@@ -33,7 +33,7 @@ def best_shares(
         rates: Information of each excitation per second.
         target: The parameter whose variance is minimised.
         loaded: Whether the four load parameters are unknown as well.
-        least: Least shares, shape (n,), of sum 1 at most, or None for zero.
+        least: Least share of each excitation, shape (n,), of sum 1 at most, or None for zero.
     """
     count = len(NAMES) if loaded else NAMES.index("mu_c")
     normals = np.array([rate.normal[:count, :count] for rate in rates])
@@ -58,8 +58,9 @@ def shared(
     """Return the optimal shares of excitations, shape (n,), and the effective information of each
     excitation on the target at these shares.
 
-    The effective information depends on the weights of the scores in the target's estimate, and the
-    weights depend on the shares; therefore weights and shares are computed in alternation.
+    The effective information depends on the weights of the scores in the estimate of the target
+    parameter (:func:`identification.design.intervals.weights_of_scores`), and the weights depend on
+    the shares; therefore weights and shares are computed in turn.
     """
     counts = list(informations)
     for _ in range(_TURNS):

@@ -25,8 +25,8 @@ from identification.simulate.servo_loop import Loop, Response, respond, usual_lo
 
 NOISE_SEED = 0
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
-"""Velocity gains, over the nominal gain, of further drives that a proposal must suit: if the drive
-loop is assumed, and if it is known from recordings.
+"""Ratios of the velocity gain to the nominal gain, of two more drives on which a proposal must be
+identifiable: if the drive loop is assumed, and if it is known from recordings.
 """
 
 
@@ -83,7 +83,7 @@ class PlannedModel:
 
 
 def with_drives(nominal: PlannedModel) -> tuple[PlannedModel, ...]:
-    """Return copies of the model with its own, a softer and a stiffer drive.
+    """Return copies of the model with the nominal drive, a softer drive and a stiffer drive.
 
     A proposal must be identifiable with all three drives.
     """
@@ -99,14 +99,14 @@ def stage_response(
     rng: np.random.Generator | None = None,
     share: float = 1.0,
 ) -> Response:
-    """Return the nominal bench's response to one stage.
+    """Return the response of the nominal model to the command of one stage.
 
     Args:
         stage: Command and weight.
         nominal: The model.
-        rng: Random generator of the torque noise, or None for the same noise in every stage of one
-            length, which makes designs comparable.
-        share: Share of the noise that is in the torque itself.
+        rng: Random generator of the torque noise, or None to use the same noise series for all
+            stages of equal length, so that designs can be compared.
+        share: Share of the noise variance that is in the true torque, and not only in the log.
     """
     moment, sensors = nominal.moment(stage.weight), nominal.sensors
     chance = rng or np.random.default_rng(NOISE_SEED)
@@ -122,9 +122,9 @@ def recorded(
     """Return the simulated recording of a stage, with half of the noise power in the torque itself
     and half in its measurement.
 
-    The true shares depend on the drive's current loop, which is not known. The drive's own channels
-    are included: without them the default method cannot estimate the loop and omits the bias
-    correction.
+    The true shares depend on the drive's current loop, which is not known. The recording has the
+    channels of the drive too, because without them the default method can neither estimate the
+    drive loop nor correct the bias.
     """
     sensors, bench = nominal.sensors, nominal.bench
     response = stage_response(stage, nominal, rng, math.sqrt(0.5))
@@ -161,8 +161,8 @@ def at_the_truth(
         nominal: The model.
         names: Names of the parameters that would be fitted.
         noise: Seed of the noise.
-        whole: Whether the noise level is estimated, as in a whole experiment; else it is the
-            nominal one.
+        whole: Whether the noise level is estimated, as in an identification; otherwise the nominal
+            noise level is used.
     """
     rng = np.random.default_rng(noise)
     motions = [motion(recorded(k, s, nominal, rng)) for k, s in enumerate(stages)]

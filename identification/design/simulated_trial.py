@@ -1,10 +1,10 @@
 """Tries a proposed experiment: simulates it on the nominal model with noise, and identifies the
 simulated recordings.
 
-Fisher information is a linearisation at one point; under a heavy weight the joint breaks away
+Fisher information is a linearisation at one point. Under a heavy weight the joint breaks away
 within one sample, and the predicted information may be ten times the attained information.
-Therefore the best few designs, with the present design, are simulated with a few noise series, and
-are judged by the intervals that the default method states for them.
+Therefore the best few designs, combined with the present excitation, are simulated with a few noise
+series and compared by the intervals that the default method states.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def attained(
 ) -> Intervals:
     """Return the relative half widths that the default method attains on one simulated run.
 
-    Where an estimate is farther from the simulated value than its half width, the distance replaces
-    the half width: the interval is too narrow, or the estimate is in a wrong basin. The half width
-    is infinite for parameters that are not identifiable, and for all parameters if the refined
-    values are not accepted, because the design was made for the refined values.
+    If an estimate is farther from the simulated value than its half width, the interval is too
+    narrow or the estimate is in a wrong basin; the distance then replaces the half width. The half
+    width is infinite for a parameter that is not identifiable, and for all parameters if the
+    refined values are not accepted, because the design was optimised for the refined values.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Intervals(dict.fromkeys(names, math.inf))
@@ -57,9 +57,9 @@ def expected(
     """Return the relative half widths that the joint fit would state at the simulated values, and
     the steepness of the likelihood there.
 
-    Steepness is a multiple of the steepness under noise alone, at least 1; the fit would end about
-    this many standard deviations from the simulated values. Half widths and steepness are medians
-    over the runs, and infinite if the filter diverges in one run.
+    The steepness is stated relative to its value with noise alone, and is at least 1; the fit would
+    end about so many standard deviations from the simulated values. Half widths and steepness are
+    medians over the runs, and infinite if the filter diverges in one run.
 
     Args:
         stages: The design.

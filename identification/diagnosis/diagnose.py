@@ -1,7 +1,7 @@
 """Diagnoses recordings: noise floor, mismatch, location, effects, corrected model, validation.
 
-Recordings set aside (role ``validate``) take no part in any fit. At the end the recordings set
-aside decide which effects are accepted, and the result is scored on these recordings.
+Recordings with role ``validate`` are set aside: no fit uses them. At the end they decide which
+effects are accepted, and the errors of the corrected model are computed on them.
 """
 
 from __future__ import annotations
@@ -61,13 +61,13 @@ from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, RecordingError
 
 FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
-"""Effects with which valve and motor move differently, so that the friction of the valve depends on
-the joint encoder's angle.
+"""Effects with which valve and motor move differently, so that the friction at the valve is a
+function of the motion of the joint encoder and not of the motor encoder.
 """
 Maps = tuple[Map, ...]
 Estimate = Callable[[Dataset], tuple[Mapping[str, float | None], tuple[str, ...]]]
-"""Nominal parameters of a dataset by another estimator, None for one that is not determined, and
-its warnings.
+"""Function that estimates the nominal parameters of a dataset; it returns name to value, None for a
+parameter that is not determined, and the warnings of the estimator.
 """
 
 
@@ -80,16 +80,17 @@ def diagnose(
     inspect: Callable[[Joint], None] | None = None,
     estimate: Estimate | None = None,
 ) -> Diagnosis:
-    """Test whether effects are missing from the nominal model, identify and locate them.
+    """Test whether physics is missing from the nominal model; identify and locate the missing
+    effects.
 
     Args:
-        dataset: Recordings; those with role ``validate`` take no part in any fit.
-        bandwidth_Hz: Bandwidth of every error; None chooses it from the recordings.
+        dataset: Recordings; those with role ``validate`` are not fitted.
+        bandwidth_Hz: Bandwidth of all errors, or None for a bandwidth chosen from the recordings.
         rng: Random generator for the sign flips.
-        progress: Called with the name of the step and the share done.
-        inspect: Called with the nominal model's fit before the search.
-        estimate: Estimator of the nominal parameters that are reported if nothing is missing; None
-            reports those of the fit.
+        progress: Called with the name of the step and the share of the step that is done.
+        inspect: Called with the fit of the nominal model before the search.
+        estimate: Estimator of the nominal parameters that are reported if nothing is missing; with
+            None, the parameters of the fit are reported.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.
@@ -139,7 +140,7 @@ class _Task(NamedTuple):
     Attributes:
         dataset: The dataset.
         here: Views of the fitted recordings.
-        first: Fit of the nominal model to them.
+        first: Fit of the nominal model to the fitted recordings.
         bandwidth: Bandwidth of every error, Hz.
         rng: Random generator for the sign flips.
         report: Called with the name of the step and the share done.
@@ -159,8 +160,8 @@ class _Task(NamedTuple):
 
 
 class _Outcome(NamedTuple):
-    """Views of the fitted recordings and of those set aside, the validated search, and the verdict
-    on it.
+    """Views of the fitted recordings and of the recordings set aside, the search after validation,
+    and the verdict on this search.
     """
 
     here: tuple[View, ...]
@@ -175,11 +176,12 @@ class _Outcome(NamedTuple):
 
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
-    """Search, validate and judge. While the verdict is outside the catalogue, search again without
-    the dropped effects, because these effects may have hidden others. If no search succeeds, fit
-    the effects that had no score; such an effect must explain nearly all of the mismatch.
+    """Search, validate and judge. While the verdict is *outside the catalogue*, search again
+    without the dropped effects, because a dropped effect may have been selected in place of others.
+    If no search ends with another verdict, fit the effects for which no score could be computed;
+    such an effect must explain nearly all of the mismatch.
 
-    The first outcome counts if no further search ends with another verdict.
+    If no further search ends with another verdict, the first outcome is returned.
     """
     outcomes, tried = [_outcome(task, terms)], terms
     for _ in range(RULES.further_searches):
@@ -197,7 +199,7 @@ def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
 
 
 def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Outcome:
-    """Search, validate and judge once."""
+    """Search for effects, validate them on unused recordings, and judge the result, once."""
     here, searched, flexible = _search_sides(task, terms, thorough)
     aside = _validation_views(task.dataset, task.bandwidth, flexible)
     task.report("validating effects on unused recordings", 0.92)
@@ -211,7 +213,7 @@ def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Out
 
 
 def _begin(progress: Progress | None) -> Progress:
-    """Release the cached signals of the last diagnosis; return the progress function."""
+    """Release the cached signals of the previous diagnosis; return the progress function."""
     forget()
     report: Progress = progress or (lambda _stage, _share: None)
     report("nominal model", 0.0)
@@ -241,12 +243,13 @@ def _with_estimate(
 def observable_effects(
     dataset: Dataset, bandwidth_Hz: float | None = None
 ) -> tuple[Observable, ...]:
-    """Return which effects these recordings can show, at which size, and which they cannot
+    """Return which effects these recordings can show, at which size, and which effects they cannot
     distinguish.
 
     Args:
-        dataset: Recordings; those with role ``validate`` take no part.
-        bandwidth_Hz: Bandwidth of every error; None chooses it as :func:`diagnose` does.
+        dataset: Recordings; those with role ``validate`` are not used.
+        bandwidth_Hz: Bandwidth of all errors, or None for the bandwidth that :func:`diagnose`
+            chooses.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model.
@@ -263,8 +266,9 @@ def _findings(
     every: Sequence[View],
     rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Return texts on dropped effects, on rests under a torque that no other rest withstood, on
-    recordings that contain most of the mismatch, and on what the effects do not explain.
+    """Return texts on dropped effects, on rests under a torque greater than at the end of any other
+    rest, on recordings that contain most of the mismatch, and on the mismatch that the effects do
+    not explain.
     """
     verdict = judged.verdict
     crowds = crowded_recordings(traces) if verdict is not Verdict.NOTHING_MISSING else ()
@@ -279,9 +283,9 @@ def _findings(
 def _search_sides(
     task: _Task, terms: Sequence[Term], thorough: bool
 ) -> tuple[tuple[View, ...], Search, bool]:
-    """Search for effects on the motor's side and, with a flexible transmission, again on the
-    valve's side. If the valve hardly moves, the search on the valve's side is replaced by a longer
-    search on the motor's side.
+    """Search for effects with friction as a function of the motor's motion. If this search finds a
+    flexible transmission, search again with friction as a function of the valve's motion; if the
+    valve hardly moves, a longer search with the motor's motion replaces this second search.
 
     Returns:
         Views of the last search, its result, and whether the transmission is flexible.
@@ -306,7 +310,9 @@ def _search_sides(
 def _effects_to_search(
     dataset: Dataset, here: Sequence[View]
 ) -> tuple[list[Term], tuple[str, ...]]:
-    """Return the effects to search for, and warnings that state why other effects are excluded."""
+    """Return the effects that the search may select, and warnings that state why others are
+    excluded.
+    """
     fitted = dataset.part("fit")
     excluded, why = unrecorded_effects(fitted, here)
     left_out = {*dataset.model.terms, *excluded}
@@ -314,7 +320,7 @@ def _effects_to_search(
 
 
 def _validation_views(dataset: Dataset, bandwidth: float, flexible: bool) -> tuple[View, ...]:
-    """Return views of the recordings that are set aside."""
+    """Return views of the recordings set aside, that is, with role ``validate``."""
     fitted, held = dataset.part("fit"), dataset.part("validate")
     return views((*fitted, *held), bandwidth, flexible, dataset.recordings)[len(fitted) :]
 
@@ -334,7 +340,7 @@ def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, 
 def _fits(
     baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float, drawn: Maps
 ) -> tuple[Fit, tuple[Fit, ...]]:
-    """Return the errors of the equation that the report shows first, and of all equations."""
+    """Return the errors of the equation in which the mismatch is judged, and of all equations."""
     held_before, held_after = (
         validation_rms(baseline, aside, unit),
         validation_rms(final, aside, unit),

@@ -1,8 +1,8 @@
 """Computes the oracle of a proof: the error, on recordings set aside, of a model with the true
-effects, given by name and fitted to the recordings of the diagnosis.
+effects, whose names are given and whose parameters are fitted to the recordings of the diagnosis.
 
-The sizes and nonlinear parameters of the effects, and the nominal parameters, are estimated from
-the recordings alone, as in a diagnosis.
+Sizes and nonlinear parameters of the effects, and the nominal parameters, are estimated from the
+fitted recordings alone, as in a diagnosis.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from identification.recording import Dataset
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors over recordings set aside, in the equation where the true effects reduce the error
-    most.
+    """Rms errors on recordings set aside, in the equation in which the true effects reduce the
+    error most.
 
     Attributes:
         equation: Name of the equation.
-        baseline_rms: Error of the nominal model alone, in the equation's unit.
-        oracle_rms: Error with the true effects.
-        noise_rms: Noise of one row.
-        remaining_strength: Effect to the error that remains without it after a new fit of
-            everything else, over the noise of a row, in the equation that shows it most.
+        baseline_rms: Error of the nominal model alone, in the unit of the equation.
+        oracle_rms: Error with the true effects, in the unit of the equation.
+        noise_rms: Noise of one row, in the unit of the equation.
+        remaining_strength: Name of each effect to its remaining strength: the error that the effect
+            would cause after a new fit of all other parameters without the effect, over the noise
+            of a row, in the equation in which this ratio is greatest.
     """
 
     equation: str
@@ -50,17 +51,17 @@ class HeldOut:
 def oracle(
     dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float
 ) -> HeldOut | None:
-    """Fit the effects with the given names, and score the fit on the recordings set aside.
+    """Fit the effects with the given names, and compute the errors on the recordings set aside.
 
     Args:
         dataset: Dataset of the diagnosis.
-        first: Fit of the nominal model to its recordings.
+        first: Fit of the nominal model to the fitted recordings.
         names: Names of the true effects in the catalogue.
-        bandwidth_Hz: Bandwidth of every error.
+        bandwidth_Hz: Bandwidth of all errors.
 
     Returns:
-        None if no recording set aside has a row of an equation, or if an effect is collinear with
-        the nominal model or gets an unphysical sign.
+        The errors; None if the recordings set aside have no row of any equation, or if an effect is
+        collinear with the nominal model or its fitted coefficient has an unphysical sign.
     """
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not held:
@@ -79,8 +80,8 @@ def oracle(
         joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
     aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
     before, after = validation_rms(baseline, aside, unit), validation_rms(joint, aside, unit)
-    # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
-    # breakaway equation is not scored.
+    # The breakaway equation is not used: it has one row per rest, and its noise is large because
+    # the instant of a breakaway is known only to within one sample.
     noise = {
         e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"
     }
@@ -96,8 +97,8 @@ def oracle(
 
 
 def _remaining_strength(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
-    """Return the mismatch without an effect beyond the mismatch with the effect, over the noise, in
-    the equation where this ratio is greatest.
+    """Return the rms by which the mismatch without an effect exceeds the mismatch with the effect,
+    over the noise, in the equation in which this ratio is greatest.
     """
     beyond = []
     for name in equations:
@@ -107,6 +108,8 @@ def _remaining_strength(without: Joint, joint: Joint, equations: Sequence[str]) 
 
 
 def _best_candidate(joint: Joint, terms: Sequence[Term]) -> Candidate | None:
-    """Return the effect, at trial parameters, that explains most of the remaining mismatch."""
+    """Return the effect, at one set of trial parameters, that explains most of the remaining
+    mismatch.
+    """
     context = Context(joint.equations[0].views, joint.nominal)
     return max(trial_candidates(joint.stack, context, terms), key=lambda c: c.score, default=None)

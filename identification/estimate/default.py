@@ -1,7 +1,7 @@
 """The default identification method: equation error, then maximum likelihood (docs/method.md).
 
-Variable projection solves the equation error. Prediction errors then refine the values, if the
-acceptance tests pass.
+Variable projection minimises the equation error. The values are then refined by prediction errors,
+and the refined values are used if they pass the acceptance tests.
 """
 
 from __future__ import annotations
@@ -54,13 +54,14 @@ def identify(
     draws: int = 0,
     settings: EstimatorSettings = DEFAULT,
 ) -> Identification:
-    """Identify the nine parameters in two stages; five parameters where no recording is loaded.
+    """Identify the nine parameters in two stages; if no recording is loaded, the five system
+    parameters.
 
     Args:
-        dataset: Recordings and the declared model; recordings with role ``validate`` are scored
-            once at the end.
-        bandwidth_Hz: Bandwidth of torque and regressors; None chooses the least of the recordings'
-            default bandwidths, or a greater one if the motion needs it.
+        dataset: Recordings and the declared model; the errors on recordings with role ``validate``
+            are computed once, at the end.
+        bandwidth_Hz: Bandwidth of torque and regressors, or None for the least of the recordings'
+            default bandwidths, or a greater bandwidth if the motion needs it.
         rng: Random generator for the simulated replicates and the bootstrap, or None for seed 0.
         progress: Called with the name of a step and the share of the step that is done.
         profile: Whether to compute profile likelihoods as well; the identification then takes
@@ -108,7 +109,7 @@ def identification(
 
     Args:
         dataset: The dataset that was identified.
-        prepared: Every recording with its pieces; traces show the first piece.
+        prepared: Every recording with its pieces; traces contain the first piece only.
         found: The estimate, with all stages and warnings.
     """
     model = dataset.model
@@ -124,7 +125,7 @@ def identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
-        # The floor is computed from the recordings alone, without priors.
+        # The floor is the bound for the recordings alone, without priors.
         parameters=parameter_table(active, values, spread, model, {} if priors else found.floors),
         fit=fit_of(active, values, model.alpha, validate),
         stages=found.stages,
@@ -155,7 +156,8 @@ def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared
 def _unresolved(active: Sequence[Prepared]) -> list[str]:
     """Return a warning for each recording that the equation error cannot use."""
     return [
-        f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz"
+        f"{p.recording.name}: not used by the equation error, because at a bandwidth of "
+        f"{p.bandwidth_Hz:.3g} Hz no filter window consists of samples in motion only"
         for p in active
         if not np.any(p.used)
     ]
@@ -169,7 +171,7 @@ def _asked(
     rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
-    """Return the requested profiles and bootstrap results, and warnings where they cannot be
+    """Return the requested profiles and bootstrap results, or a warning if they cannot be
     computed.
     """
     if found.taken is None:
@@ -179,18 +181,18 @@ def _asked(
         return (
             (),
             (),
-            [f"no {what}: it needs the refinement by prediction errors, which was not accepted"]
+            [f"no {what}: the refinement by prediction errors, which it needs, was not accepted"]
             if what
             else [],
         )
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
-    # Profiles and bootstrap are centred at the maximum of the likelihood; the bias correction
-    # shifts them as it shifted the estimate.
+    # Profiles and bootstrap results are centred at the maximum of the likelihood; the bias
+    # correction is applied to them as it was to the estimate.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        # Use the reported covariance, which includes the replicates and the uncertainty of the
-        # bias.
+        # Use the reported covariance, which includes the information from replicates and the
+        # uncertainty of the bias.
         stated = replace(found.taken, covariance=found.spread.covariance)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
@@ -203,8 +205,8 @@ def _asked(
 def solve_stages(
     unloaded: Sequence[Prepared], loaded: Sequence[Prepared], model: Model, tell: Progress
 ) -> tuple[dict[str, float], list[Convergence]]:
-    """Solve both stages by variable projection; return all values by name and the record of each
-    search.
+    """Solve the unloaded and the loaded stage by variable projection; return all values by name and
+    the record of each search.
 
     Raises:
         RecordingError: A stage has no motion, or all recordings are loaded, so that system and load
@@ -220,9 +222,8 @@ def solve_stages(
         missing = [n for n in SYSTEM_PARAMETERS if n not in model.fixed]
         if missing:
             raise RecordingError(
-                "no unloaded recording to fit: system and load friction cannot be separated at "
-                "one load; record an "
-                f"unloaded stage, or fix {', '.join(missing)}"
+                "no unloaded recording to fit: friction without load cannot be separated from "
+                f"friction due to the load; record an unloaded stage, or fix {', '.join(missing)}"
             )
         values = {n: float(v) for n, v in model.fixed.items()}
     tell("unloaded", 1.0)
@@ -255,8 +256,8 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
-    """Return the names of the parameters to estimate: those that are not fixed, without the
-    parameters of Stribeck terms that the model lacks.
+    """Return the names of the parameters to estimate: all that are not fixed and belong to a
+    friction term of the model.
     """
     falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}

@@ -1,9 +1,9 @@
 """Fits every friction model of the ladder to one dataset and scores it on validation recordings.
 
-A rung is one friction model of the ladder. Intervals come from a bootstrap over recordings:
+A rung is one friction model of the ladder. Intervals are computed by a bootstrap over recordings:
 recordings to fit and recordings to score are drawn with replacement, with the same draws for every
-rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Samples within a recording are
-too correlated to be drawn independently.
+rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Whole recordings are drawn,
+because samples within a recording are correlated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ REPLICATES = 100
 
 @dataclass(frozen=True)
 class Interval:
-    """A value and its 90 % interval over recordings."""
+    """A value and its 90 % interval, by a bootstrap over recordings."""
 
     value: float
     low: float
@@ -46,11 +46,12 @@ class Rung:
         friction: Name of the rung.
         result: The fit to all recordings with role ``fit``.
         train: Torque error on the fitted recordings, in the unit of the fit.
-        scored: Torque error on the recordings with role ``validate``, or None if there are none.
+        scored: Torque error on the recordings with role ``validate``, or None without such
+            recordings.
         angle: Rms angle error of the simulated control loop, rad (m), on the validation recordings,
             or on the fitted recordings if there are no validation recordings; None without a
             controller.
-        angle_mae: Mean absolute angle error on the same recordings, rad (m).
+        angle_mae: Mean absolute angle error on the recordings of ``angle``, rad (m).
         best: Share of the bootstrap draws in which this rung has the least torque error on the
             scored recordings.
     """
@@ -76,10 +77,10 @@ def climb(
 
     Args:
         dataset: Unloaded recordings; rungs with load-dependent friction need a pendulum.
-        bandwidth_Hz: Bandwidth of torque and regressors; None chooses the bandwidth as
-            :func:`identification.estimate.default.identify` does.
+        bandwidth_Hz: Bandwidth of torque and regressors, or None for the bandwidth that
+            :func:`identification.estimate.default.identify` chooses.
         rng: Random generator for the drawn recordings and the simulated replicates.
-        replicates: Number of draws.
+        replicates: Number of bootstrap draws.
         progress: Called with the name of the step and the share done.
 
     Raises:
@@ -135,8 +136,8 @@ def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
         raise RecordingError(
-            f"{loaded[0]}: the friction ladder describes friction without load; remove loaded "
-            "recordings"
+            f"{loaded[0]}: the recording is loaded, but the friction ladder describes friction "
+            "without load; remove all loaded recordings"
         )
     to_fit = dataset.part("fit")
     if not to_fit:

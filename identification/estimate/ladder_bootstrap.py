@@ -1,4 +1,6 @@
-"""Bootstrap of the friction ladder: fits a friction model to drawn recordings and scores it."""
+"""Bootstrap of the friction ladder: fits a friction model to drawn recordings, and computes its
+errors.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ from identification.simulate.closed_loop import replay
 from identification.simulate.score import Sums, compare, pooled
 
 COARSE, FINE, NEAR = 12, 17, 1.8
-"""Number of trial Stribeck speeds over the whole range; number of trial speeds near the Stribeck
-speed of the fit to all recordings; factor that bounds the near range.
+"""Number of trial Stribeck speeds over the whole range; number of trial Stribeck speeds near that
+of the fit to all recordings; and greatest factor between these two.
 """
 STEP_S = 1e-3
 """Integration step, s; the step causes an error of 0.04 mrad rms in angle errors of 20 mrad and
@@ -32,15 +34,15 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Score:
-    """Errors of one draw.
+    """Errors of a friction model in one bootstrap draw.
 
     Attributes:
         train: Torque error on the drawn recordings to fit, in the unit of the fit.
         torque: Torque error on the drawn recordings to score.
         angle: Rms angle error of the simulated loop on the drawn recordings to score, rad (m); None
             if the loop is not simulated.
-        angle_mae: Mean absolute angle error on the same recordings, rad (m), or None if the loop is
-            not simulated.
+        angle_mae: Mean absolute angle error on the drawn recordings to score, rad (m), or None if
+            the loop is not simulated.
     """
 
     train: float
@@ -54,14 +56,14 @@ class Redraw:
 
     Each recording is reduced once, at every trial Stribeck speed, to the triangular factor of its
     QR decomposition; a draw is then fitted to the stacked triangular factors. Between the trial
-    speeds the cost is interpolated by a parabola in log omega_s.
+    Stribeck speeds omega_s the cost is interpolated by a parabola in log omega_s.
 
     Args:
-        model: The rung.
+        model: Model with the friction of the rung.
         fitted: Recordings to fit.
         scored: Recordings to score, at the same bandwidth.
         centre: Stribeck speed of the fit to all recordings, rad/s.
-        simulated: Whether to simulate the loop as well.
+        simulated: Whether to simulate the control loop too.
     """
 
     def __init__(
@@ -83,8 +85,8 @@ class Redraw:
         ]
 
     def __call__(self, to_fit: Indices, to_score: Indices) -> Score:
-        """Fit the recordings ``to_fit`` and score the recordings ``to_score``; a recording may
-        occur more than once in either.
+        """Fit the recordings ``to_fit`` and score the recordings ``to_score``; each list may
+        contain a recording more than once.
         """
         values = self._solve(to_fit)
         angles = self._angles(to_score, values) if self._simulated else None
@@ -133,7 +135,9 @@ def _solved(triangles: Sequence[Array], low: Array, high: Array) -> tuple[Array,
 
 
 def _vertex(x: Array, y: Array) -> float:
-    """Return the minimum of the parabola through three points, within their range."""
+    """Return the x at which the parabola through three points has its minimum, within the range of
+    the points.
+    """
     first, second = (y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1])
     curvature = (second - first) / (x[2] - x[0])
     if not curvature > 0.0:

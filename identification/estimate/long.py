@@ -1,8 +1,9 @@
 """The default identification method for recordings too long for memory, piece by piece.
 
-The signals of the equation error are sampled at 2.5 times the bandwidth, as in the method for short
-recordings, without loss of information; only the velocity keeps the full sampling rate. The
-prediction errors pass over the pieces (:mod:`identification.estimate.likelihood.long_refinement`).
+The signals of the equation error are decimated to 2.5 times the bandwidth without loss of
+information, as in the method for short recordings; only the velocity keeps the full sampling rate.
+The prediction errors pass over the pieces
+(:mod:`identification.estimate.likelihood.long_refinement`).
 """
 
 from __future__ import annotations
@@ -43,12 +44,14 @@ from identification.recording import Dataset, Recording
 from identification.result import Identification
 
 LONG_SAMPLES = 200_000
-"""Number of samples to fit, over all recordings, above which the estimation runs piece by piece;
-with fewer samples an estimation in one piece is faster.
+"""Number of samples to fit, over all recordings, above which recordings are processed in pieces;
+with fewer samples, processing without pieces is faster.
 """
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000
-"""Number of samples before the end of a piece among which the cut is placed at a rest."""
+"""Number of samples before the end of a piece in which a rest is searched, at which the recording
+is cut.
+"""
 
 
 def identify_any_length(
@@ -79,16 +82,16 @@ def identify_any_length(
     found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
     if profile or draws:
         limit = (
-            f"no profiles and no bootstrap: they need at most {LONG_SAMPLES} samples in all "
-            "recordings together; use shorter recordings"
+            "no profiles and no bootstrap: these are computed only if all recordings together have "
+            f"at most {LONG_SAMPLES} samples; use shorter recordings"
         )
         found = replace(found, warnings=(*found.warnings, limit))
     return found
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into pieces of about ``PIECE_SAMPLES`` samples, at rests where possible; the
-    channels of a piece are views.
+    """Cut a recording into pieces of about ``PIECE_SAMPLES`` samples, at rests if possible; the
+    channels of a piece are views of those of the recording.
     """
     n, start = len(recording.time), 0
     found = []
@@ -148,8 +151,8 @@ def identify_long(
 
 
 def _cut(recording: Recording, near: int) -> int:
-    """Return the sample at which to cut: the middle of the last rest shortly before ``near``;
-    ``near`` if there is no rest.
+    """Return the sample at which a recording is cut: the middle of the last rest shortly before the
+    sample ``near``, or ``near`` if there is no rest.
     """
     window = slice(near - _SEARCH_SAMPLES, near)
     angle = joint_angle(

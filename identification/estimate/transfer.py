@@ -1,4 +1,4 @@
-"""Applies an identified model to other recordings (another day, unit or load) and scores it."""
+"""Computes the errors of an identified model on other recordings (another day, unit or load)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from identification.result import Fit, Identification, Parameter
 
 @dataclass(frozen=True)
 class Moved:
-    """Comparison of one parameter, identified from the first and from the other recordings.
+    """Comparison of two estimates of one parameter, from the first and from the other recordings.
 
     Attributes:
         name: Name of the parameter.
         unit: Unit, SI.
         first: Estimate from the first recordings.
         second: Estimate from the other recordings alone.
-        difference: Second estimate less first estimate, or None if either is not identifiable.
+        difference: Second estimate less first estimate, or None if the parameter is not
+            identifiable from the first or from the other recordings.
         joint: Half width of the 90 % interval of the difference, for independent estimates.
         moved: Whether the difference exceeds this half width.
     """
@@ -70,8 +71,8 @@ def transfer(
     """Score a fitted model on other recordings, and compare it with an identification of the other
     recordings.
 
-    The other recordings are identified with the same model and bandwidth; their validation
-    recordings are not fitted.
+    The other recordings are identified with the model and bandwidth of the first fit; those with
+    role ``validate`` are not fitted.
 
     Args:
         first: The fit to transfer.
@@ -88,7 +89,7 @@ def transfer(
     known = [r.name for r in recordings if r.sha256 in seen]
     if known:
         raise RecordingError(
-            f"{known[0]}: the model was fitted to this recording; score it on other recordings"
+            f"{known[0]}: the model was fitted to this recording; a score needs other recordings"
         )
     loaded = [r.name for r in recordings if r.stage == "loaded"]
     if loaded and not set(LOAD_PARAMETERS) & first.fitted.keys():

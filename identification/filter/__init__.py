@@ -1,1 +1,1 @@
-"""Prediction errors of the nominal model on recordings: segments, Kalman filter, likelihood."""
+"""Prediction errors of the nominal model: motion segments, Kalman filter, likelihood."""

@@ -1,4 +1,4 @@
-"""Scales and bounds the derivatives of residuals, in one pass over them."""
+"""Scales and bounds the derivatives of residuals, in one pass over the array of derivatives."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from identification.numerics.compiled import compiled
 
 
 def bounded(slopes: Array, ties: Array, scale: Array, bound: Array) -> tuple[Array, Array]:
-    """Return the slopes of innovations, shape (r - m, d), and of ties, shape (m, d), divided by the
-    scale of their row and limited to a bound for each column; undefined slopes become zero. The
-    result has the columns of the parameters, shape (r, d - 1), and the column of the breakaway
-    time, shape (r,).
+    """Return the derivatives of innovations, shape (r - m, d), and of ties, shape (m, d), divided
+    by the scale of their row and limited to the bound of their column; undefined derivatives become
+    zero. The result has the columns of the parameters, shape (r, d - 1), and the column of the
+    breakaway time, shape (r,).
     """
     parameters, own = np.empty((len(scale), len(bound) - 1)), np.empty(len(scale))
     cut = len(slopes)

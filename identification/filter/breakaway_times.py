@@ -17,11 +17,12 @@ LONGEST_STEP_MS = 2.0
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of some recordings without their breakaway times; p parameters, m segments.
+    """Normal equations of some recordings with the breakaway times eliminated; p parameters, m
+    segments.
 
     Attributes:
         normal: Fisher information of the residuals (unit variance), shape (p, p).
-        scores: Each segment's gradient of half the sum of squares, shape (m, p).
+        scores: Gradient of half the sum of squares of each segment's residuals, shape (m, p).
         squares: Sum of squared residuals.
         neighbours: Sum of products of neighbouring residuals.
         count: Number of residuals.
@@ -40,8 +41,8 @@ def optimise_breakaway_times(
     """Return the point at which each breakaway time minimises its segment's Huber cost; the
     parameters stay fixed.
 
-    The method is Gauss-Newton with one step length per segment: a step that raises the cost of its
-    segment is undone and shortened.
+    The method is Gauss-Newton with one step length per segment: a step that raises the Huber cost
+    of its segment is undone and shortened.
     """
     count = len(point.free)
     held = point.weighted()
@@ -70,7 +71,9 @@ def optimise_breakaway_times(
 
 
 def search_breakaway_times(point: Point, threshold: float) -> Point:
-    """Return the point at the best local minimum of each breakaway time, with fixed parameters."""
+    """Return the point at which the Huber cost of each segment has the least of its local minima
+    over the breakaway time, with fixed parameters.
+    """
     there, moved = (
         optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
     )

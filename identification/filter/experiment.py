@@ -33,8 +33,9 @@ from identification.numerics.two_threads import both, idle
 from identification.recording import Model
 
 COST_OF_SENSITIVITIES = 3
-"""Number of passes as which a pass with sensitivities counts; its computing time is that of about
-ten, because segments that run side by side speed up a plain pass more.
+"""Number of filter runs as which one run with sensitivities counts. Its computing time is that of
+about ten runs, because the side-by-side computation of segments speeds up a run without
+sensitivities more.
 """
 
 _Place = tuple[bytes, tuple[bytes, ...], Noise]
@@ -43,7 +44,7 @@ _Place = tuple[bytes, tuple[bytes, ...], Noise]
 
 @dataclass(frozen=True, eq=False)
 class Lineup:
-    """Segments in the order in which the filter takes them, the longest first.
+    """Motion segments in the order in which the filter processes them, the longest first.
 
     Attributes:
         table: Table of segments, shape (m, 7).
@@ -55,7 +56,9 @@ class Lineup:
 
     @classmethod
     def of(cls, table: Array) -> Lineup:
-        """Return the line-up of the segments of a table; segments without samples are left out."""
+        """Return the segments of a table in the order of the filter, without segments that have no
+        samples.
+        """
         lengths = table[:, LAST] - table[:, FIRST]
         order = np.argsort(-lengths, kind="stable")
         order = order[lengths[order] > 0.0]
@@ -63,8 +66,8 @@ class Lineup:
 
     @cached_property
     def halves(self) -> tuple[Lineup, ...]:
-        """The segments in two parts of about equal computing time; in one part if their lanes fit
-        into one instruction.
+        """The segments in two parts of about equal computing time, or in one part if one
+        instruction computes all segments.
         """
         if len(self.order) <= AT_ONCE:
             return (self,)
@@ -74,8 +77,8 @@ class Lineup:
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """The first samples of every segment; the breakaway time affects no later sample of the
-    segment.
+    """The first samples of every segment, which are all samples that the segment's breakaway time
+    affects.
 
     Attributes:
         lineup: Segments that end after these samples.
@@ -92,8 +95,8 @@ class Experiment:
 
     Attributes:
         motions: Recordings with their segments.
-        statics: Fixed static levels, each as index of the Coulomb level, index of the rise, and
-            value.
+        statics: Static levels that are not fitted, each as index of the Coulomb level, index of the
+            rise, and value.
     """
 
     motions: tuple[Motion, ...]
@@ -114,8 +117,8 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment of every residual, over all recordings, with the ties last, shape
-        (r,).
+        """Number of the segment to which each residual belongs, counted over all recordings, shape
+        (r,); the ties come last.
         """
         inside = np.repeat(np.arange(self.breakaways), self.lengths)
         return np.concatenate([inside, np.arange(self.breakaways)])
@@ -128,14 +131,17 @@ class Experiment:
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
-        """Number of each innovation's sample in its segment, from zero, shape (r - m,)."""
+        """Number of the sample of each innovation, counted from zero in its segment, shape (r -
+        m,).
+        """
         starts = np.cumsum(self.lengths) - self.lengths
         return np.asarray(np.arange(int(self.lengths.sum())) - np.repeat(starts, self.lengths))
 
     @cached_property
     def table(self) -> Array:
-        """Table of all segments, whose samples are rows of :attr:`table_of_samples`, shape (m, 7);
-        columns of :mod:`identification.filter.segment_table`.
+        """Table of all segments, shape (m, 7), with the columns of
+        :mod:`identification.filter.segment_table`; the samples of the segments are rows of
+        :attr:`table_of_samples`.
         """
         parts = []
         for m in self.motions:
@@ -164,7 +170,7 @@ class Experiment:
 
     @cached_property
     def lineup(self) -> Lineup:
-        """All segments in the order in which the filter takes them."""
+        """All segments in the order in which the filter processes them."""
         return Lineup.of(self.table)
 
     def heads(self, samples: int) -> Heads:
@@ -175,8 +181,8 @@ class Experiment:
 
     @cached_property
     def matching_count(self) -> Array:
-        """Number of matching half cycles of every residual's segment, including the segment itself,
-        shape (r,).
+        """Number of matching half cycles of the segment of each residual, including the segment
+        itself, shape (r,).
         """
         counts = np.concatenate(
             [np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions]
@@ -187,8 +193,8 @@ class Experiment:
 class Filter:
     """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
-    A filter keeps the results of the last run over whole segments and of the last derivatives,
-    because a search begins and ends at the point of the last run. Results are read-only copies. A
+    A filter keeps the innovations of the last run over whole segments, and the last derivatives,
+    because a search often needs both again at the same point. Results are read-only copies. A
     filter is not thread-safe.
 
     Args:
@@ -196,7 +202,7 @@ class Filter:
 
     Attributes:
         experiment: The recordings.
-        evaluations: Number of runs so far, without repetitions of the last one.
+        evaluations: Number of filter runs so far; a repetition of the last run does not count.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -216,8 +222,8 @@ class Filter:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
             noise: Noise of torque and angle.
-            heads: First samples of the segments; only these samples are filtered and returned. None
-                for whole segments.
+            heads: First samples of the segments, of which alone the innovations are computed and
+                returned; None for whole segments.
         """
         if heads is not None:
             self._filter(heads.lineup, p, times, noise)
@@ -297,8 +303,8 @@ class Filter:
 
 
 def _shared(lineup: Lineup, work: Callable[[Lineup], None], most: int) -> None:
-    """Do the work on all segments; if the second thread is free and there are more than ``most``
-    segments, that thread does half of the work.
+    """Call ``work`` on all segments; with more than ``most`` segments, and if the second thread is
+    free, this thread computes half of the segments.
     """
     if len(lineup.order) > most and idle():
         one, other = lineup.halves

@@ -1,13 +1,13 @@
 """Computes the one-step prediction errors of the angle by an extended Kalman filter with the
 measured torque as input (M14-M21).
 
-The measured torque is a noisy mean over each period, and the encoder is quantised. The output error
-drifts with the torque noise, and the equation error differentiates the encoder signal; the one-step
-prediction error of the joint angle has neither drawback. The filter has the state (angle, speed),
-with J domega/dt = torque - friction(omega) + noise and y = angle + noise. A correlated part of the
-torque noise is a third state, a first-order process that is constant within each period. The
-normalised innovations are white when the model is right, and their sum of squares is the likelihood
-(Ljung, System Identification, 2nd ed., 7.3 and 10.5).
+The measured torque is a noisy mean over each period, and the encoder is quantised. An output error
+would drift with the torque noise, and an equation error needs derivatives of the encoder signal;
+the one-step prediction error of the joint angle has neither drawback. The filter has the state
+(angle, speed), with J domega/dt = torque - friction(omega) + noise and y = angle + noise. A
+correlated part of the torque noise is a third state, a first-order process that is constant within
+each period. The normalised innovations are white when the model is right, and their sum of squares
+is the likelihood (Ljung, System Identification, 2nd ed., 7.3 and 10.5).
 
 A motion segment starts at its breakaway time, at the angle of rest and with speed zero. Segments
 run side by side (:mod:`identification.filter.lanes`).
@@ -72,8 +72,8 @@ noise, N m.
 
 @inlined
 def _predicted(t: Array, wide: int, number: float, p: Law) -> None:
-    """Propagate lanes over integration step ``number`` (M16, M17); the speed follows the linearly
-    implicit trapezoidal rule.
+    """Propagate the state of all lanes over integration step ``number`` (M16, M17), by the linearly
+    implicit trapezoidal rule for the speed.
     """
     for lane in range(wide):
         omega, side, inverse = t[L_OMEGA + lane], t[L_SIDE + lane], t[L_INVERSE + lane]
@@ -103,7 +103,7 @@ def _predicted(t: Array, wide: int, number: float, p: Law) -> None:
 
 @inlined
 def _predicted_hidden(t: Array, wide: int, number: float) -> None:
-    """Add the effect of the correlated noise on the covariance of lanes, after
+    """Add the effect of the correlated torque noise to the covariances of all lanes, after
     :func:`_predicted`.
     """
     for lane in range(wide):
@@ -121,7 +121,7 @@ def _predicted_hidden(t: Array, wide: int, number: float) -> None:
 
 @compiled
 def predict(t: Array, wide: int, number: int, p: Array, correlated: bool) -> None:
-    """Propagate the first ``wide`` lanes over one integration step (M16, M17).
+    """Propagate the state of the first ``wide`` lanes over one integration step (M16, M17).
 
     Args:
         t: Workspace of the lanes, shape (WORKSPACE,).
@@ -140,7 +140,7 @@ def predict(t: Array, wide: int, number: int, p: Array, correlated: bool) -> Non
 
 @compiled
 def compare(t: Array, wide: int) -> None:
-    """Compute the innovation of the first ``wide`` lanes and its variance (M18)."""
+    """Compute innovation and variance of the innovation of the first ``wide`` lanes (M18)."""
     for lane in range(wide):
         t[L_ERROR + lane] = t[L_ANSWER + lane] - t[L_ANGLE + lane]
         t[L_VARIANCE + lane] = t[L_P11 + lane] + t[L_READING_NOISE + lane]
@@ -148,12 +148,12 @@ def compare(t: Array, wide: int) -> None:
 
 @inlined
 def _corrected(t: Array, wide: int) -> None:
-    """Correct lanes by their readings (M19); the speed keeps its sign.
+    """Correct the states of all lanes by readings of the angle (M19); the speed keeps its sign.
 
-    The share of the period that lies after the breakaway weights the reading, so that the result is
-    a smooth function of the breakaway time. This share is zero at rest, where a reading improves
-    the angle alone (M20): a part of the error of a reading is the same in all readings at rest, and
-    further readings reduce only the variance of the other part.
+    The reading is weighted with the share of the period that lies after the breakaway, so that the
+    result is a smooth function of the breakaway time. At rest this share is zero, and a reading
+    corrects the angle alone (M20). One part of the error of a reading is equal in all readings at
+    rest; more readings reduce the variance of the remaining part only.
     """
     for lane in range(wide):
         error, variance, side = t[L_ERROR + lane], t[L_VARIANCE + lane], t[L_SIDE + lane]
@@ -177,7 +177,9 @@ def _corrected(t: Array, wide: int) -> None:
 
 @inlined
 def _corrected_hidden(t: Array, wide: int) -> None:
-    """Correct the correlated noise of lanes by their readings, before :func:`_corrected`."""
+    """Correct the correlated torque noise of all lanes by readings of the angle, before
+    :func:`_corrected`.
+    """
     for lane in range(wide):
         variance, new = t[L_VARIANCE + lane], t[L_SHARE + lane]
         p12, p13 = t[L_P12 + lane], t[L_P13 + lane]
@@ -191,7 +193,7 @@ def _corrected_hidden(t: Array, wide: int) -> None:
 
 @compiled
 def correct(t: Array, wide: int, correlated: bool) -> None:
-    """Correct the first ``wide`` lanes by their readings (M19, M20)."""
+    """Correct the states of the first ``wide`` lanes by readings of the angle (M19, M20)."""
     if correlated:
         _corrected_hidden(t, wide)
     _corrected(t, wide)
@@ -211,8 +213,8 @@ def innovations(
             the parameters, so that the innovations are smooth functions of the parameters.
         noise: Noise vector of :mod:`identification.filter.lanes`, shape (4,).
         p: Vector of :mod:`identification.model.parameters`.
-        found: Rows ``ERROR`` to ``FILTERED``, shape (3, n); samples outside the segments are left
-            unchanged, and the filtered noise if the noise has no correlated part.
+        found: Rows ``ERROR`` to ``FILTERED``, shape (3, n). Samples outside the segments stay
+            unchanged; so does the row ``FILTERED`` if the torque noise has no correlated part.
     """
     lanes = np.zeros(WORKSPACE)
     correlated = noise[CORRELATED] > 0.0

@@ -1,10 +1,10 @@
-"""Runs motion segments side by side, one in each lane, so that the compiler combines several lanes
-in one instruction.
+"""Computes motion segments side by side, one in each lane of an array, so that one processor
+instruction computes several segments.
 
-The numbers of all lanes lie in one flat array, each number in a row of ``LANES`` places: in one
+All numbers of all lanes are in one flat array, each quantity in a row of ``LANES`` places; with one
 array the compiler knows that the rows do not overlap. A loop over the lanes has no branches. The
-arithmetic of a lane does not depend on the other lanes; a lane that has nothing to do takes a step
-of length zero, which changes nothing.
+result of a lane does not depend on the other lanes. A lane whose segment has ended takes
+integration steps of length zero, which do not change its state.
 """
 
 from __future__ import annotations
@@ -33,35 +33,38 @@ from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled, inlined
 
 LANES = 32
-"""Places in a row, the greatest number of segments side by side."""
+"""Length of a row: the greatest number of segments that are computed side by side."""
 AT_ONCE = 8
-"""Lanes of a processor's widest instruction; loops run over a multiple of it."""
+"""Number of lanes that the widest processor instruction computes; loops run over a multiple of this
+number.
+"""
 L_ANGLE, L_OMEGA, L_P11, L_P12, L_P22, L_HIDDEN, L_P13, L_P23, L_P33 = (LANES * k for k in range(9))
 """Places of the state: angle, rad, and speed, rad/s; their covariance; the correlated torque noise,
 N m, its covariances with angle and speed, and its variance.
 """
 L_SIDE, L_INVERSE, L_READING_NOISE, L_STAYING = (LANES * k for k in range(9, 13))
-"""Places of the segment: direction, inverse of the inertia, variance of a reading of the angle, and
-the part of it that is the same in all readings at rest.
+"""Places of the segment: direction; inverse of the inertia; variance of the error of an angle
+reading; and the part of this variance whose error is equal in all readings at rest.
 """
 L_LENGTH, L_STEPS, L_NOW, L_MIDDLE, L_TORQUE, L_SLOPE, L_MOMENT, L_DIFFUSION = (
     LANES * k for k in range(13, 21)
 )
-"""Places of the period: length and number of the integration steps, start of the next one, middle
-of the period; torque, its rate of change, and contact moment; growth of the speed's variance.
+"""Places of the sample period: length and number of the integration steps; start of the next
+integration step; middle of the period; torque, rate of change of the torque, and contact moment;
+growth of the variance of the speed.
 """
 L_MOVED, L_SHARE, L_ANSWER, L_UNSURE, L_ERROR, L_VARIANCE = (LANES * k for k in range(21, 27))
-"""Places of the reading: whether the breakaway is within the period, and the share of the period
-since the breakaway; angle read, and variance that is added to the variance of the speed; innovation
-and its variance.
+"""Places of the reading: whether the breakaway is within the period; share of the period after the
+breakaway; measured angle; variance that is added to the variance of the speed; innovation; variance
+of the innovation.
 """
 L_B, L_C, L_GROWTH = (LANES * k for k in range(27, 30))
-"""Places of the values b, c and growth of one integration step, for the correlated noise."""
+"""Places of the values b, c and growth of one integration step, for the correlated torque noise."""
 WORKSPACE = 30 * LANES
 
 WHITE, ANGLE_NOISE, CORRELATED, CORRELATION_TIME = range(4)
 """Indices of the noise vector: white torque noise, N m rms; noise of the angle beyond quantisation,
-rad rms; correlated torque noise, N m rms; its correlation time, s.
+rad rms; correlated torque noise, N m rms; correlation time of the latter, s.
 """
 LEAST_SPEED = 1e-7
 _SLIP = 0.7
@@ -82,9 +85,9 @@ def slip_variance(noise: float, period: float, rise: float, inertia: float) -> f
     limit, (rad/s)^2 (M21).
 
     At rest friction balances every backward torque, so that noise moves the joint forward only. The
-    speed of the joint is a random walk that is reflected at zero, under the drift ``rise`` t /
-    ``inertia`` (``rise`` in N m/s). The time t is zero when the torque reaches the static limit.
-    Walk and drift are of equal size after the time (noise^2 period / rise^2)^(1/3).
+    speed of the joint is a random walk that is reflected at zero, with the drift rate ``rise`` t /
+    ``inertia`` (``rise`` in N m/s). The time t is zero when the mean torque reaches the static
+    limit. Random walk and drift are of equal size after the time (noise^2 period / rise^2)^(1/3).
     """
     diffusion = noise * noise * period
     alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
@@ -93,7 +96,7 @@ def slip_variance(noise: float, period: float, rise: float, inertia: float) -> f
 
 @inlined
 def whole(active: int) -> int:
-    """Return the number of lanes to compute for this number of ``active`` lanes."""
+    """Return ``active`` rounded up to the number of lanes that are computed."""
     return (active + AT_ONCE - 1) // AT_ONCE * AT_ONCE
 
 
@@ -101,7 +104,8 @@ def whole(active: int) -> int:
 def started(segments: Array, samples: Array, noise: Array, p: Array, lanes: Array) -> None:
     """Start one segment in each lane at its angle of rest.
 
-    Repeated readings at rest do not reduce the error of the angle below the quantisation error.
+    The error of the angle at rest is at least the quantisation error, however many readings were
+    taken.
 
     Args:
         segments: Segments of the lanes, shape (m, 7), at most ``LANES``; columns of
@@ -132,8 +136,8 @@ def started(segments: Array, samples: Array, noise: Array, p: Array, lanes: Arra
 
 @inlined
 def still_active(segments: Array, active: int, k: int) -> int:
-    """Return how many of the ``active`` first segments have a sample number ``k``; later segments
-    are not longer.
+    """Return how many of the ``active`` first segments have a sample number ``k``; the segments are
+    sorted by length, the longest first.
     """
     while active > 0 and k >= int(segments[active - 1, LAST] - segments[active - 1, FIRST]):
         active -= 1
@@ -152,7 +156,8 @@ def loaded(
         begins: Breakaway times, s, shape (m,).
         samples: Table of samples, shape (n, 8).
         k: Number of the sample in its segment, from zero.
-        active: Number of lanes with such a sample; the others get a step of length zero.
+        active: Number of lanes whose segment has a sample ``k``; all other lanes get integration
+            steps of length zero.
         noise: Noise vector, shape (4,).
         lanes: Workspace, shape (WORKSPACE,).
     """

@@ -26,12 +26,14 @@ _FARTHEST_LOG = 6.0
 """Greatest change of a logarithmic parameter in one fit, so that the filter does not overflow."""
 _TIME_SCALE_S = _TIME_STEP = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
-"""Grid of alternative breakaway times around the present ones."""
+"""Alternative breakaway times that are tried, relative to the present breakaway time."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
-"""Relative step of a coordinate for finite differences, and least size of a coordinate."""
+"""Step of a coordinate for finite differences, as a share of the coordinate's size, and least
+size.
+"""
 _GREATEST_CHANGE = 10.0
-"""Greatest change of an error, in standard deviations, or of the logarithm of its deviation, over
-one step of a finite difference.
+"""Greatest change of a residual, in standard deviations, or of the logarithm of its standard
+deviation, over one step of a finite difference.
 """
 _TIE_STEP_S = 1e-6
 """Step of a breakaway time for the slope of the torque at the breakaway."""
@@ -40,17 +42,19 @@ _UNFELT = 1e-6
 having no effect on the residual.
 """
 _LEAST_SAMPLES = 40
-"""Least number of samples of a segment that are filtered anew for other breakaway times."""
+"""Least number of samples of a segment over which the filter is run again for other breakaway
+times.
+"""
 _LEAST_GAIN = 0.5
 """Least decrease of a segment's Huber cost for which its breakaway time is changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point in the search space of an experiment, with everything that the filter needs to run.
+    """A point in the search space of an experiment, with all inputs of the filter.
 
-    A free vector ``x`` has the free parameters first, then the breakaway times of all segments. A
-    point is immutable; a search returns another point.
+    A free vector ``x`` has the coordinates of the free parameters first, then the breakaway times
+    of all segments. A point is immutable; a search returns another point.
 
     Attributes:
         filter: The experiment's filter, which all points of the experiment share.
@@ -120,14 +124,14 @@ class Point:
         return replace(self, free=tuple(free))
 
     def at(self, vector: Array) -> Point:
-        """Return a point at other parameters; each breakaway time is the time at which the torque
-        first reaches the static limit of these parameters.
+        """Return the point with other parameters; each breakaway time is the time at which the
+        torque first reaches the static limit of these parameters.
         """
         times = static_crossings(vector, self.motions)
         return replace(self, vector=vector, breakaway_times=times)
 
     def moved(self, x: Array) -> Point:
-        """Return the point of a free vector."""
+        """Return the point that a free vector describes."""
         return replace(self, vector=self.parameters(x), breakaway_times=self.times(x))
 
     def origin(self) -> Array:
@@ -136,7 +140,7 @@ class Point:
         return np.concatenate([p, np.zeros(self.breakaways)])
 
     def parameters(self, x: Array) -> Array:
-        """Return the parameter vector of a free vector."""
+        """Return the vector of all parameters at a free vector."""
         p = self.vector.copy()
         for value, k in zip(x, self.free, strict=False):
             if k in LOGARITHMIC:
@@ -150,7 +154,7 @@ class Point:
         return p
 
     def times(self, x: Array) -> tuple[Array, ...]:
-        """Return the breakaway times of a free vector, s, one array per recording."""
+        """Return the breakaway times in a free vector, s, one array per recording."""
         shift = _TIME_SCALE_S * x[len(self.free) :]
         cuts = np.cumsum([len(b) for b in self.breakaway_times])[:-1]
         return tuple(
@@ -183,7 +187,7 @@ class Point:
         return np.concatenate(ends)
 
     def _inflated(self, deviations: Array) -> Array:
-        """Return the deviations of innovations and ties with variance inflation (M13)."""
+        """Return the standard deviations of innovations and ties with variance inflation (M13)."""
         ties = np.full(self.breakaways, self.noise.whole_torque)
         return np.asarray(np.concatenate([deviations, ties]) * self.inflation[self.owners])
 
@@ -196,8 +200,8 @@ class Point:
     def sensitivities(self, x: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x, divided by the deviations, and d log deviations / d x.
 
-        The derivatives are bounded as finite differences are: in stick-slip an error depends
-        irregularly on the parameters, and its slope does not predict the change over a step.
+        The derivatives are bounded like the finite differences: in stick-slip a residual depends
+        irregularly on the parameters, and its derivative does not predict its change over a step.
         """
         p, times, seeds = self.parameters(x), self.times(x), self._seeds(x)
         errors, widening = self.filter.sensitivities(p, times, self.noise, seeds)
@@ -215,8 +219,8 @@ class Point:
         )
 
     def _seeds(self, x: Array) -> Array:
-        """Return the derivatives of all parameters with respect to each free parameter, and of the
-        breakaway times with respect to their common shift, shape (p + 1, SEEDS).
+        """Return the derivatives of all parameters with respect to the coordinate of each free
+        parameter, and of the breakaway times with respect to a common shift, shape (p + 1, SEEDS).
         """
         seeds = np.zeros((len(self.free) + 1, SEEDS))
         p = self.parameters(x)
@@ -228,8 +232,8 @@ class Point:
         return seeds
 
     def weighted(self, step: float = PARAMETER_STEP) -> Weighted:
-        """Return the residuals around this point, weighted with the standard deviations at this
-        point.
+        """Return the residuals as a function of the free vector near this point, divided by the
+        standard deviations at this point.
 
         Args:
             step: Relative step of a coordinate for finite differences.
@@ -241,10 +245,10 @@ class Point:
         self, x: Array, change: Callable[[Array], Array], step: float = PARAMETER_STEP
     ) -> tuple[Array, Array]:
         """Return the derivatives of ``change``, of shape (k, r), at ``x``: with respect to the
-        parameters, and to the breakaway times.
+        parameters, and with respect to the breakaway times.
 
-        One run of the filter gives the derivatives with respect to all breakaway times, because no
-        residual depends on two of them.
+        One run of the filter gives the derivatives with respect to all breakaway times, because
+        each residual depends on one breakaway time only.
         """
         count = len(self.free)
         slopes = []
@@ -260,12 +264,12 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """Residuals around a point: prediction errors and ties over their standard deviations at the
-    point.
+    """Residuals near a point: prediction errors and ties, divided by their standard deviations at
+    the point.
 
     Attributes:
         point: The point.
-        deviations: Standard deviations at the point, constant, shape (r,).
+        deviations: Standard deviations of the residuals at the point, constant, shape (r,).
         step: Relative step of a coordinate for finite differences.
     """
 
@@ -274,15 +278,15 @@ class Weighted:
     step: float = PARAMETER_STEP
 
     def residuals(self, x: Array) -> Array:
-        """Return the errors of :meth:`Point.predictions`, divided by the constant deviations, shape
-        (r,).
+        """Return the residuals of :meth:`Point.predictions`, divided by the constant standard
+        deviations, shape (r,).
         """
         errors, _ = self.point.predictions(x)
         return np.asarray(errors / self.deviations)
 
     def jacobian(self, x: Array, here: Array) -> BlockArrow:
-        """Return d residuals / d x at ``x``: by sensitivities, or with wider steps by finite
-        differences; ``here`` are the residuals at ``x``.
+        """Return d residuals / d x at ``x``: by sensitivities, or, if ``step`` is wider than the
+        default, by finite differences; ``here`` are the residuals at ``x``.
         """
         if self.step == PARAMETER_STEP:
             return self.point.sensitivities(x, self.deviations)[0]
@@ -292,8 +296,8 @@ class Weighted:
         return BlockArrow(parameters[0], times[0], self.point.owners, self.point.breakaways)
 
     def near_breakaways(self, x: Array, here: Array) -> NearBreakaways:
-        """Return the residuals as a function of the breakaway times near those of ``x``, at the
-        same parameters. Only the samples on which breakaway times have an effect are filtered.
+        """Return the residuals as a function of the breakaway times near those of ``x``, with the
+        parameters of ``x``. The filter is run only over the samples that breakaway times affect.
 
         Args:
             x: Free vector.
@@ -304,7 +308,7 @@ class Weighted:
         there[len(self.point.free) :] += _SHIFTS_S[-1] / _TIME_SCALE_S
         after = self.residuals(there)
         inside = slice(0, len(experiment.samples))
-        # The condition is written so that a residual that is not finite counts as affected.
+        # The condition is written so that a residual that is NaN counts as affected.
         felt = ~(np.abs(after[inside] - here[inside]) <= _UNFELT)
         samples = int(np.max(experiment.samples[felt], initial=_LEAST_SAMPLES - 1)) + 1
         heads = experiment.heads(samples)
@@ -313,13 +317,13 @@ class Weighted:
         return NearBreakaways(self.point, heads, rows, here[rows], owners, deviations)
 
     def with_best_breakaways(self, threshold: float) -> tuple[Point, bool]:
-        """Return the point with each breakaway time at the best place of a grid around it, and
-        whether any breakaway time changed.
+        """Return the point with each breakaway time at the best value of a grid around the present
+        value, and whether any breakaway time changed.
 
-        Noisy torque crosses the static limit more than once, so that the cost has several minima
-        over a breakaway time. One segment in the wrong minimum shifts the static limit by several
-        standard errors. Segments have no breakaway time in common, so each breakaway time is chosen
-        by the Huber cost of its own segment.
+        A noisy torque crosses the static limit more than once, so that the Huber cost of a segment
+        has several minima over the breakaway time. One segment in a wrong minimum shifts the static
+        limit by several standard errors. Each breakaway time affects one segment only, and is
+        chosen by the Huber cost of this segment.
         """
         origin, count = self.point.origin(), len(self.point.free)
         near = self.near_breakaways(origin, self.residuals(origin))
@@ -337,19 +341,19 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class NearBreakaways:
-    """Residuals at other breakaway times and the same parameters, computed for the affected samples
-    only.
+    """Residuals as a function of the breakaway times, with fixed parameters, computed only for the
+    samples that breakaway times affect.
 
     The breakaway time affects some hundred samples after the breakaway; a segment may have
-    thousands.
+    thousands of samples.
 
     Attributes:
-        point: The point with these parameters.
-        heads: Samples on which the breakaway times have an effect.
-        rows: Affected residuals, those of the samples first and then the ties, shape (q,).
-        here: These residuals at the breakaway times of the point, shape (q,).
-        owners: Number of their segments, shape (q,).
-        deviations: Their standard deviations, constant, shape (q,).
+        point: The point with the fixed parameters.
+        heads: Samples that the breakaway times affect.
+        rows: Numbers of the affected residuals, innovations first and then ties, shape (q,).
+        here: Affected residuals at the breakaway times of the point, shape (q,).
+        owners: Number of the segment of each affected residual, shape (q,).
+        deviations: Standard deviation of each affected residual, constant, shape (q,).
     """
 
     point: Point
@@ -360,7 +364,9 @@ class NearBreakaways:
     deviations: Array
 
     def residuals(self, x: Array) -> Array:
-        """Return the affected residuals at a free vector with the same parameters, shape (q,)."""
+        """Return the affected residuals at a free vector with the parameters of the point, shape
+        (q,).
+        """
         p, times = self.point.parameters(x), self.point.times(x)
         errors, _ = self.point.filter.run(p, times, self.point.noise, self.heads)
         return np.concatenate([errors, self.point.ties(p, times)]) / self.deviations

@@ -19,8 +19,8 @@ class Noise:
     Attributes:
         torque: White part of the torque noise, N m rms over a period.
         angle: Noise of the angle in addition to the quantisation error of the encoder, rad rms.
-        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero if
-            there is none.
+        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero for
+            white noise.
         correlation_s: Time over which the autocorrelation of the correlated part falls to 1/e, s.
     """
 
@@ -31,7 +31,7 @@ class Noise:
 
     @property
     def whole_torque(self) -> float:
-        """Standard deviation of both parts of the torque noise together, N m."""
+        """Standard deviation of the torque noise, white and correlated part together, N m."""
         return math.hypot(self.torque, self.correlated)
 
     def louder(self, factor: float) -> Noise:

@@ -16,7 +16,7 @@ from identification.filter.segments import Motion
 from identification.numerics.arrays import Array
 
 HUBER_THRESHOLD = 4.0
-"""Innovations beyond this many standard deviations count as outliers."""
+"""Size of an innovation, in standard deviations, above which it counts as an outlier."""
 _FARTHEST_LOG = 4.0
 _SIMPLEX, _MOST = ((0.0, -1.0), (0.5, -1.0), (0.0, 0.5)), 30
 _SIMPLEX_CORRELATED = (
@@ -27,12 +27,12 @@ _SIMPLEX_CORRELATED = (
     (0.0, -1.0, 0.0, 0.5),
 )
 _MOST_CORRELATED = 90
-"""Initial simplex of the search for the noise levels, as logarithms of their ratio to the first
-value, and greatest number of filter runs.
+"""Initial simplex of the search for the noise levels, as logarithms of the ratio of each noise
+level to its start value, and greatest number of filter runs.
 """
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Start values that are tried for correlated noise: ratio of its standard deviation to that of the
-white part, and correlation time in periods.
+"""Start values that are tried for correlated noise: ratio of its standard deviation to the standard
+deviation of the white noise, and correlation time in sample periods.
 """
 
 
@@ -76,8 +76,8 @@ def likeliest_noise(point: Point) -> Noise:
 
 
 def first_correlated_noise(point: Point) -> Noise:
-    """Return the noise of least deviance among a few noises with a correlated part, as the start
-    value of the search.
+    """Return the start value of the search for noise with a correlated part: the noise of least
+    deviance among a few candidates.
     """
     period = max(m.recording.period for m in point.motions)
     tried = [
@@ -92,8 +92,8 @@ def repeating_share(point: Point) -> float:
     """Return the share of the filtered correlated noise that matching half cycles have in common
     (M26).
 
-    Noise does not repeat with the motion, but unmodelled physics does. The result is one if a
-    recording has no matching half cycles of the same direction.
+    Noise does not repeat in matching half cycles, but the effect of unmodelled physics does. The
+    share is one if a recording has no two matching half cycles in the same direction.
     """
     common, power = 0.0, 0.0
     filtered = point.filter.correlated_torque(point.vector, point.breakaway_times, point.noise)

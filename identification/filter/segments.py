@@ -26,25 +26,25 @@ LEAST_COUNTS = 20.0
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Integration steps per sample away from rest; under a slow sine all speeds may lie on the falling
-branch of friction.
+"""Integration steps per sample away from rest; several steps are needed because all speeds of a
+slow sine may lie on the falling branch of friction.
 """
 ONSET_STEPS = 32.0
-"""Integration steps per sample right after a breakaway, where the fall of friction with speed
-multiplies the error of every step.
+"""Integration steps per sample right after a breakaway, where the error of a step grows because
+friction falls with speed.
 """
 FINE_SAMPLES = 30
 RISING = 20
 """Samples before the first visible motion over which the torque's rate of rise is averaged."""
 LEAST_RISE = 0.1
-"""Least rate of rise of a segment, relative to the median of the recording; noise hides a smaller
-rate.
+"""Least rate of rise of the torque before a segment, relative to the median of the recording; a
+smaller rate is attributed to noise.
 """
 STALLED = 0.01
 """Share of the greatest speed below which a segment counts as almost stopping."""
 UNSURE = 0.1
-"""Standard deviation that is added to the speed where a segment almost stops, relative to the
-greatest speed.
+"""Standard deviation, relative to the greatest speed, whose square is added to the variance of the
+speed where a segment almost stops.
 """
 ALIKE = 0.1
 """Greatest difference in displacement between two matching half cycles at any time, relative to the
@@ -64,7 +64,7 @@ class Motion:
         angle: Angle as the encoder measured it, rad.
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Rate of change of the torque within that period, N m/s.
-        moment: Mean F_P L1 over that period, N m.
+        moment: Mean contact moment F_P L1 over that period, N m.
         table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
         seen: First sample of visible motion of each segment, shape (m,).
         steps: Number of integration steps in the period that ends at each sample.
@@ -220,9 +220,9 @@ def _unsure(
     """Return the variance that is added to the variance of the speed where a segment almost stops,
     (rad/s)^2, shape (n,).
 
-    Whether the joint stops there or moves on depends on the noise, which the falling branch of
-    friction amplifies. A filter that is linearised about its prediction would be overconfident, and
-    one such segment would outweigh all others.
+    Whether the joint stops or moves on depends on the noise, which the falling branch of friction
+    amplifies. Without the added variance a filter that is linearised about its prediction would be
+    overconfident, and one segment that almost stops would outweigh all others.
     """
     period = float(np.median(np.diff(time)))
     fastest = float(np.quantile(np.abs(velocity), 0.99))
@@ -251,7 +251,7 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
     """Return the table of segments that start from rest and have no gaps, and their first samples
     of visible motion.
 
-    This function sets the rate of rise to one.
+    The rate of rise of the torque is set to one in this table.
     """
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
@@ -280,8 +280,8 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
 
 
 def _reverses(angle: Array, side: float, step: float) -> bool:
-    """Return whether a segment turns back, without coming to rest, by more than the encoder's
-    noise.
+    """Return whether the motion of a segment reverses, without coming to rest, by more than the
+    noise of the encoder.
     """
     forward = side * angle
     return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)

@@ -1,11 +1,9 @@
-"""Derivatives of the Kalman filter's innovations and their deviations, by forward differentiation.
+"""Derivatives of the Kalman filter's innovations and of their standard deviations.
 
-The derivatives are with respect to parameters and breakaway times. Forward differentiation of M16
-to M21 computes the derivatives.
-
-The recursion of :mod:`identification.filter.kalman` is differentiated step by step (Griewank and
-Walther, Evaluating Derivatives, 2nd ed., 3.1). All directions use the exponentials and divisions of
-one pass.
+The derivatives are with respect to parameters and breakaway times. The recursion of
+:mod:`identification.filter.kalman`, M16 to M21, is differentiated step by step in forward mode
+(Griewank and Walther, Evaluating Derivatives, 2nd ed., 3.1). Exponentials and divisions are
+computed once for all directions of differentiation.
 """
 
 from __future__ import annotations
@@ -50,8 +48,8 @@ from identification.numerics.compiled import compiled
 
 @compiled
 def _started(tangents: Array, seeds: Array, lanes: Array) -> None:
-    """Set the tangents at the start of a segment: the variance of the speed depends on the inertia
-    (M21).
+    """Set the derivatives of the state at the start of a segment, where the variance of the speed
+    depends on the inertia (M21).
     """
     tangents[:] = 0.0
     for j in range(len(seeds)):
@@ -62,7 +60,7 @@ def _started(tangents: Array, seeds: Array, lanes: Array) -> None:
 
 @compiled
 def _forgotten(tangents: Array, lanes: Array, lane: int, kept: float) -> None:
-    """Let the tangents of the correlated noise of a lane in motion decay to a share ``kept``."""
+    """Multiply the derivatives of the correlated torque noise of a lane in motion by ``kept``."""
     if lanes[L_SHARE + lane] > 0.0:
         for d in tangents:
             d[T_HIDDEN + lane] *= kept
@@ -92,12 +90,12 @@ def sensitivities(
         samples: Table of samples, shape (n, 8).
         noise: Noise vector, shape (4,), which is constant.
         p: Vector of :mod:`identification.model.parameters`.
-        seeds: Directions, shape (d, SEEDS): derivative of each parameter, and in column ``START``
-            that of all breakaway times.
+        seeds: Directions of differentiation, shape (d, SEEDS): derivative of each parameter, and in
+            column ``START`` the derivative of all breakaway times.
         errors: Derivatives of the innovations, rad per unit of the direction, shape (n, d); samples
             outside the segments are left unchanged.
-        deviations: Derivatives of the logarithms of the deviations, per unit of the direction,
-            shape (n, d).
+        deviations: Derivatives of the logarithms of the standard deviations, per unit of the
+            direction, shape (n, d).
     """
     lanes, gains = np.zeros(WORKSPACE), np.zeros(GAINS)
     tangents = np.zeros((len(seeds), TANGENTS))

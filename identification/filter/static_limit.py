@@ -1,5 +1,5 @@
 """Computes the static friction limit at breakaways (M3), and the times at which the torque reaches
-it.
+this limit.
 """
 
 from __future__ import annotations

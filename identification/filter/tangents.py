@@ -52,15 +52,15 @@ from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled, inlined
 
 START = OFFSET + 1
-"""Column of the seeds for the breakaway time; the columns before it are parameters."""
+"""Column of the directions for the breakaway time; the columns before are the parameters."""
 SEEDS = START + 1
-"""Columns of the seeds."""
+"""Number of columns of the directions."""
 T_ANGLE, T_OMEGA, T_P11, T_P12, T_P22, T_HIDDEN, T_P13, T_P23, T_P33 = (LANES * k for k in range(9))
 """Places of the derivatives of the state in one direction."""
 _T_DH, _T_DB, _T_DC, _T_DG = (LANES * k for k in range(9, 13))
 """Places of the derivatives of h, b, c and growth of one step, for the correlated noise."""
 TANGENTS = 13 * LANES
-"""Places of one direction."""
+"""Length of the array of one direction."""
 _FRICTION = 15
 _SLOW, _PUSH, _C, _HALF_J, _HALF_G, _C_J, _C_HALF, _GROWTH_HALF, _MOVING, _H, _PATH = (
     LANES * (_FRICTION + k) for k in range(11)
@@ -73,19 +73,19 @@ _P11_B, _B, _GROWTH, _CENTRE, _TWICE, _Q, _MISSING, _Q_J, _Q_START = (
     _F_S, _F_V, _G_S, _F_DM, _F_OF, _F_S2, _G_DM, _G_OF, _F_MC, _F_DL, _F_OL, _F_M2, _G_DL, _G_OL,
     _G_M2,
 ) = (LANES * k for k in range(_FRICTION))  # fmt: skip
-"""Places of the factors of one step, which all directions have in common."""
+"""Places of the factors of one integration step, which are the same for all directions."""
 GAINS = (_FRICTION + 24) * LANES
 
 _MOST = 1e60
-"""Greatest tangent after a sample. Where friction falls with speed, tangents of a joint that sticks
-and slips may grow without bound, and a tangent that overflows would make all later tangents
+"""Greatest tangent after a sample. On the falling branch of friction the tangents of a joint that
+sticks and slips may grow without bound; a tangent that overflows would make all later tangents
 undefined.
 """
 
 
 @inlined
 def _factors(g: Array, t: Array, wide: int, number: float, p: Law) -> None:
-    """Store the factors of the tangents of lanes for integration step ``number`` (M16, M17)."""
+    """Store the factors of the tangents of all lanes for integration step ``number`` (M16, M17)."""
     for lane in range(wide):
         speed = max(t[L_SIDE + lane] * t[L_OMEGA + lane], LEAST_SPEED)
         force, grade, slopes = friction_slopes(speed, t[L_P22 + lane], t[L_MOMENT + lane], p)
@@ -148,7 +148,8 @@ def factors(g: Array, t: Array, wide: int, number: int, p: Array) -> None:
 
 @compiled
 def step(d: Array, seed: Array, g: Array, t: Array, wide: int) -> None:
-    """Step the tangents of angle, speed and their covariance in one direction (M16, M17).
+    """Propagate the tangents of angle, speed and their covariance in one direction over one
+    integration step (M16, M17).
 
     Args:
         d: Tangents of the direction, shape (TANGENTS,).
@@ -198,8 +199,8 @@ def step(d: Array, seed: Array, g: Array, t: Array, wide: int) -> None:
 
 @compiled
 def step_hidden(d: Array, g: Array, t: Array, wide: int) -> None:
-    """Step the tangents of the correlated torque noise in one direction, after :func:`step`; the
-    arguments are those of :func:`step`.
+    """Propagate the tangents of the correlated torque noise in one direction over one integration
+    step, after :func:`step`, which has the same arguments.
     """
     for k in range(wide):
         p13, p23, p33 = t[L_P13 + k], t[L_P23 + k], t[L_P33 + k]

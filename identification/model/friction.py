@@ -36,13 +36,13 @@ from identification.numerics.compiled import inlined
 from identification.numerics.exponential import exponential
 
 Law = tuple[float, ...]
-"""First parameters of the vector, up to ``ALPHA``, as numbers."""
+"""The first parameters of the vector, up to ``ALPHA``, as a tuple."""
 NEGLIGIBLE = 37.0
-"""Exponent beyond which the falling part, less than exp(-37) of the rise, is below the rounding
+"""Exponent beyond which the falling part of friction is neglected; exp(-37) is below the rounding
 error of the other parts.
 """
 LEAST_OMEGA = 1e-100
-"""Stribeck speed that stands for zero, rad/s, at which no falling part is left at any speed."""
+"""Stribeck speed in place of zero, rad/s; with this value the falling part is zero at any speed."""
 
 
 @inlined
@@ -65,8 +65,8 @@ def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float,
     Args:
         speed: Magnitude, rad/s.
         moment: Contact moment F_P L1, N m.
-        gear: Magnitude of the torque that the gear carries, N m; the rise of its friction shares
-            omega_sf.
+        gear: Magnitude of the torque that the gear transmits, N m; the falling part of the gear's
+            friction has the Stribeck speed omega_sf.
         p: Vector of :mod:`identification.model.parameters`.
     """
     value, slope = p[MC] + p[SIGMA_2] * speed, p[SIGMA_2]
@@ -98,8 +98,9 @@ def static_friction(moment: float, p: Array) -> float:
 
 @inlined
 def law(p: Array, alpha: float) -> Law:
-    """Return the parameters of the friction law as numbers, which a compiled loop keeps at hand; if
-    ``alpha`` is a constant, the compiler replaces the powers in the loop by multiplications.
+    """Return the parameters of the friction law as a tuple, which a compiled loop reads faster than
+    an array; if ``alpha`` is a constant, the compiler replaces powers in the loop by
+    multiplications.
     """
     return p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], alpha
 
@@ -132,12 +133,12 @@ def expected_friction(speed: float, variance: float, moment: float, p: Law) -> t
     """Return the expected magnitude of friction, N m, and its slope, for an uncertain speed > 0
     (M15).
 
-    The function has no branches, so that the compiler combines several lanes in one instruction.
+    The function has no branches, so that one instruction computes several motion segments.
 
     Args:
         speed: Magnitude of the mean speed, rad/s.
-        variance: Variance of the speed, (rad/s)^2; with zero the result is :func:`friction`, in
-            fewer operations if alpha is 2.
+        variance: Variance of the speed, (rad/s)^2; if it is zero, the result equals that of
+            :func:`friction`.
         moment: Contact moment F_P L1, N m, not negative.
         p: Parameters, from :func:`law`.
     """

@@ -4,9 +4,9 @@ Friction follows the commanded speed, not the measured speed, so that feed-forwa
 stability. The falling branch is the range of speeds in which friction falls with speed (eq. 9 and
 13, from rest on). On the falling branch a joint with soft position gains sticks and slips, even if
 the mean friction torque is compensated. :mod:`identification.model.feedback` returns the damping
-that stabilises the falling branch, as far as the delay of a bus allows. Where this damping is too
-small, the torque is pulsed: the joint then passes the falling branch many times a second instead of
-in a slower limit cycle.
+that stabilises the falling branch, as far as the delay of a bus allows. If this damping is too
+small, the feed-forward torque is pulsed: the joint then crosses the falling branch many times a
+second, and not in a slower limit cycle.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ SMOOTHING_RAD_S = 1e-3
 this speed in one cycle.
 """
 RISE_SHARE = 0.4
-"""Share of friction's rise toward rest that the mean torque under pulses contains; with a smaller
-share the joint stands between pulses.
+"""Share of the rise from Coulomb to static friction that the mean torque with pulses contains; with
+a smaller share the joint stops between pulses.
 """
 PULSE = (1.0, -0.5, -0.5)
-"""One pulse, one value per cycle, in pulse heights; its mean is zero.
+"""One pulse, one value per control cycle, as multiples of the pulse height; the mean is zero.
 
-Three cycles are the shortest pulse with a rest.
+A pulse after which the joint comes to rest takes at least three control cycles.
 """
 _PULSE_SPEEDS = 2.0
 """Speed to which a pulse accelerates the inertia without friction, relative to the speed up to
@@ -98,12 +98,13 @@ def pulses(
     """Return the torque pulses of a commanded motion, N m, shape (n,); zero where the damping is
     greater than the fall of friction with speed.
 
-    On the falling branch a joint under a steady torque sticks or runs away. One cycle above the
-    static friction and two cycles below the kinetic friction make a small step that ends before the
-    joint runs away. A pulse is as high as is needed to accelerate the inertia without friction to
-    twice the speed up to which friction falls. The height is limited so that the torque between
-    pulses does not reverse, because a reversal would make the gear teeth change sides. Above the
-    falling branch the pulses fade.
+    On the falling branch of friction a joint under a steady torque sticks or runs away. With a
+    torque above the static friction for one control cycle, and below the kinetic friction for two,
+    the joint makes a small step that ends before the joint runs away. A pulse is as high as is
+    needed to accelerate the inertia without friction to twice the speed up to which friction falls.
+    The height is limited so that the torque does not reverse between pulses, because after a
+    reversal the other flanks of the gear teeth would be in contact. At commanded speeds above the
+    falling branch of friction the height of the pulses falls to zero.
 
     Args:
         angle: As in :func:`feedforward`.

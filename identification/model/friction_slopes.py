@@ -26,7 +26,7 @@ Slopes = tuple[float, ...]
 def _falling_slopes(
     speed: float, omega_s: float, alpha: float, variance: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return expected value and slope of exp(-(speed/omega_s)^alpha) (M15), and derivatives.
+    """Return expected value and slope of exp(-(speed/omega_s)^alpha) (M15), and their derivatives.
 
     Returns:
         The value and the slope; the derivatives of the value with respect to speed, variance and

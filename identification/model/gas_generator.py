@@ -65,13 +65,13 @@ class GasGenerator:
             )
         if self.n >= 1.0:
             raise ValueError(
-                f"n = {self.n:g}: must be below 1, because from 1 on the pressure has no stable "
-                "equilibrium"
+                f"n = {self.n:g}: the pressure exponent must be below 1, because from 1 on the "
+                "pressure has no stable equilibrium"
             )
         if self.gamma <= 1.0:
             raise ValueError(
-                f"gamma = {self.gamma:g}: must be above 1, as the ratio of specific heats of "
-                "every gas is"
+                f"gamma = {self.gamma:g}: the ratio of specific heats must be above 1, as it is "
+                "for every gas"
             )
 
     @property
@@ -144,10 +144,12 @@ def pressure_history(
     """Simulate the gas generator under a moving valve.
 
     Args:
-        time: Time since ignition, s, shape (n,), increasing; the throat area is linear in between.
+        time: Time since ignition, s, shape (n,), increasing; between samples the throat area is
+            linear in time.
         angle: theta_r, rad, shape (n,).
         g: Constants.
-        start_pressure: p_g at the first sample, Pa; None takes the equilibrium there.
+        start_pressure: p_g at the first sample, Pa, or None for the equilibrium pressure at the
+            first angle.
         exact: Eq. 7; else eq. 8.
 
     Returns:
@@ -175,8 +177,8 @@ def constants(
     *,
     exact: bool = True,
 ) -> Array:
-    """Pack the constants into the vector of the compiled kernel; ``corrected`` replaces ``a``,
-    ``n`` and ``C_r`` of ``g``, if it contains them.
+    """Pack the constants into the vector of the compiled kernel; values of ``a``, ``n`` and ``C_r``
+    in ``corrected`` replace those of ``g``.
     """
     C_r = corrected.get("C_r", g.C_r)
     RT = (g.Gamma * C_r) ** 2
@@ -197,8 +199,8 @@ def throat_derivatives(angle: Array, valve: ValveGeometry) -> Array:
     """Return A_t and its first and second derivative with respect to the thickness of a layer on
     all rims, shape (3, n); m^2, m, 1.
 
-    A layer of thickness h makes d and D smaller by 2 h. The derivatives are those of the parabola
-    through the areas at h = 0, 0.25 and 0.5 mm.
+    A layer of thickness h reduces the diameters d and D by 2 h. The derivatives are those of the
+    parabola through the areas at h = 0, 0.25 and 0.5 mm.
     """
     h = LAYER_STEP
     bare, one, two = (

@@ -8,9 +8,9 @@ temperature. The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4
     dw/dt = r,    m ds/dt = m_r (1 - s) - s Q / h,
 
 with the burnt mass m_r = rho_b A_b r, the outflow m_g = p A / (C_r sqrt(s)), and V = V_start + the
-burnt volume of the web w. Eq. 8 lacks the term A_b r / V, and s = 1 where no heat is lost.
-Integration is by classical Runge-Kutta; the steps per sample period follow from the time constant
-of the outflow.
+burnt volume of the web w. Eq. 8 lacks the term A_b r / V; without loss of heat s = 1. Integration
+is by classical Runge-Kutta; the steps per sample period follow from the time constant of the
+outflow.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from identification.numerics.compiled import compiled
     CONSTANTS_SIZE,
 ) = range(11)
 
-# Effects that the nominal model omits; zero is off.
+# Effects that the nominal model omits; an effect whose value is zero is absent.
 (
     LAYER_RATE,  # m/s, growth of the deposit on the throat's rim
     TAPER,  # 1/m, relative change of the grain's diameter with the web
@@ -52,7 +52,9 @@ REFERENCE_PRESSURE = 1e6
 """Unit of the pressure in r = a p^n, Pa: the burning coefficient a belongs to p in MPa."""
 _LOG_REFERENCE = math.log(REFERENCE_PRESSURE)
 _LONGEST = 0.25
-"""Integration step over the time in which the outflow would empty the chamber."""
+"""Greatest integration step, as a share of the time in which the outflow would empty the
+chamber.
+"""
 
 
 @compiled
@@ -134,4 +136,4 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
 
 
 NOTHING = np.zeros(MISSING_SIZE)
-"""Vector of effects in which all effects are off."""
+"""Vector of effects in which all effects are absent."""

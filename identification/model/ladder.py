@@ -15,8 +15,8 @@ LADDER: Mapping[str, tuple[str, ...]] = {
     "load_dependent": ("Mc", "sigma_2", "mu_gc"),
     "stribeck_load_dependent": ("Mc", "Ms", "sigma_2", "mu_gc", "mu_gs"),
 }
-"""Friction terms of each model (rung) of the ladder, simplest first; a rung is added here and
-nowhere else.
+"""Friction terms of each model (rung) of the ladder, simplest first. A new rung is added to this
+table only.
 """
 
 TRANSMITTED, DIRECTIONAL = "stribeck_transmitted_load", "stribeck_directional_load"
@@ -26,7 +26,7 @@ SIMULATED: Mapping[str, tuple[str, ...]] = {
     TRANSMITTED: LADDER["stribeck_load_dependent"],
     DIRECTIONAL: (*LADDER["stribeck_load_dependent"], "mu_gd"),
 }
-"""Friction terms of each rung in the fits to the simulated angle.
+"""Friction terms of each rung, for fits that compare simulated with measured angles.
 
 The load of the last two rungs is |external torque - mu_gd motor torque|. With mu_gd = 1 this load
 is the torque that the gear teeth transmit; with a free mu_gd, friction depends on whether the motor
@@ -49,7 +49,7 @@ def bears_load(rung: str) -> bool:
 
 
 def drive_share(rung: str) -> float:
-    """Return the weight mu_gd of the motor torque in the load of a rung; the start value where
-    mu_gd is fitted.
+    """Return the weight mu_gd of the motor torque in the load of a rung; if mu_gd is fitted, its
+    start value.
     """
     return 1.0 if rung in (TRANSMITTED, DIRECTIONAL) else 0.0

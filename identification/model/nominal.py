@@ -15,6 +15,5 @@ NOMINAL: Mapping[str, float] = {
     "omega_sL": 0.0326,
     "mu_2": 0.032,
 }
-"""Nominal values in SI units; friction and inertia at the joint, the inertia that of the packaged
-practical bench.
+"""Nominal values in SI units, at the joint; the inertia is that of the packaged practical bench.
 """

@@ -20,7 +20,7 @@ LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
 GEAR_PARAMETERS = ("mu_gc", "mu_gs")
 """Parameters that the unloaded fit determines if friction grows with a pendulum's torque."""
 DRIVE_SHARE = "mu_gd"
-"""Weight of the drive's torque in the load of the gear, relative to the weight of the external
+"""Weight of the drive's torque in the transmitted load, relative to the weight of the external
 torque.
 """
 STRIBECK_TERMS = (
@@ -28,8 +28,8 @@ STRIBECK_TERMS = (
     ("mu_c", "mu_s", "omega_sL"),
     ("mu_gc", "mu_gs", "omega_sf"),
 )
-"""Coulomb level, static level and Stribeck speed of each part of friction that may rise toward
-rest.
+"""Coulomb level, static level and Stribeck speed of each part of friction that may rise as the
+speed falls to zero.
 """
 
 UNITS_ROTARY: Mapping[str, str] = {
@@ -70,12 +70,13 @@ INDEX: Mapping[str, int] = {
     "mu_2": MU_2,
     "offset": OFFSET,
 }
-"""Place of each fitted parameter in the vector, by name; a static level has the place of its rise.
+"""Place of each fitted parameter in the vector, by name; the place of a static level holds the
+rise.
 """
 COULOMB_OF: Mapping[str, int] = {"Ms": MC, "mu_s": MU_C}
 """Place of the Coulomb level that belongs to each static level."""
 LOGARITHMIC = (OMEGA_SF, OMEGA_SL, INERTIA)
-"""Places of the positive parameters, whose logarithms a search varies."""
+"""Places of the parameters that are always positive; a search varies their logarithms."""
 
 
 def pack(values: Mapping[str, float], alpha: float) -> Array:

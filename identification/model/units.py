@@ -53,8 +53,8 @@ def unit_on(motion: str, unit: str, amperes: bool = False) -> str:
 
 
 def parameter_unit(motion: str, name: str, unit: str, amperes: bool = False) -> str:
-    """Return the unit of an effect's parameter on a bench; phases are angles on either kind of
-    bench.
+    """Return the unit of an effect's parameter on a bench; phases are in rad on linear benches
+    too.
     """
     return unit if unit == "rad" and name.startswith(PHASES) else unit_on(motion, unit, amperes)
 

@@ -53,8 +53,8 @@ class ValveGeometry:
             )
         if self.d > self.b:
             raise ValueError(
-                f"hole d = {self.d:g} m is wider than its plate, b = {self.b:g} m; are d and b "
-                "exchanged?"
+                f"the hole, d = {self.d:g} m, is wider than its plate, b = {self.b:g} m; "
+                "check whether d and b are exchanged"
             )
 
     @property
@@ -65,7 +65,7 @@ class ValveGeometry:
     @property
     def clearing_angle(self) -> float:
         """Angle above which the plate covers no part of the opening, rad; infinite if the plate is
-        too wide for its arm.
+        so wide that it covers a part at every angle.
         """
         reach = 0.5 * (self.b + self.D) / self.L1
         return math.asin(reach) if reach <= 1.0 else math.inf

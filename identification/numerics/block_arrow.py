@@ -3,8 +3,8 @@ each block (M12).
 
 The rows are divided into blocks. Each row depends on the parameters, which all blocks have in
 common, and on the extra unknown of its block. The Jacobian is therefore stored as the columns of
-the parameters and one column of derivatives with respect to the extra unknowns. As a dense matrix,
-240 000 rows with 300 blocks take half a gigabyte, and their normal matrix takes minutes.
+the parameters and one column of derivatives with respect to the extra unknowns. A dense matrix of
+240 000 rows with 300 blocks would take half a gigabyte, and minutes to compute its normal matrix.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ class Eliminated:
     """Normal equations with the extra unknowns eliminated; p parameters, m blocks.
 
     Attributes:
-        matrix: Schur complement of the own unknowns, shape (p, p).
-        scores: Each block's gradient of half the sum of squares, shape (m, p).
-        cross: Block of the normal matrix between own unknowns and parameters, shape (m, p).
-        pull: Gradient with respect to each own unknown, shape (m,).
-        held: Diagonal elements of the own unknowns, shape (m,); infinite where a block does not
-            depend on its own unknown, so that this unknown keeps its value.
+        matrix: Schur complement of the extra unknowns in the normal matrix, shape (p, p).
+        scores: Gradient of half the sum of squares of each block, shape (m, p).
+        cross: Part of the normal matrix with extra unknowns as rows and parameters as columns,
+            shape (m, p).
+        pull: Gradient with respect to each extra unknown, shape (m,).
+        held: Diagonal elements of the extra unknowns, shape (m,); infinite if a block does not
+            depend on its extra unknown, so that this unknown keeps its value.
     """
 
     matrix: Array
@@ -44,11 +45,11 @@ class Eliminated:
 
 @dataclass(frozen=True)
 class BlockArrow:
-    """Jacobian in p parameters and m extra unknowns; as a matrix of shape (r, p + m).
+    """Jacobian of r rows in p parameters and m extra unknowns; as a dense matrix, shape (r, p + m).
 
     Attributes:
         parameters: Derivatives with respect to the parameters, shape (r, p).
-        own: Derivative with respect to the own unknown of the row's block, shape (r,).
+        own: Derivative of each row with respect to the extra unknown of its block, shape (r,).
         owners: Block of each row, shape (r,).
         blocks: Number of blocks, m.
     """
@@ -85,10 +86,11 @@ class BlockArrow:
         return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
 
     def eliminated(self, residual: Array, weight: Array) -> Eliminated:
-        """Return the normal equations of weighted residuals of shape (r,) without the extra
-        unknowns.
+        """Return the normal equations of weighted residuals of shape (r,) with the extra unknowns
+        eliminated.
 
-        Each row is read once. The normal equations of several sets of blocks may be added.
+        Each row is read once. The normal equations of two sets of rows without common blocks may be
+        added.
         """
         p = self.parameters.shape[1]
         whole = self.product(weight)
@@ -144,8 +146,8 @@ class BlockArrow:
         return out
 
     def _products(self, weight: Array | None, other: BlockArrow) -> Array:
-        """Return the weighted sum over each block of the products of the elements of its rows, with
-        the block's own unknown last, shape (m, p + 1, p + 1).
+        """Return for each block the weighted sum over its rows of the products of two elements of a
+        row, with the extra unknown last, shape (m, p + 1, p + 1).
         """
         weight = np.ones(len(self.own)) if weight is None else weight
         size, width = self.parameters.shape[1] + 1, other.parameters.shape[1] + 1
@@ -158,8 +160,8 @@ class BlockArrow:
 
 @compiled
 def _add_by_block(columns: Array, factor: Array, owners: NDArray[np.int64], out: Array) -> None:
-    """Add each row of ``columns``, shape (r, k), times its factor to the row of its block in
-    ``out``.
+    """Add each row of ``columns``, shape (r, k), times the factor of the row, to the row of its
+    block in ``out``.
     """
     for r in range(len(columns)):
         row, scale = out[owners[r]], factor[r]
@@ -177,8 +179,8 @@ def _add_products(
     owners: NDArray[np.int64],
     out: Array,
 ) -> None:
-    """Add the products of the elements of each row, with the block's own unknown last, to the sums
-    of the row's block.
+    """Add the products of two elements of each row, with the extra unknown last, to the sums of the
+    row's block.
 
     Args:
         left: Shape (r, p).

@@ -1,8 +1,8 @@
 """Minimises a robust cost of few parameters by Levenberg-Marquardt steps within bounds.
 
 Each step minimises the damped quadratic model of the cost within the bounds, so that a parameter
-can stop at its bound and leave it again. Source: Kanzow, Yamashita and Fukushima, Journal of
-Computational and Applied Mathematics 172 (2004) 375.
+can stop at a bound and leave the bound in a later step. Source: Kanzow, Yamashita and Fukushima,
+Journal of Computational and Applied Mathematics 172 (2004) 375.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def minimise_within(
         box: The bounds.
         threshold: Size up to which each residual's cost is quadratic, shape (n,); infinite for
             least squares.
-        tolerance: The search ends when a step gains less than this share of the cost.
+        tolerance: The search ends when a step decreases the cost by less than this share.
         most_steps: Greatest number of steps that are tried.
     """
     x = box.clip(start)
@@ -76,7 +76,7 @@ def minimise_within(
                 damping = max(damping * _EASIER, _RIDGE)
                 break
             damping *= _HARDER
-        # A NaN cost compares below no other, so the gain stays zero.
+        # A cost of NaN is not less than the present cost, so that the gain stays zero.
         if not gain > tolerance * (cost + gain):
             break
     return Minimum(x, cost, steps)

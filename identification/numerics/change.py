@@ -4,14 +4,14 @@ For values x_i with standard errors s_i and weights w_i = 1 / s_i^2, a pattern p
 step before run k) is fitted by weighted least squares with the amplitude a. The ratio of the
 amplitude to its standard error is Z = a sqrt(sum w_i (p_i - p)^2), where p is the weighted mean of
 the pattern. The residuals r_i have the scatter c^2 = sum w_i r_i^2 / (n - 2), which is one if the
-standard errors are right. The statistics are T = |Z| / max(c, 1) of the line, and the greatest T of
-all steps; the p value is twice the smaller of the two p values.
+standard errors are right. The two statistics are T = |Z| / max(c, 1) of the line, and the greatest
+T of all steps. The stated p value is twice the smaller of the p values of the two statistics.
 
 The distributions without change are simulated for the same weights and patterns with T = |Z| / c,
 which does not depend on the scale of the scatter and is never less than |Z| / max(c, 1). Therefore
-the stated false-alarm rate holds if the runs scatter as their intervals state, and if they scatter
-more (because of temperature and lubricant); if the runs scatter less, the rate is below the stated
-rate.
+the stated false-alarm rate holds if the values scatter as their intervals state, and if the values
+scatter more (because of temperature and lubricant). If the values scatter less, the false-alarm
+rate is below the stated rate.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ LEAST_RUNS = 6
 _LEAST_SIDE = 2
 """Least number of values before and after a step."""
 _MOST_STEPS = 40
-"""Greatest number of places at which a step is sought; in a longer history the places are spread
-evenly.
+"""Greatest number of positions at which a step is sought; in a longer history these positions are
+spread evenly.
 """
 _DRAWS = 100_000
 _FLOOR = 1.0 / 3.0
-"""Least standard error relative to the median, so that one value does not outweigh all others."""
+"""Least standard error relative to the median standard error, so that one value does not outweigh
+all others.
+"""
 _TWO_SIDED_90 = 1.6448536269514722
 
 
@@ -45,7 +47,7 @@ class Change:
         start: Index of the first value after the step, or None for a drift.
         size: Size of the step, or change of the drift from the first to the last value.
         half_width: Half width of the 90 % interval of the size.
-        p_value: Probability of a change of this size or more without any.
+        p_value: Probability that a history without change shows a change of this size or more.
     """
 
     start: int | None
@@ -60,7 +62,7 @@ class ChangeTest:
     Args:
         errors: Standard errors in the order of time, shape (n,), n at least :data:`LEAST_RUNS`,
             above 0.
-        rng: For the distribution of the statistic without change.
+        rng: Random generator for the simulated distributions of the statistics without change.
 
     Raises:
         ValueError: There are fewer values, or an error is not positive.
@@ -90,7 +92,8 @@ class ChangeTest:
         Args:
             values: Values in the order of time, shape (n,).
         """
-        # The mean changes no statistic; without it rounding does not either.
+        # The mean does not affect the statistics; it is subtracted so that rounding does not
+        # either.
         white = (values - values.mean()) * self._root
         sizes, scatter = _fitted(white[None, :], self._unit, self._mean)
         beyond = np.maximum(scatter[0], 1.0)
@@ -138,8 +141,8 @@ def _fitted(white: Array, unit: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _null(count: int, unit: Array, mean: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return sorted statistics of histories without change: those of the line, and the greatest of
-    the steps; shapes (draws,).
+    """Return the sorted statistics of simulated histories without change: that of the line, and the
+    greatest of the steps; shapes (draws,).
     """
     lines, steps = [], []
     block = max(1, 2_000_000 // count)

@@ -1,4 +1,4 @@
-"""Compiles numeric kernels by numba, all with equal options.
+"""Compiles numeric kernels with numba, with the same options for all kernels.
 
 :mod:`identification.numerics.kernel_cache` keeps the machine code on disk for the next process.
 """
@@ -19,14 +19,15 @@ R = TypeVar("R")
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a numeric kernel with numba and keep the machine code for the next process.
 
-    The kernel releases the interpreter lock, so it must read and write nothing but its arguments.
+    The kernel releases the interpreter lock; therefore a kernel must read and write nothing but its
+    arguments.
     """
     return _kept(function, nogil=True, error_model="numpy")
 
 
 def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel of long sums; additions may be reordered, vectorised and fused with
-    multiplications.
+    """Compile a kernel of long sums; the compiler may reorder additions, vectorise them, and fuse
+    them with multiplications.
     """
     return _kept(function, error_model="numpy", fastmath={"reassoc", "contract"})
 

@@ -1,7 +1,7 @@
 """The exponential function for compiled loops that run over several lanes at a time.
 
-The compiler cannot combine calls of the C library's exponential in one instruction; this function
-consists of additions and multiplications alone.
+The compiler cannot vectorise calls of the C library's exponential function; the function of this
+module consists of additions and multiplications alone.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 from identification.numerics.compiled import inlined
 
 LEAST = -700.0
-"""Least exponent; below, the result would not be a normal number."""
+"""Least exponent; for a smaller exponent the result would not be a normal floating-point number."""
 _LOG2_E = 1.0 / math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-"""Logarithm of 2 as a sum; the first part has 32 bits, so that its small multiples are exact
-(fdlibm, e_exp.c).
+"""Natural logarithm of 2 as a sum of two numbers; the first number has 32 bits, so that its small
+multiples are exact (fdlibm, e_exp.c).
 """
 _ROUNDING = 1.5 * 2.0**52
-"""Added to a number, this leaves the nearest integer in the last bits of the sum."""
+"""Number that is added to a value so that the last bits of the sum hold the nearest integer."""
 _BIAS, _FRACTION = 1023, 52
 _2, _3, _4, _5, _6, _7, _8, _9, _10, _11, _12, _13 = (1.0 / math.factorial(k) for k in range(2, 14))
 

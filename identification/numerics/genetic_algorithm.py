@@ -14,8 +14,8 @@ does not give is taken from that toolbox's documented defaults:
 * the first generation is uniform in the box.
 
 This module differs from the toolbox in two points. A gene that mutation moves out of the box is
-reflected back into the box, because clipping would collect the population on the bounds. There is
-no stall limit: the search runs for all its generations.
+reflected back into the box, because clipping would concentrate the population on the bounds. There
+is no stall limit: the search runs for all its generations.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ class GeneticSettings:
     gives none, those of the toolbox.
 
     Attributes:
-        population: Individuals per generation.
-        crossover_fraction: Share of the non-elite children made by crossover; the others are
-            mutants.
-        elite: Individuals that survive unchanged.
+        population: Number of individuals per generation.
+        crossover_fraction: Share of the children, elite individuals excluded, that crossover makes;
+            mutation makes the remaining children.
+        elite: Number of best individuals that pass to the next generation unchanged.
         mutation_scale: Standard deviation of the first generation's mutation over the width of the
             box.
-        mutation_shrink: Share of that deviation lost, linearly, by the last generation.
-        generations: Generations after which the search stops; the first, random one counts.
+        mutation_shrink: Share by which the standard deviation of the mutation falls, linearly, up
+            to the last generation.
+        generations: Number of generations, the first random generation included, after which the
+            search stops.
 
     Raises:
         ValueError: A setting is out of range.
@@ -68,13 +70,15 @@ class GeneticSettings:
 
 
 class GeneticAlgorithm:
-    """Minimise a cost over a box: ``costs = f(ga.ask()); ga.tell(costs)`` until ``ga.stop``.
+    """Minimise a cost over a box: ``costs = f(ga.ask()); ga.tell(costs)`` is repeated until
+    ``ga.stop``.
 
     Args:
         low: Lower bounds, shape (d,).
         high: Upper bounds, shape (d,); above ``low``.
         rng: Source of all randomness.
-        settings: Population, operators and number of generations, or None for those of the paper.
+        settings: Population, operators and number of generations, or None for the settings of the
+            paper.
 
     Raises:
         ValueError: The bounds differ in shape, or a lower bound is not below its upper bound.
@@ -122,7 +126,7 @@ class GeneticAlgorithm:
         return self._genes.copy()
 
     def tell(self, costs: ArrayLike) -> None:
-        """Take the costs of the individuals that :meth:`ask` returned last, and compute the next
+        """Accept the costs of the individuals that :meth:`ask` returned last, and compute the next
         generation.
 
         Args:

@@ -1,8 +1,9 @@
 """Levenberg-Marquardt method on the normal equations, for a Huber cost or a likelihood.
 
-The trust-region solvers of common libraries decompose the whole Jacobian, here of 40 000 rows and a
-few dozen columns, at every step; the normal equations take a fraction of that time. Sources:
-Marquardt, SIAM Journal 11 (1963) 431; Huber, Annals of Mathematical Statistics 35 (1964) 73.
+The trust-region solvers of common libraries decompose the whole Jacobian (here of 40 000 rows and a
+few dozen columns) at every step; a step by the normal equations takes a fraction of the time of
+such a decomposition. Sources: Marquardt, SIAM Journal 11 (1963) 431; Huber, Annals of Mathematical
+Statistics 35 (1964) 73.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ class Minimum:
     """End of a search.
 
     Attributes:
-        x: Where it ended, shape (p,).
-        cost: Cost there.
+        x: Point at which the search ended, shape (p,).
+        cost: Cost at this point.
         steps: Number of steps tried.
-        beaten: Whether it ended because it would not have reached the cost to be reached.
+        beaten: Whether the search was stopped because it would not have reached the cost ``reach``
+            of another search.
     """
 
     x: Array
@@ -59,8 +61,8 @@ def huber(residual: Array, threshold: float | Array) -> Array:
 
 
 def huber_weight(residual: Array, threshold: float | Array) -> Array:
-    """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, an array
-    of the shape of ``residual``.
+    """Return Huber's weight of each residual r, an array of the shape of ``residual``: 1 within the
+    threshold, and threshold / |r| beyond.
     """
     return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
 
@@ -71,8 +73,8 @@ def huber_cost(residual: Array, threshold: float) -> float:
 
 
 def negative_log_likelihood(error: Array, deviation: Array, threshold: float) -> float:
-    """Return the cost of errors with these standard deviations, shape (n,) each (M23), up to a
-    constant; errors beyond the threshold count as in Huber's cost.
+    """Return the negative log likelihood of errors with these standard deviations, shape (n,) each
+    (M23), up to a constant; for errors beyond the threshold Huber's cost replaces the square.
     """
     return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation)))
 
@@ -89,12 +91,12 @@ def minimise(
     """Minimise the Huber cost of ``residuals``.
 
     Args:
-        residuals: x to residuals, shape (n,).
-        jacobian: (x, residuals there) to the Jacobian, shape (n, p).
-        start: Shape (p,).
+        residuals: Function of x that returns the residuals, shape (n,).
+        jacobian: Function of x and of the residuals at x that returns the Jacobian, shape (n, p).
+        start: Start values, shape (p,).
         threshold: Residual size up to which the cost is quadratic.
-        tolerance: The search ends when a step gains less than this share of the cost.
-        most_steps: Steps tried at most.
+        tolerance: The search ends when a step decreases the cost by less than this share.
+        most_steps: Greatest number of steps that are tried.
     """
 
     def evaluate(x: Array) -> tuple[float, Array]:
@@ -125,7 +127,7 @@ def minimise_deviance(
     """Minimise the negative log likelihood of errors whose standard deviations depend on x too
     (M23), by the scoring method with damping.
 
-    Errors beyond the threshold count as in Huber's cost.
+    For errors beyond the threshold, Huber's cost replaces the square.
 
     Args:
         predictions: Function of x that returns the errors and their standard deviations, shape (n,)
@@ -135,10 +137,10 @@ def minimise_deviance(
             the deviations.
         start: Shape (p,).
         threshold: Error over deviation up to which the cost is quadratic.
-        tolerance: The search ends when a step lowers the cost by no more than this.
-        most_steps: Steps tried at most.
-        reach: Cost of another search, which this one should reach; it ends when ``most_steps``
-            steps as good as its last one would not reach it.
+        tolerance: The search ends when a step decreases the cost by no more than this value.
+        most_steps: Greatest number of steps that are tried.
+        reach: Cost that another search reached. The search ends when ``most_steps`` steps, each
+            with the decrease of the last step, would not reach this cost.
     """
 
     def evaluate(x: Array) -> tuple[float, tuple[Array, Array]]:
@@ -192,9 +194,9 @@ def _descend(
         linearise: Function of x and of these data that returns the normal matrix, shape (p, p), and
             the gradient, shape (p,).
         start: Shape (p,).
-        settled: Function of the gain of a step and of the cost after the step that returns whether
-            the search ends.
-        most_steps: Steps tried at most.
+        settled: Function of the decrease of the cost in a step, and of the cost after the step; it
+            returns whether the search ends.
+        most_steps: Greatest number of steps that are tried.
     """
     x = start.copy()
     cost, here = evaluate(x)
@@ -213,7 +215,7 @@ def _descend(
                 damping *= _EASIER
                 break
             damping *= _HARDER
-        # A NaN cost compares below no other, so the gain stays zero.
+        # A cost of NaN is not less than the present cost, so that the gain stays zero.
         if not gain > 0.0 or settled(gain, cost):
             break
     return Minimum(x, cost, steps), gain

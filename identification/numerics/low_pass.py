@@ -1,6 +1,7 @@
 """Low-pass filter without phase: a fourth-order Butterworth filter, forwards and backwards.
 
-scipy.signal has an equal filter, but its import takes a fifth of the time of all imports.
+scipy.signal has such a filter, but the import of scipy.signal takes a fifth of the time of all
+imports.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ _ANGLES = (math.pi / 8.0, 3.0 * math.pi / 8.0)
 
 
 def sections(share: float) -> Array:
-    """Return the two second-order sections of a fourth-order Butterworth low-pass, numerator and
-    denominator of each, by the bilinear transformation, shape (2, 6).
+    """Return numerator and denominator of the two second-order sections of a fourth-order
+    Butterworth low-pass, by the bilinear transformation, shape (2, 6).
 
     Args:
         share: Cut-off over half the sampling rate, between 0 and 1.
@@ -38,12 +39,12 @@ def sections(share: float) -> Array:
 def forwards_and_backwards(filters: Array, values: Array, padding: int) -> Array:
     """Return values filtered forwards and backwards, shape (n,).
 
-    The values are continued at both ends by their reflection in the end point, and each pass starts
-    in the steady state of its first value (alternatives: Gustafsson, IEEE Transactions on Signal
-    Processing 44 (1996) 988).
+    The series is continued at both ends by its point reflection in the end value. Each pass of the
+    filter starts in the steady state for its first value (alternatives: Gustafsson, IEEE
+    Transactions on Signal Processing 44 (1996) 988).
 
     Args:
-        filters: Second-order sections of unit gain at rest, shape (k, 6).
+        filters: Second-order sections of unit static gain, shape (k, 6).
         values: Shape (n,).
         padding: Number of values added at each end, less than n.
     """
@@ -65,7 +66,8 @@ def _filter(filters: Array, values: Array) -> None:
     """Filter values in place through second-order sections (transposed direct form II)."""
     for s in filters:
         b0, b1, b2, a1, a2 = s[0], s[1], s[2], s[4], s[5]
-        # The state that keeps a constant input of the first value; the gain at rest is one.
+        # The initial state is the steady state for a constant input of the first value; the static
+        # gain is one.
         one, two = (1.0 - b0) * values[0], (b2 - a2) * values[0]
         for k in range(len(values)):
             x = values[k]

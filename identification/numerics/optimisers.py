@@ -1,8 +1,8 @@
 """General optimisers over the unit cube, all with one interface, for the comparison of methods.
 
-Each optimiser may use :data:`BUDGET` evaluations, and may stop earlier by its own rule. The start
-points of an optimiser do not depend on the solution. An optimiser uses the costs or residuals of
-the problem and nothing else.
+Each optimiser may use :data:`BUDGET` evaluations of the cost, and may stop earlier by its own
+criterion. The start points of an optimiser do not depend on the solution. An optimiser uses only
+costs or residuals of the problem.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticS
 POPULATION, GENERATIONS = 40, 1000
 """Settings of the genetic algorithm (paper, Sec. 4.2)."""
 BUDGET = POPULATION * GENERATIONS
-"""Greatest number of evaluations."""
+"""Greatest number of evaluations of the cost by an optimiser."""
 STARTS = 20
-"""Number of random starts of the least squares."""
-_FIRST_SIGMA = 0.3  # of the box, as the CMA-ES tutorial advises (Hansen, arXiv:1604.00772)
+"""Number of random starts of the least-squares optimiser."""
+_FIRST_SIGMA = 0.3  # share of the box, as the CMA-ES tutorial advises (Hansen, arXiv:1604.00772)
 
 
 class BoxProblem(Protocol):
@@ -35,8 +35,8 @@ class BoxProblem(Protocol):
         """Return the cost of every row of ``x``, shape (p, d), as shape (p,)."""
 
     def residuals(self, x: Array, /) -> Array:
-        """Return the residuals at ``x``, shape (d,); the cost is the root of their sum of
-        squares.
+        """Return the residuals at ``x``, shape (d,); the cost is the square root of the sum of
+        squares of the residuals.
         """
 
 
@@ -90,8 +90,8 @@ def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
 
 
 def multi_start(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """Bounded trust-region least squares of SciPy from random starts in the box; the best result
-    counts.
+    """Bounded trust-region least squares of SciPy from random start points in the box; the result
+    is the best of all starts.
     """
     best, least = np.full(problem.size, 0.5), np.inf
     for start in rng.uniform(0.0, 1.0, (STARTS, problem.size)):

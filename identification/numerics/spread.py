@@ -16,22 +16,24 @@ CONFIDENCE = 0.90
 
 @dataclass(frozen=True)
 class Spread:
-    """Covariance of named parameters, shape (p, p), and the degrees of freedom of its estimate."""
+    """Covariance of named parameters, shape (p, p), and the degrees of freedom of the estimated
+    covariance.
+    """
 
     names: tuple[str, ...]
     covariance: Array
     freedom: float
 
     def half_width(self, name: str) -> float:
-        """Return the half width of the 90 % interval; infinite where the data do not determine the
-        parameter.
+        """Return the half width of the 90 % interval of a parameter; infinite if the data do not
+        determine the parameter.
         """
         k = self.names.index(name)
         return self._half(float(self.covariance[k, k]))
 
     def half_width_above(self, name: str, base: str) -> float:
-        """Return the half width of the difference ``name`` - ``base``; a ``base`` that was not
-        fitted counts as exact.
+        """Return the half width of the 90 % interval of the difference ``name`` - ``base``; a
+        ``base`` that was not fitted counts as exact.
         """
         if base not in self.names:
             return self.half_width(name)
@@ -51,7 +53,9 @@ class Spread:
 
 
 def _quantile(freedom: float) -> float:
-    """Return the half width of the 90 % interval of Student's distribution of unit scale."""
+    """Return the half width of the central 90 % interval of Student's t distribution of unit
+    scale.
+    """
     level = 0.5 + 0.5 * CONFIDENCE
     return float(special.ndtri(level) if freedom == math.inf else special.stdtrit(freedom, level))
 

@@ -1,8 +1,8 @@
-"""Computes two parts of a result at the same time, the second one in a thread that stays for the
-next computation.
+"""Computes two parts of a result at the same time, the second part in a thread that is kept for
+the next computation.
 
-Compiled kernels release the interpreter lock, so that two of them run on two cores. The thread is
-kept because starting one takes as long as a tenth of a pass of the filter.
+Compiled kernels release the interpreter lock, so that two kernels run on two cores. The thread is
+kept because to start a thread takes a tenth of the time of one run of the Kalman filter.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ THREAD = "second thread of the kernels"
 def _second(_process: int) -> tuple[ThreadPoolExecutor, Lock]:
     """Return the second thread of a process, and the lock of the caller that uses the thread.
 
-    The process is an argument, so that a forked process, which inherits no thread but its first,
-    gets a new second thread.
+    The process is an argument, so that a forked process, which inherits only its main thread, gets
+    a new second thread.
     """
     return ThreadPoolExecutor(1, thread_name_prefix=THREAD), Lock()
 
@@ -59,7 +59,7 @@ def both(one: Callable[[], One], other: Callable[[], Other]) -> tuple[One, Other
 def each(function: Callable[[Item], One], items: Iterable[Item]) -> list[One]:
     """Return the results of a function for all items, in their order, with two items at a time.
 
-    The function must not change what another call reads.
+    The function must not change data that another call of it reads.
     """
     todo, found, taking = iter(enumerate(items)), dict[int, One](), Lock()
 

@@ -1,4 +1,5 @@
 """Figures of recordings and fits.
 
-The only package that uses matplotlib; every function returns a ``Figure``.
+This is the only package that uses matplotlib. Every function of the package that draws returns a
+``Figure``.
 """

@@ -28,10 +28,10 @@ from identification.plots.style import (
 from identification.result import Convergence, Identification, Trace
 
 _POINTS_PER_LOAD = 1500
-_LEAST_PERCENT = 1e-6  # deviations below this are rounding
-_FEW_TIMES = 3.0  # a cost that falls less than this is drawn on a linear scale
+_LEAST_PERCENT = 1e-6  # deviations below this percentage are rounding errors
+_FEW_TIMES = 3.0  # a cost that falls by less than this factor is drawn on a linear scale
 _LINEAR_PERCENT = (
-    10.0  # if any deviation exceeds this, larger ones are drawn on a logarithmic scale
+    10.0  # %: if any deviation exceeds this value, deviations above it are on a logarithmic scale
 )
 _VARYING = math.inf  # contact moment of a load that varies
 LABELS = {
@@ -53,8 +53,8 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
 
     Args:
         result: The fit.
-        moments: Recording to its contact moment F_P L1, N m, or None if it varies and no curve is
-            drawn.
+        moments: Recording to its contact moment F_P L1, N m, or None if the contact moment varies;
+            then no curve is drawn.
     """
     made, (axis,) = figure(1, height=5.0, measured=False)
     draw_stribeck(axis, result, moments)
@@ -65,7 +65,7 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
 def draw_stribeck(
     axis: Axes, result: Identification, moments: Mapping[str, float | None], columns: int = 3
 ) -> None:
-    """Draw :func:`stribeck` into given axes, with a legend of so many columns."""
+    """Draw the figure of :func:`stribeck` into given axes, with a legend of ``columns`` columns."""
     unit = result.torque_unit
     label: str | None = "fitted"
     values = result.values()
@@ -95,7 +95,8 @@ def draw_stribeck(
         if curve is not None:
             axis.plot(*curve, color=BLACK, linewidth=1.1, label=label)
         else:
-            # Some parameters of the curve are not identifiable by themselves, but their sum is.
+            # Some friction parameters are not identifiable by themselves; the fitted friction at
+            # the samples is drawn instead of a curve.
             model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
             axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
         label = None
@@ -115,7 +116,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
 
     Args:
         stage: A search with its history.
-        truth: Values from which deviations are measured, or None for the final ones.
+        truth: True values from which deviations are measured, or None for the final values.
     """
     made, (upper, lower) = figure(2, height=6.0, sharex=True, measured=False)
     cost, count = ("cost", "evaluation") if stage.target is None else ("fitness", "generation")

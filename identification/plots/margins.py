@@ -1,8 +1,8 @@
 """Places the axes of a figure between margins that follow from its labels.
 
 The constrained layout of the plotting library measures every text several times, which takes as
-long as drawing. Here only the widths of the tick labels beside each axes and the heights of legends
-are measured, once; all other margins follow from sizes of type.
+long as drawing. This module measures only the widths of the tick labels beside each axes and the
+heights of legends, once; all other margins follow from font sizes.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ and height of ticks with their labels, inches."""
 _TICK = 7.0 * _POINT
 """Length of a tick and gap to its label, inches."""
 _RIGHT = 12.0 * _POINT
-"""Room for half of the last tick label on the right."""
+"""Room for half of the last tick label on the right, inches."""
 _FREE = 9.0 * _POINT
-"""Room above axes without a legend there."""
+"""Room above axes that have no legend above them, inches."""
 
 
 def arrange(made: Figure) -> None:
@@ -73,7 +73,9 @@ def _tick_width(made: Figure, axis: Axes) -> float:
 
 
 def _above(made: Figure, axis: Axes) -> float:
-    """Return the room for title and legend above axes, inches; a legend in the axes counts too."""
+    """Return the room for title and legend above axes, inches; a legend inside the axes counts as
+    above the axes.
+    """
     legend = axis.get_legend()
     size = (
         0.0

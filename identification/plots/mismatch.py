@@ -29,7 +29,9 @@ from identification.plots.style import (
 _OPENING_WIDTH = 4.4
 """Width of the first figure, inches: its text is legible on a screen of 390 pixels."""
 _FEW_DECADES = 300.0
-"""Range of a logarithmic axis, greatest over least, below which 2 and 5 are labelled too."""
+"""Ratio of the greatest to the least value of a logarithmic axis, below which the ticks at 2 and 5
+times powers of ten have labels too.
+"""
 _COLUMNS = 2
 _MOST_MAPS = 8
 _DRAWN = {
@@ -42,8 +44,8 @@ _DRAWN = {
 
 
 def errors(fits: Sequence[Fit]) -> Figure:
-    """Draw the error of each equation over its noise floor, of the nominal and of the corrected
-    model, on the fitted recordings and on the recordings set aside.
+    """Draw the error of each equation, relative to its noise floor, by the nominal and by the
+    corrected model, on the fitted recordings and on the recordings set aside.
 
     Args:
         fits: Errors of each equation, at least one with a noise floor.
@@ -86,8 +88,9 @@ def errors(fits: Sequence[Fit]) -> Figure:
 
 
 def maps(shown: Sequence[Map]) -> Figure:
-    """Draw the mismatch against each coordinate, the coordinate with the largest share first: the
-    mean with its simultaneous band by the nominal model, and the mean by the corrected model.
+    """Draw the mean mismatch against each coordinate: by the nominal model with a 90 % band for all
+    bins at once, and by the corrected model. Coordinates are sorted by the share of the mismatch
+    that they explain, the largest first.
 
     Args:
         shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on
@@ -144,7 +147,7 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
 
 
 def curve(missing: Curve) -> Figure:
-    """Draw the unmodelled torque over the coordinate that explains most of the torque."""
+    """Draw the unmodelled torque against the coordinate that explains most of this torque."""
     along, unit = _shown_unit(missing.unit)
     factor, residual_unit = _shown_unit(missing.residual_unit)
     made, (axis,) = figure(1, width=7.0, height=3.2)

@@ -20,7 +20,7 @@ from identification.plots.style import (
 
 
 def predicted(part: Predicted, unit: str) -> Figure:
-    """Draw the measured and the predicted side of one equation against time, and their difference.
+    """Draw the measured side, the predicted side and the residual of one equation against time.
 
     Args:
         part: One equation of one recording.

@@ -15,7 +15,7 @@ from identification.result import Parameter, Profile, Starts
 
 _COLUMNS = 3
 _TOP = 3.0
-"""Greatest deviance shown, over the deviance at the ends of the 90 % range."""
+"""Greatest deviance shown, relative to the deviance at the ends of the 90 % range."""
 
 
 def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figure:
@@ -23,7 +23,7 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
     range, and the interval.
 
     Args:
-        curves: One or more.
+        curves: One or more profile likelihoods.
         parameters: The estimates with their intervals, in any order.
     """
     rows = math.ceil(len(curves) / _COLUMNS)
@@ -57,8 +57,8 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
 
 
 def waterfall(starts: Sequence[Starts]) -> Figure:
-    """Return a figure of the search ends of each search, the best end first: the excess of each
-    cost over the least cost, on a logarithmic scale.
+    """Return a figure of the search ends of each search, sorted from the best: the final cost less
+    the least final cost, on a logarithmic scale.
     """
     made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2, measured=False)
     for axis, search in zip(axes, starts, strict=True):
@@ -86,7 +86,9 @@ def waterfall(starts: Sequence[Starts]) -> Figure:
 
 
 def _smooth(curve: Profile) -> tuple[Array, Array]:
-    """Return the curve between its points, linear in the root of the deviance."""
+    """Return the curve interpolated between its points; the square root of the deviance is
+    linear.
+    """
     values = np.linspace(curve.values[0], curve.values[-1], 200)
     side = np.sign(np.arange(len(curve.values)) - int(np.argmin(curve.deviance)))
     root = np.interp(values, curve.values, side * np.sqrt(np.maximum(curve.deviance, 0.0)))

@@ -131,7 +131,7 @@ def uniform(
     Args:
         speed: Speed of the curves, rad/s, shape (n,).
         panels: Title, true friction in N m at ``speed``, and name to points (speed, friction,
-            whether it was uniform).
+            whether the motion was uniform).
     """
     made, axes = figure(1, len(panels), width=9.5, height=4.8)
     for axis, (title, truth, groups) in zip(axes, panels, strict=True):

@@ -23,12 +23,12 @@ def result(
     moments: Mapping[str, float | None],
     recordings: Sequence[Recording],
 ) -> Figure:
-    """Draw friction against speed, and below it tracking error, current (or torque) and temperature
-    over the recordings, one after the other; channels that were not recorded are left out.
+    """Draw friction against speed. Below, draw tracking error, current (or torque) and temperature
+    of all recordings, one after the other in time, as far as these channels were recorded.
 
     Args:
         identified: The fit.
-        moments: Recording to its contact moment F_P L1, N m, or None if it varies.
+        moments: Recording to its contact moment F_P L1, N m, or None if the contact moment varies.
         recordings: The recordings that were identified.
     """
     rotary = recordings[0].bench.motion == "rotary"

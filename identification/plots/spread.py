@@ -18,13 +18,13 @@ def spread(
     printed: Mapping[str, float],
     names: Sequence[str],
 ) -> Figure:
-    """Draw the error of every parameter for every seed, one colour per method, with the errors that
-    the paper prints.
+    """Draw the error of every parameter for every random seed, one colour per method, and the
+    errors that the paper states.
 
     Args:
         errors: Method to parameter to its errors over the seeds, percent; infinite or NaN errors
             are left out, and errors below 1e-6 % are drawn at 1e-6 %.
-        printed: Parameter to the error the paper prints, percent.
+        printed: Parameter to the error that the paper states, percent.
         names: Parameters, in the order to be shown.
     """
     made, (axis,) = figure(1, height=4.6)

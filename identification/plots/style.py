@@ -34,13 +34,13 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Okabe and Ito's palette, which colour-blind readers can distinguish."""
 MAX_POINTS = 5000
 COMPRESSION = {"compress_level": 3}
-"""Level of zlib: files are 8 % larger than at the default level, and written in two thirds of the
-time.
+"""Compression level of zlib; files are 8 % larger than at the default level, and are written in two
+thirds of the time.
 """
 
 
 _GAP = 5.0
-"""Gap between two samples, over the median time step, above which they are not joined."""
+"""Gap between two samples, in median time steps, above which no line joins the samples."""
 
 
 def figure(
@@ -52,7 +52,7 @@ def figure(
     sharex: bool = False,
     measured: bool = True,
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with its axes, row by row; no global state is touched.
+    """Return a figure with its axes, row by row; no global state of matplotlib is changed.
 
     Args:
         rows: Number of rows.
@@ -60,8 +60,8 @@ def figure(
         width: Width, inches.
         height: Height, inches.
         sharex: Whether axes of a column have their horizontal axis in common.
-        measured: Whether all texts are measured for the layout; a figure without titles of axes,
-            and with legends above or inside the axes only, is drawn in half the time without.
+        measured: Whether all texts are measured for the layout. If not, drawing takes half of the
+            time, but axes must have no titles, and legends only above or inside the axes.
     """
     made = _canvas(width, height, "constrained" if measured else None)
     grid = made.subplots(rows, columns, squeeze=False, sharex=sharex)
@@ -116,7 +116,7 @@ def continuing(time: Array) -> NDArray[np.bool_]:
     """Return which samples follow their predecessor without a gap, shape (n,); samples at rest may
     have been omitted.
 
-    A line broken at the other samples does not connect across a gap.
+    A line that is broken at all other samples does not connect samples across a gap.
     """
     steps = np.diff(time, prepend=time[:1])
     return (
@@ -127,7 +127,9 @@ def continuing(time: Array) -> NDArray[np.bool_]:
 
 
 def legend_above(axis: Axes, columns: int) -> Legend | None:
-    """Add a legend above the axes, where it covers no data; none without labels."""
+    """Add a legend above the axes, where it covers no data; if no line has a label, add no
+    legend.
+    """
     if not axis.get_legend_handles_labels()[0]:
         return None
     return axis.legend(
@@ -139,7 +141,7 @@ def png(made: Figure, dpi: int = 110) -> bytes:
     """Return the figure as PNG without dates and versions, so that equal figures give equal
     bytes.
     """
-    # Figure.savefig would draw everything twice, the first time for the layout alone.
+    # Figure.savefig would draw the figure twice, the first time only for the layout.
     made.set_dpi(dpi)
     engine = made.get_layout_engine()
     if engine is None:
@@ -156,8 +158,8 @@ def png(made: Figure, dpi: int = 110) -> bytes:
 
 
 def plain_numbers(axis: Axis, in_a_decade: Sequence[float] = (1.0, 3.0)) -> None:
-    """Label the ticks of a logarithmic axis by plain numbers, these in each decade; they are
-    drawn in a fraction of the time of powers of ten.
+    """Label the ticks of a logarithmic axis at the multiples ``in_a_decade`` of each power of ten
+    by plain numbers, which are drawn in a fraction of the time of powers of ten.
     """
     axis.set_major_locator(LogLocator(subs=in_a_decade))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

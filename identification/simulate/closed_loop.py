@@ -16,7 +16,7 @@ from identification.recording import Controller, Recording, RecordingError
 from identification.simulate import closed_loop_kernel as kernel
 
 STEP_S = 2.5e-4
-"""Greatest integration step; its error is far below the noise of recordings.
+"""Greatest integration step; the integration error is far below the noise of recordings.
 """
 
 OPEN_LOOP = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
@@ -47,8 +47,8 @@ class Inputs:
     Attributes:
         time: s, increasing.
         command: rad.
-        scale: Factor of the controller's output: the supply voltage if the output is a duty, else
-            1.
+        scale: Factor on the controller's output: the supply voltage if the output is a duty cycle,
+            else 1.
         added: Signal added to the scaled output, in the output's unit.
         moment: F_P L1, N m.
     """
@@ -76,8 +76,8 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
         body[ZERO] = pendulum.zero
     if not body[INERTIA] > 0.0:
         raise RecordingError(
-            f"{recording.name}: an inertia of {body[INERTIA]:g} cannot be simulated; state J "
-            "under model.fixed"
+            f"{recording.name}: a joint with an inertia of {body[INERTIA]:g} cannot be simulated; "
+            "state J under model.fixed"
         )
     return body
 
@@ -85,8 +85,8 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
 def loop_of(controller: Controller, recording: Recording) -> Array:
     """Return the kernel's parameters of controller and drive, shape (5,).
 
-    A duty or a voltage drives the armature: torque = Km i (U - Ke i omega)/R, with the inductance
-    neglected.
+    An output of kind ``duty`` or ``voltage`` sets the armature voltage U: torque = Km i (U - Ke i
+    omega)/R, with the inductance neglected.
 
     Raises:
         RecordingError: A constant of the motor is missing.
@@ -116,8 +116,8 @@ def inputs_of(recording: Recording) -> Inputs:
     """Return the inputs of the loop, from a recording.
 
     Raises:
-        RecordingError: The recording has no controller or no command, or its controller has a duty
-            and no supply voltage was recorded.
+        RecordingError: The recording has no controller or no command, or the output of its
+            controller is a duty cycle and no supply voltage was recorded.
     """
     controller, channels = recording.controller, recording.channels
     if controller is None or "command" not in channels:
@@ -147,7 +147,7 @@ def inputs_of(recording: Recording) -> Inputs:
 def simulate(
     body: Array, loop: Array, inputs: Inputs, angle: float, velocity: float, step: float = STEP_S
 ) -> Response:
-    """Simulate a loop around a joint with set-valued friction from an initial state.
+    """Simulate a position loop around a joint with set-valued friction, from an initial state.
 
     Args:
         body: Parameters of the joint, from :func:`body_of`.
@@ -174,12 +174,13 @@ def replay(
     recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S
 ) -> Response:
     """Simulate a recording with the fitted ``values`` and the command of the recording, from rest
-    at its first angle.
+    at the first recorded angle.
 
     After the first sample only the command, the supply voltage and the declared loads are used.
 
     Raises:
-        RecordingError: Something the simulation needs is missing.
+        RecordingError: A channel, a constant or the controller that the simulation needs is
+            missing.
     """
     inputs = inputs_of(recording)
     assert recording.controller is not None  # otherwise `inputs_of` raises

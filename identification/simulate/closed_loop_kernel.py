@@ -3,8 +3,8 @@ Stribeck friction and stiction.
 
 J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. The speed follows the trapezoidal
 rule, implicit in friction and solved by Newton's method; the controller uses the angle in the
-middle of the step. A joint whose speed would pass through zero stops there, and stays at rest while
-the torque on it is within the static limit.
+middle of the step. A joint whose speed would change sign stops, and stays at rest while the torque
+on the joint is within the static limit.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def next_speed(
             return 0.0
     start = abs(speed)
     before = friction(start, moment, gear, body)[0] + damping * start
-    # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2, which has its root above 0 unless
-    # the joint stops.
+    # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2 has a root above 0 unless the joint
+    # stops.
     rest = inertia / h * start + side * torque - 0.5 * before
     if rest <= 0.5 * friction(0.0, moment, gear, body)[0]:
         return 0.0
@@ -75,11 +75,12 @@ def closed_loop(
     Args:
         time: s, shape (n,), increasing, not necessarily evenly.
         command: rad, shape (n,); linear between samples.
-        scale: Factor of the controller's output, shape (n,): supply voltage, or 1; held between
+        scale: Factor on the controller's output, shape (n,): supply voltage, or 1; held between
             samples.
-        added: Signal added to the scaled output, shape (n,); held.
-        moment: F_P L1, N m, shape (n,); held.
-        body: Vector of :mod:`identification.model.parameters`; its inertia includes the loads'.
+        added: Signal added to the scaled output, shape (n,); held between samples.
+        moment: F_P L1, N m, shape (n,); held between samples.
+        body: Vector of :mod:`identification.model.parameters`; its inertia includes that of the
+            loads.
         loop: Parameters of controller and drive, shape (5,).
         step: Greatest integration step, s.
         angle: rad, shape (n,).

@@ -1,10 +1,11 @@
 """Estimates the drive's loop from recordings (M33).
 
-At the distance e of the joint from its target, a position P and velocity PI loop commands the
-torque Kv (e' + (Kp + Ki) e + Kp Ki int e). The logged command reaches the loop some cycles late:
-the whole number of cycles is searched, and the command and its derivatives are regressors for the
-remaining fraction of a cycle. Encoder steps and the loop's own delay would lower Kv, so the
-regression uses means over a few samples, with the joint's angle at the delay that fits best.
+With the position error e, command less angle, a drive with position P and velocity PI controllers
+commands the torque Kv (e' + (Kp + Ki) e + Kp Ki int e). The logged command reaches the loop with a
+delay of some cycles. The whole number of cycles is searched; the command and its derivatives are
+regressors, which represent the remaining fraction of a cycle. Encoder steps and the loop's own
+delay would bias Kv to lower values; therefore the regression uses means over a few samples, and the
+joint angle with the delay that fits best.
 """
 
 from __future__ import annotations
@@ -19,25 +20,25 @@ from identification.recording import Recording
 from identification.simulate.servo_loop import Loop, usual_loop
 
 _MEAN = 4
-"""Samples over which both sides are averaged."""
+"""Number of samples over which torque and regressors are averaged."""
 _LATENESSES = range(7)
 """Delays of the command that are tried, in cycles."""
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
-"""Delays between the joint's motion and the loop's response that are tried."""
+"""Delays between the joint's motion and the loop's response that are tried, s."""
 _MISFIT = 0.15
-"""Greatest ratio of the residual's rms to the rms of the torque's changes at which the loop is
-accepted.
+"""Greatest ratio of the rms of the residual to the rms of the torque's changes at which the
+estimated loop is accepted.
 """
 _GAINS = 3
 
 
 def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
-    """Return the drive loop. The result is None if the recordings lack the signals of the loop, or
-    if the loop does not fit the recordings.
+    """Return the drive loop, or None if the recordings lack the signals of the loop, or if no loop
+    fits the recordings.
 
     Args:
-        recordings: Recordings of one bench; those without command, motor angle and current are left
-            out.
+        recordings: Recordings of one bench; recordings that lack command, motor angle or current
+            are omitted.
         torque_limit: Torque limit of the loop, N m.
         count: Joint angle of one step of the encoder that the drive follows, rad.
     """
@@ -56,11 +57,13 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
         float(gains[1] / gains[0]),
         float(gains[2] / gains[0]),
     )
-    # Kp and Ki enter symmetrically; if noise makes the roots complex, equal values are nearest.
+    # Kp and Ki are the roots of a quadratic equation; if noise makes the roots complex, equal
+    # values are the nearest real solution.
     half = 0.5 * total
     apart = math.sqrt(max(half * half - product, 0.0))
     usual = usual_loop(1.0, torque_limit, count)
-    # The part of the delay that the speed filter does not explain is the torque's lag.
+    # The part of the delay that the speed filter does not explain is attributed to the lag of the
+    # torque.
     lag = max(
         _least(_DELAYS_S, [m for _, m in fits], best) - 1.0 / (2.0 * math.pi * usual.filter_Hz), 0.0
     )
@@ -68,8 +71,8 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
 
 
 def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
-    """Return the minimum of the parabola through the least of evenly spaced squared misfits and its
-    neighbours.
+    """Return the place of the minimum of the parabola through the least of the squared misfits and
+    its two neighbours; ``places`` are evenly spaced.
     """
     if not 0 < best < len(places) - 1:
         return places[best]

@@ -15,7 +15,8 @@ from identification.signals import resample, smooth
 from identification.simulate.closed_loop import Response
 
 FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
-"""Parameters that scale with the friction as a whole; Stribeck speeds, inertia and offset do not.
+"""Parameters that are proportional to the friction as a whole; Stribeck speeds, inertia and offset
+are not.
 """
 
 
@@ -30,7 +31,7 @@ class Sums:
         torque_samples: Number of torque samples.
         angle_error: Sum of squares of simulated less measured angle at the recording's time stamps.
         angle_samples: Number of angle samples.
-        angle_absolute: Sum of absolute errors of the angle at these.
+        angle_absolute: Sum of absolute errors of the angle at the recording's time stamps.
     """
 
     torque_error: float = 0.0
@@ -114,8 +115,8 @@ def simulated_torque(prepared: Prepared, response: Response) -> Array:
 
 
 def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
-    """Return the values with all friction multiplied by ``share``; the error of such a model is a
-    scale for the error of the fitted model.
+    """Return the parameter values with all friction multiplied by ``share``; the error of the model
+    with these values is a scale for the error of the fitted model.
     """
     return {
         name: value * (share if name in FRICTION_PARAMETERS else 1.0)

@@ -1,7 +1,7 @@
 """Simulates the nominal model, a joint with set-valued friction, in the position loop of a drive.
 
 The simulation is used for planned experiments, and for the simulated replicates by which the bias
-of an estimate is measured (M33 to M36). This simulation shares no code with the simulated bench.
+of an estimate is computed (M33 to M36). It has no code in common with the simulated bench.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
 STEPS = 20
-"""Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
+"""Number of integration steps per sample at 1 kHz; under load friction falls within 100
+microseconds.
+"""
 _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
 
 
@@ -32,9 +34,9 @@ class Loop:
         integral: Integral gain of the velocity loop, 1/s.
         filter_Hz: Cut-off of the first-order filter on the measured speed.
         torque_limit: N m.
-        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. The
-            quantised angle affects the torque through the speed filter, the quantised command
-            through the feedforward.
+        count: Joint angle of one step of the drive's encoder, rad; 0 for an encoder without
+            quantisation. The quantised angle affects the torque through the speed filter, the
+            quantised command through the feedforward.
         lag: Lag of the torque behind the loop's output, s; 0 for none.
     """
 
@@ -64,7 +66,7 @@ class Response:
         torque: Mean torque over the period that ends at each sample, N m.
         peak_speed: Greatest speed at any instant, rad/s.
         peak_torque: Greatest torque, N m.
-        peak_following: Greatest distance from the command, rad.
+        peak_following: Greatest following error, rad.
     """
 
     angle: Array
@@ -86,14 +88,15 @@ def respond(
     """Simulate the response to a command, from rest at the first value of the command.
 
     Args:
-        command: Joint angle at each sample, rad, shape (n,); linear in between.
+        command: Commanded joint angle at each sample, rad, shape (n,); linear between samples.
         period: s.
-        parameters: The nine by name; the last four only matter under load.
+        parameters: The nine nominal parameters by name; the load parameters have no effect without
+            load.
         moment: F_P L1, N m (eq. 13).
         alpha: Stribeck exponent.
         loop: The drive.
-        disturbance: Logged torque less the torque on the joint in each period, N m, shape (n,): the
-            drive's current loop follows the noise of its own sensor. None for no noise.
+        disturbance: Logged torque less true torque on the joint in each period, N m, shape (n,),
+            because the drive's current loop follows the noise of its own sensor; None for no noise.
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
@@ -132,7 +135,7 @@ def _follow(
     peaks: Array,
 ) -> None:
     """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); the speed is
-    integrated linearly implicitly.
+    integrated by a linearly implicit rule.
     """
     h = period / steps
     static = static_friction(moment, p)

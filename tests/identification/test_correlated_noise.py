@@ -82,4 +82,4 @@ def test_physics_that_is_missing_is_not_taken_for_noise(clean: Recording) -> Non
     assert not isinstance(refined, str)
     assert refined.noise.correlated > 0.05
     assert refined.repeating_share > 0.6
-    assert "repeats with the motion" in refusal(refined, 1.0, 1.0)
+    assert "repeats in matching half cycles" in refusal(refined, 1.0, 1.0)

@@ -68,7 +68,7 @@ def test_contradictions_and_priors_of_what_is_absent_are_told() -> None:
         {"Mc": 5.0, "Ms": 5.1}, Spread(("Mc", "Ms"), np.eye(2), 30.0), {"Mc": (6.0, 1e-3)}
     )
     assert found["Ms"] == found["Mc"] == pytest.approx(6.0, abs=1e-3)
-    assert any("beyond the limits of Ms" in w for w in warnings)
+    assert any("Ms is set to the limit of its range" in w for w in warnings)
 
 
 def test_an_identification_follows_its_priors() -> None:

@@ -57,7 +57,7 @@ def test_a_voltage_alone_is_refused(dataset: Dataset) -> None:
     bench = Bench(torque_constant=0.03, gear_ratio=100.0, resistance=1.5, back_emf_constant=0.03)
     channels = {name: v for name, v in dataset.recordings[0].channels.items() if name != "current"}
     channels["voltage"] = dataset.recordings[0].channels["current"]
-    with pytest.raises(RecordingError, match="neither was measured"):
+    with pytest.raises(RecordingError, match="the recording has neither channel"):
         without_effects(
             [Recording("v", channels, bench)], CorrectedModel({"Mc": 6.0}, 2.0, EFFECTS), 20.0
         )

@@ -105,7 +105,7 @@ def test_static_friction_without_a_rise_is_withheld_with_words() -> None:
     for name in ("Ms", "omega_sf"):
         assert found[name].value is None
         assert found[name].at_bound
-        assert "does not rise toward rest" in found[name].reason
+        assert "static friction does not exceed Coulomb friction" in found[name].reason
 
 
 @pytest.mark.parametrize("noise_N_m", [0.0, 0.02, 0.2])

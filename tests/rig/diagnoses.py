@@ -111,7 +111,7 @@ STEPS = (
 )
 NAMED = Diagnosis(
     verdict=Verdict.NAMED,
-    statement=f"{BACKLASH.statement}. Torque error on unseen recordings 0.62 -> 0.09 N m; noise "
+    statement=f"{BACKLASH.statement}. Torque error on recordings set aside 0.62 -> 0.09 N m; noise "
     f"floor 0.08.",
     effects=(BACKLASH, DRAG),
     fit=FIT,

@@ -167,7 +167,9 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
     assert found["verdict"] == "outside_catalogue"
     assert found["effects"] == []
     (line,) = [w for w in found["warnings"] if "is not identified" in w]
-    assert re.match(r"time skew explains part .* set aside it makes the error larger by \d", line)
+    assert re.match(
+        r"time skew explains part .* set aside the effect makes the error larger by \d", line
+    )
     assert found["fit"]["equation"] == "torque"
 
 

@@ -23,9 +23,9 @@ def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[st
     Args:
         views: The fitted recordings.
         unit: Unit of the torque.
-        like: A fit of the nominal model to the same recordings; its noise and its blocks of rows
-            are used.
-        values: Name to value; the other nominal parameters keep their fitted values.
+        like: A fit of the nominal model to these recordings; its noise and its blocks of rows are
+            used.
+        values: Name to value; nominal parameters that are not named keep their fitted values.
     """
     known = {n: v for n, v in values.items() if n in like.nominal.values}
     nominal = replace(like.nominal, values={**like.nominal.values, **known})
@@ -35,10 +35,11 @@ def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[st
 
 
 def _remaining(equation: Equation, given: Sequence[str]) -> Array:
-    """Return an equation's residual after a linear fit of its parameters that are not given.
+    """Return the residual of an equation after a linear fit of the parameters that are not given.
 
     In the torque equation only the rotor's share of the inertia is fitted. In every other equation
-    all parameters are fitted, because they are not parameters of the torque equation.
+    all parameters are fitted, because none of them is a nominal parameter, such as the zero of an
+    encoder.
     """
     held = given if equation.name == "torque" else ()
     other = equation.tangent[:, [name not in held for name in equation.names]]

@@ -12,7 +12,9 @@ from identification.diagnosis.terms.term import Shape
 from identification.recording import Array
 
 FEW_REGRESSORS = 4
-"""Number of regressors up to which the statistic is computed from the residual after the fit."""
+"""Greatest number of regressors for which the statistic is computed from the residual after their
+fit.
+"""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 
 
@@ -21,11 +23,11 @@ class Candidate:
     """One effect at one set of nonlinear parameters, scored against the stack.
 
     Attributes:
-        name: Name of the term, or of a generic family.
+        name: Name of the effect, or of a generic family.
         shape: Nonlinear parameters of the effect.
-        coefficients: Least-squares coefficients, in the term's units, shape (k,).
+        coefficients: Least-squares coefficients, in the units of the term, shape (k,).
         gain: Sum of whitened squares that the effect explains.
-        penalty: Sum of whitened squares that it explains by chance, expected value (Takeuchi).
+        penalty: Expected sum of whitened squares that the effect explains by chance (Takeuchi).
         statistic: Squared score over its variance by blocks after the fit; about chi-square with k
             degrees of freedom if nothing is missing.
         blocks: Score by block, shape (b, k).
@@ -57,8 +59,8 @@ class Candidate:
 
     @property
     def preference(self) -> float:
-        """Preference of the data for the effect over no effect, in standard errors of the gain by
-        blocks; infinite without weights.
+        """Preference of the data for the model with the effect over the model without it, in
+        standard errors of the gain by blocks; infinite without weights.
         """
         if not len(self.weights):
             return math.inf
@@ -69,7 +71,7 @@ class Candidate:
 
 
 def log_surprise(statistic: Array | float, degrees: int) -> float:
-    """Return -log of the probability of a chi-square beyond ``statistic``."""
+    """Return -log of the probability that a chi-square exceeds ``statistic``."""
     with np.errstate(divide="ignore"):
         return -np.log(special.chdtrc(degrees, statistic))  # type: ignore[no-any-return]
 

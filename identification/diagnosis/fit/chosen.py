@@ -16,8 +16,8 @@ class Chosen(NamedTuple):
 
     Attributes:
         dataset: The dataset; recordings that cannot be used have the role ``unused``.
-        bandwidth: Bandwidth of every error, Hz.
-        warnings: Which recordings are not used, and why.
+        bandwidth: Bandwidth of all errors, Hz.
+        warnings: Texts that state which recordings are not used, and why.
     """
 
     dataset: Dataset
@@ -26,14 +26,14 @@ class Chosen(NamedTuple):
 
 
 def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
-    """Return the recordings to use, and the bandwidth of every error.
+    """Return the recordings to use, and the bandwidth of all errors.
 
-    Loaded recordings that rest nearly all the time determine no friction under load. They are not
-    used, and the unloaded recordings are diagnosed without them.
+    Loaded recordings in which the joint rests nearly all the time do not determine friction under
+    load. Such recordings are not used, and only the unloaded recordings are diagnosed.
 
     Args:
         dataset: The dataset.
-        bandwidth_Hz: Bandwidth of every error; None chooses it from the recordings.
+        bandwidth_Hz: Bandwidth of all errors, or None for a bandwidth chosen from the recordings.
 
     Raises:
         RecordingError: No recording has the role ``fit``.
@@ -41,8 +41,8 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
     fitted = dataset.part("fit")
     if not fitted:
         raise RecordingError(
-            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
-            "campaign file"
+            "no recording has the role fit, but a diagnosis needs at least one; set `role: fit` in "
+            "the campaign file"
         )
     bandwidth = bandwidth_Hz or bandwidth_of(fitted)
     moving = {
@@ -57,8 +57,9 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
     )
     names = ", ".join(r.name for r in dataset.recordings if r.stage == "loaded")
     warning = (
-        f"{names}: {moving['loaded']} samples in motion and resolved at {bandwidth:.3g} Hz; at "
-        f"least {LEAST_MOTION} are needed, so no loaded recording is used, and nothing is said "
-        "about the load: move the loaded joint further or longer"
+        f"{names}: at a bandwidth of {bandwidth:.3g} Hz these loaded recordings have "
+        f"{moving['loaded']} samples in motion, and at least {LEAST_MOTION} are needed. Therefore "
+        "no loaded recording is used, and effects of the load are not diagnosed; add recordings in "
+        "which the loaded joint moves longer"
     )
     return Chosen(replace(dataset, recordings=kept), bandwidth, (warning,))

@@ -1,8 +1,8 @@
-"""Tests whether a fit is feasible: compares its predicted with its attained residual.
+"""Tests whether a fit is feasible: compares the predicted with the attained residual.
 
-A fit is judged by the residual that its linear step predicts. Nominal parameters have limits, and
-static friction may not be below Coulomb friction: a residual that is predicted beyond these limits
-cannot be attained.
+Effects are compared by the residual that the linear step of a fit predicts. Nominal parameters have
+limits, and static friction may not be below Coulomb friction: a residual that is predicted for
+values beyond these limits cannot be attained.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from identification.recording import Array
 def predicted_and_attained(
     stack: Stack, effects: Sequence[Added], residual: Array
 ) -> tuple[float, float]:
-    """Return the predicted and the attained mean-square torque mismatch, over that of the noise.
+    """Return the predicted and the attained mean-square torque mismatch, relative to the mean
+    square of the noise.
 
     Args:
         stack: Stack at the nominal values at the end of the fit.
@@ -43,11 +44,12 @@ def predicted_and_attained(
 
 
 def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
-    """Return the mean-square torque mismatch, over that of the noise, of a fit that holds the rises
-    of static over Coulomb friction.
+    """Return the mean-square torque mismatch, relative to the mean square of the noise, of a fit
+    with fixed rises of static over Coulomb friction.
 
-    All other parameters in which the torque is linear are free. The friction of real machines at
-    the slowest speeds may require impossible rises, whatever effects are identified.
+    All other parameters in which the torque is linear are free. The rises are fixed, because the
+    friction of real machines at the slowest speeds may require rises below zero, whatever effects
+    are identified.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = {name: equation.tangent[:, k] for k, name in enumerate(equation.names)}
@@ -63,7 +65,7 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
 
 
 def is_infeasible(predicted: float, attained: float) -> bool:
-    """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch, and the
-    noise, by the factor `infeasible`.
+    """Whether a fit is infeasible: the attained mean-square mismatch is more than `infeasible`
+    times the predicted mean-square mismatch, and more than `infeasible` times that of the noise.
     """
     return attained > RULES.infeasible * max(predicted, 1.0)

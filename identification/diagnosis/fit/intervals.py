@@ -23,20 +23,20 @@ from identification.estimate.uncertainty.parameter_table import WIDEST
 from identification.numerics.spread import CONFIDENCE
 
 APPROXIMATION_SHARE, APPROXIMATION_RAD = 0.02, 0.01
-"""Errors of parameters due to approximate regressors in simulated trials, 90 %: as a share of a
-size, and of an angle in rad.
+"""Half widths of the 90 % interval of the errors that approximate regressors cause in simulated
+trials: as a share of a size, and of an angle, rad.
 """
 
 
 def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
-    """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks
-    of time.
+    """Return the parameters of each effect with 90 % intervals, from the scatter of the scores over
+    blocks of time.
 
-    Intervals include the errors of approximate regressors, which the scatter does not show. A
-    parameter that the fit chooses from a list, such as a number per turn, has an interval of zero
-    width.
+    The intervals include the errors due to approximate regressors, which are not in this scatter. A
+    parameter that the fit selects from a list, such as a number of periods per turn, has an
+    interval of zero width.
 
-    Units are left empty, because the catalogue states them.
+    The fields for units are empty, because the catalogue states the units.
     """
     if not joint.effects:
         return ()
@@ -77,10 +77,10 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
     """Return name and estimate of a size of effect ``k`` whose interval contains zero, or None if
-    there is none.
+    there is no such size.
 
-    Sizes are the parameters that are proportional to the effect's coefficients, or to their
-    reciprocal, such as a stiffness.
+    Sizes are the parameters that are proportional to a coefficient of the effect, or to the
+    reciprocal of a coefficient, such as a stiffness.
     """
     effect, sizes = joint.effects[k], estimates(joint)[k]
     if effect.term.size is not None:
@@ -88,8 +88,8 @@ def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
     context = Context(joint.equations[0].views, joint.nominal)
     twice = effect.term.read(2.0 * np.array(effect.coefficients), effect.shape, context)
     for name, size in sizes.items():
-        # The mass of a wrong weight and an efficiency change too, but are not zero without the
-        # effect.
+        # The mass of a wrong weight and an efficiency change with the coefficient too, but are not
+        # zero without the effect.
         ratio = twice[name] / size.value if size.value else 1.0
         sized = math.isclose(ratio, 2.0) or math.isclose(ratio, 0.5)
         if sized and size.low <= 0.0 <= size.high:
@@ -98,7 +98,7 @@ def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
 
 
 def _approximation_error(name: str, value: float) -> float:
-    """Return the error of a parameter due to its approximate regressor."""
+    """Return the error of a parameter due to an approximate regressor, as a half width of 90 %."""
     return (
         APPROXIMATION_RAD
         if name.split("_")[0] in ("phase", "center", "zero", "rest")
@@ -137,7 +137,7 @@ def identifiable(joint: Joint, name: str) -> bool:
 
 
 def _parameters_after_steps(effect: Added, context: Context) -> list[dict[str, float]]:
-    """Return the effect's parameters after a small step along each column of
+    """Return the parameters of the effect after a small step along each column of
     :func:`effect_derivatives`.
     """
     moves = []

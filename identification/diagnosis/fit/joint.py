@@ -29,25 +29,29 @@ from identification.numerics.least_squares import least_squares
 from identification.recording import Array, RecordingError
 
 ROUNDS = 12
-"""Most Gauss-Newton rounds of one joint fit."""
+"""Greatest number of Gauss-Newton rounds of one joint fit."""
 LARGEST_STEP = 0.3
-"""Largest change of a nonlinear parameter in one round, over its reach."""
+"""Greatest change of a nonlinear parameter in one round, relative to the width of its search."""
 CONVERGED = 1e-4
 """Relative change of the cost below which the fit ends."""
 CLOSING_STEPS, CLOSING_EXCESS = 3, 0.02
 """Greatest number of closing steps after convergence, and the relative excess of the attained over
-the predicted torque mismatch from which a closing step is tried.
+the predicted mean-square torque mismatch from which a closing step is tried.
 """
 CLOSING_SHARES = (1.0, 0.5)
-"""Shares of a closing step that are tried: a whole one may fit the breakaways worse."""
+"""Shares of a closing step that are tried, because a whole step may increase the mismatch of the
+breakaway equation.
+"""
 LEAST_CLOSING_GAIN = 0.1
-"""Least share of that excess that a closing step must remove."""
+"""Least share of the excess of the attained torque mismatch that a closing step must remove."""
 DAMPING = 0.3
 """Factor on the length of the next step after a step that increases the cost."""
 MOST_FAILURES = 2
 """Greatest number of steps that may increase the cost."""
 GRID_REACHES = (1.0, 0.2)
-"""Half widths of the grid over a nonlinear parameter in the first rounds, over its full reach."""
+"""Half widths of the grid over a nonlinear parameter in the first rounds, relative to the width of
+its search.
+"""
 GRID_POINTS = 9
 GRID_REFINEMENTS = 3
 MOST_OWN_STEPS, LEAST_STEP_SHARE = 4, 1.0 / 64.0
@@ -63,7 +67,7 @@ class Joint:
     Attributes:
         nominal: Nominal values.
         effects: Effects in the order of their addition.
-        equations: Equations at these nominal values, without the contributions of the effects.
+        equations: Equations at the nominal values, without the contributions of the effects.
         residual: Whitened rows less the nominal model and the effects, shape (n,).
         stack: Stack whose effect basis spans the effects and the derivatives of their nonlinear
             parameters.
@@ -96,7 +100,7 @@ def fit(
         start: Nominal values from which the fit starts.
         effects: Effects with trial values of their nonlinear parameters; the fit finds the
             coefficients.
-        before: A fit of the same recordings, whose noise and blocks are used.
+        before: A fit to these recordings, whose noise and blocks are used.
 
     Raises:
         RecordingError: No sample of the recordings is in steady motion.
@@ -123,7 +127,8 @@ def fit(
             if failures > MOST_FAILURES:
                 break
         assert best is not None
-        # Regressors that depend on the nominal values make the problem nonlinear in these.
+        # Regressors that depend on the nominal values make the problem nonlinear in the nominal
+        # parameters.
         follow = share if any(e.term.follows for e in best.effects) else 1.0
         nominal = best.nominal.moved(follow * step.linear_step, step.speed_step, share)
         effects = (
@@ -135,9 +140,10 @@ def fit(
     assert best is not None
     best = _closing_steps(views, unit, best, step)
     if before is None:
-        # The blocks of the first round suit the errors of the start values, which last longer.
+        # The blocks of the first round are too long: errors of the start values have longer
+        # correlation times.
         best = replace(best, stack=stack_of(best.equations, best.nominal))
-    # The stack's own residual still contains the effects of known size, which have no column.
+    # The residual of the stack still contains the effects of known size, which have no column.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=with_effect_basis(left, effect_derivatives(left, best.effects)))
 
@@ -161,18 +167,17 @@ def _require_motion(rows: Sequence[Equation]) -> None:
     if not any(equation.name == "torque" for equation in rows):
         raise RecordingError(
             "no sample of the recordings with role fit is in steady motion, so these recordings "
-            "determine neither friction nor inertia; add a recording with longer steady motion, or "
-            "raise --bandwidth"
+            "determine neither friction nor inertia; add a recording with longer steady motion"
         )
 
 
 def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Solution) -> Joint:
-    """Return the fit after closing steps of the nominal parameters, which lower the attained
+    """Return the fit after closing steps of the nominal parameters, which lower the attained torque
     mismatch.
 
-    In such a step, static friction may change by half of its value if hardly any row is slow enough
-    to determine it. If no fraction of the step lowers the mismatch enough, a step of all nominal
-    parameters but static friction is tried, since these parameters are better determined.
+    In a closing step, static friction may change by half of its value if hardly any row is slow
+    enough to determine it. If no share of the step lowers the mismatch enough, a step without
+    static friction is tried, because the other nominal parameters are better determined.
     """
     for _ in range(CLOSING_STEPS):
         predicted, attained = predicted_and_attained(best.stack, best.effects, best.residual)
@@ -200,8 +205,9 @@ def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Soluti
 def _fit_after_step(
     views: Sequence[View], unit: str, best: Joint, step: Array, enough: float
 ) -> tuple[Joint, Solution] | None:
-    """Return the fit after a step of its nominal parameters, or None if the attained mismatch is at
-    least ``enough``, or the cost rises by more than :data:`CLOSING_EXCESS`.
+    """Return the fit after a step of its nominal parameters, or None if the attained torque
+    mismatch is at least ``enough``, or if the cost rises by a share of more than
+    :data:`CLOSING_EXCESS`.
     """
     nominal = best.nominal.moved(step, np.zeros(len(step)))
     stack = stack_of(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
@@ -222,8 +228,8 @@ def start_fit(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tupl
 
 
 def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
-    """Return the effects after a step of the nonlinear parameters that determine an effect's size,
-    within their limits.
+    """Return the effects after a step, within limits, of the nonlinear parameters that determine an
+    effect's size.
     """
     left, placed = list(steps), []
     for effect in effects:
@@ -237,8 +243,8 @@ def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, 
 
 
 def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
-    """Return nominal values with the quantities that effects determine and that the regressors of
-    other effects need: undeclared load, current offset, torque ripple and efficiency.
+    """Return the nominal values with those quantities of the effects on which regressors of other
+    effects depend: undeclared load, current offset, torque ripple and efficiency.
     """
     ripple = next(
         ((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ()
@@ -253,8 +259,8 @@ def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal
 
 
 def undeclared_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
-    """Return the coefficients of the load torque that the effects add and that turns with the
-    joint, as :class:`Nominal` states them.
+    """Return the coefficients of the load torque that turns with the joint and that effects add, as
+    in ``undeclared`` of :class:`Nominal`.
     """
     found = {e.term.name: e.coefficients for e in effects}
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
@@ -263,7 +269,7 @@ def undeclared_load(effects: Sequence[Added]) -> tuple[float, float, float, floa
 
 
 def gear_loss(effects: Sequence[Added]) -> float:
-    """Return 1 / efficiency - 1 of the transmission, from the effects."""
+    """Return 1 / efficiency - 1 of the transmission, from the identified effects."""
     return sum(
         max(e.coefficients[0], 0.0)
         for e in effects
@@ -272,7 +278,7 @@ def gear_loss(effects: Sequence[Added]) -> float:
 
 
 def current_offset(effects: Sequence[Added]) -> float:
-    """Return the reading of the logged current at zero current, from the effects, A."""
+    """Return the logged current at zero true current, from the identified effects, A."""
     return sum(
         e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients
     )
@@ -286,21 +292,22 @@ class _SingleEffect(NamedTuple):
     left: Array
 
     def columns(self, effect: Added, shape: Shape) -> Array:
-        """Return an effect's regressors at trial parameters, with the other effects projected out,
-        shape (n, k).
+        """Return the regressors of an effect at trial parameters, with all other effects projected
+        out, shape (n, k).
         """
         columns = self.stack.projected(self.stack.whitened(self.stack.columns(effect.term, shape)))
         return np.asarray(columns - self.effect_basis @ (self.effect_basis.T @ columns))
 
     def rest(self, effect: Added, columns: Array) -> Array:
-        """Return the residual of an effect with its best coefficients."""
+        """Return the residual after a fit of the coefficients of one effect."""
         if effect.term.size is not None:
             return np.asarray(self.left - effect.term.size * columns[:, 0])
         return np.asarray(self.left - columns @ least_squares(columns, self.left))
 
 
 def _single_effect(stack: Stack, effects: Sequence[Added], k: int) -> _SingleEffect:
-    # The cost of rows that this effect and the connected effects do not contribute to is constant.
+    # Rows to which neither this effect nor the effects connected with it contribute have a constant
+    # cost.
     stack = stack.only(connected(effects[k].term.columns, [e.term.columns for e in effects]))
     here = {e.name for e in stack.equations}
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
@@ -332,9 +339,9 @@ def _gauss_newton(stack: Stack, effects: Sequence[Added], k: int) -> Added:
     """Return effect ``k`` with its nonlinear parameters after Gauss-Newton steps from the best
     point of the grid, with the coefficients free.
 
-    The last step of the grid is 1/250 of a frequency or a time; an oscillation of many cycles
-    determines the frequency or time more precisely. :func:`_effects_after_step` changes the
-    nonlinear parameters that determine an effect's size.
+    The finest step of the grid is 1/250 of a frequency or a time, but the rows of an oscillation
+    with many cycles determine frequency or time more precisely. :func:`_effects_after_step` changes
+    the nonlinear parameters that determine an effect's size.
     """
     effect = effects[k]
     if not effect.term.refine or effect.term.size is not None:
@@ -368,7 +375,7 @@ def _decreasing_step(
     others: _SingleEffect, effect: Added, step: Array, least: float
 ) -> Shape | None:
     """Return the nonlinear parameters after the largest share of a step that lowers the cost by
-    more than rounding, or None if no share does.
+    more than the rounding error, or None if no share lowers the cost.
     """
     share = 1.0
     while share >= LEAST_STEP_SHARE:
@@ -384,8 +391,8 @@ def _decreasing_step(
 
 
 def _grid_minimum(cost: Callable[[Shape], float], effect: Added, share: float) -> Shape:
-    """Return the nonlinear parameters of least cost, searched one after the other on refined
-    grids.
+    """Return the nonlinear parameters of least cost, by a search of one parameter after the other
+    on grids that become finer.
     """
     best, least = effect.shape, cost(effect.shape)
     width = share

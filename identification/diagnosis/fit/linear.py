@@ -16,9 +16,11 @@ from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 
 SCALE_FACTOR = 4.0
-"""Factor that corresponds to the full reach of a parameter with a logarithmic scale."""
+"""Factor that is the width of the search of a parameter with a logarithmic scale."""
 DERIVATIVE_STEP = 1e-3
-"""Step of numerical derivatives with respect to a nonlinear parameter, over its reach."""
+"""Step of numerical derivatives with respect to a nonlinear parameter, relative to the width of its
+search.
+"""
 
 
 @dataclass(frozen=True)
@@ -30,13 +32,13 @@ class Added:
     coefficients: tuple[float, ...]
 
     def parameters(self, context: Context) -> dict[str, float]:
-        """Return the catalogue's parameters."""
+        """Return the parameters of the effect by the names of the catalogue."""
         return dict(self.term.read(np.array(self.coefficients), self.shape, context))
 
 
 def size_entries(effect: Added) -> Mapping[int, float]:
-    """Return the nonlinear parameters that determine the effect's size, by index, with the widths
-    of their search; empty for an effect with free coefficients.
+    """Return the indices of the nonlinear parameters that determine the effect's size, each with
+    the width of its search; empty for an effect with free coefficients.
     """
     return effect.term.refine if effect.term.size is not None else {}
 
@@ -91,15 +93,16 @@ class Solution:
     """Solution of the linear problem at one point.
 
     Attributes:
-        linear_step: Step of the nominal parameters in which the torque is linear, with the Stribeck
-            speeds held.
-        speed_step: Step with the Stribeck speeds free to first order, of which only the speeds'
-            steps are used.
-        shapes: Step of the nonlinear parameters that determine an effect's size, over their reach.
+        linear_step: Step of the nominal parameters in which the torque is linear, with fixed
+            Stribeck speeds.
+        speed_step: Step of all nominal parameters, with the Stribeck speeds free to first order;
+            only the steps of the Stribeck speeds are used.
+        shapes: Step of the nonlinear parameters that determine an effect's size, relative to the
+            widths of their search.
         effects: Effects with coefficients.
-        residual: Whitened residual with the speeds free to first order.
-        cost: Sum of whitened squares with the speeds held, the value of this point. For a distant
-            speed, a step does not attain the first-order prediction.
+        residual: Whitened residual with the Stribeck speeds free to first order.
+        cost: Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the
+            first-order prediction is not attained by a large step of a Stribeck speed.
     """
 
     linear_step: Array
@@ -117,7 +120,7 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
     Args:
         stack: Stack at the point.
         effects: Effects at the point.
-        held: Nominal parameters that are held.
+        held: Nominal parameters that are not changed.
     """
     stack = stack.without(held) if held else stack
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
@@ -147,7 +150,7 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
 
 
 def _with_coefficients(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, ...]:
-    """Return effects with their coefficients, known or from ``found``."""
+    """Return the effects with their coefficients; free coefficients are those in ``found``."""
     placed, at = [], 0
     for effect in effects:
         if effect.term.size is not None:
@@ -165,16 +168,16 @@ def _step_with_following(
     """Return the step of :func:`_nominal_step` for effects whose regressors depend on the nominal
     values.
 
-    The coefficients of such effects change with the step: a ripple relative to a larger current
-    needs a smaller coefficient.
+    The coefficients of these effects change with the step: for example, the coefficient of a ripple
+    relative to the current falls if the current rises.
     """
     nominal, step = stack.nominal, np.zeros(len(stack.nominal.free))
     equation = next(e for e in stack.equations if e.name == "torque")
     use = [k for k, name in enumerate(nominal.free) if name not in without]
     columns = [equation.tangent[:, use]]
     for k, column in zip(use, columns[0].T.copy(), strict=True):
-        # The step changes the torque by its noise, as regressors may depend on the sign of nominal
-        # values.
+        # The step changes the torque by an amount of the size of its noise, because regressors may
+        # depend on the sign of nominal values.
         length = equation.sigma * len(column) ** 0.5 / max(float(np.linalg.norm(column)), 1e-300)
         unit = np.zeros(len(nominal.free))
         unit[k] = length

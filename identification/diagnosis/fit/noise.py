@@ -1,8 +1,8 @@
-"""Estimates the noise again after an effect is identified, since fast unexplained effects were
-counted as noise.
+"""Estimates the noise again after an effect is identified, because a fast effect counts as noise
+before it is identified.
 
-A torque with seven periods per motor turn, or a hundred per turn of the joint, differs from row to
-row as noise does. With a noise estimate that is five times too large no other effect can be
+A torque with seven periods per motor turn, or a hundred periods per turn of the joint, varies from
+row to row like noise. If the noise estimate is five times too large, no other effect can be
 detected.
 """
 
@@ -25,21 +25,21 @@ from identification.diagnosis.rows.view import View
 FAST_EFFECTS = ("cogging", "torque_ripple", "gear_mesh_ripple")
 """Effects that may vary by their full amplitude from row to row."""
 LOWER_NOISE_RATIO = 0.5
-"""Ratio of the new to the old noise estimate, below which the new one is used.
+"""Ratio of the new to the old noise estimate, below which the new estimate is used.
 
-On simulated benches with strong waves the ratio was 0.13 to 0.2. On a real motor with cogging and a
-mismatch outside the catalogue it was 0.55.
+On simulated benches with strong periodic effects the ratio was 0.13 to 0.2. On a real motor with
+cogging and a mismatch outside the catalogue the ratio was 0.55.
 """
 
 
 def with_lower_noise(
     views: Sequence[View], unit: str, baseline: Joint, joint: Joint
 ) -> tuple[Joint, Joint]:
-    """Return the fit of the nominal model and the fit with effects; the noise in both is estimated
-    from the fit with effects, if that noise is lower.
+    """Return the fit of the nominal model and the fit with effects, both with the noise that is
+    estimated from the fit with effects, if this noise is lower.
 
-    The function is used only after a fast effect: slow effects do not affect the differences from
-    which the noise is estimated.
+    The function is called only after a fast effect is identified: slow effects do not change the
+    differences from row to row, from which the noise is estimated.
 
     Args:
         views: Recordings.
@@ -56,8 +56,8 @@ def with_lower_noise(
 
 
 def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
-    """Return an equation with the noise estimated from the residual of a fit, at most the present
-    estimate.
+    """Return an equation with the noise that is estimated from the residual of a fit, but at most
+    the present noise.
     """
     if equation.name == "breakaway":
         return equation
@@ -72,9 +72,10 @@ def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
 
 
 def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
-    """Return the fit of the nominal model with the noise of these equations, if this noise is lower
-    by `LOWER_NOISE_RATIO` in one equation; else, if the noise of one recording is lower by this
-    ratio, with the noise of the recordings alone. The equations have no common parameters.
+    """Return the fit of the nominal model with the noise of ``equations``, if in one equation this
+    noise is less than `LOWER_NOISE_RATIO` times the present noise. Otherwise, if the own noise of
+    one recording is lower by this ratio, return the fit with the own noise of the recordings. The
+    equations have no common parameters, so that the fit does not change.
     """
     pairs = list(zip(equations, baseline.equations, strict=True))
     if all(e.sigma >= LOWER_NOISE_RATIO * old.sigma for e, old in pairs):
@@ -95,8 +96,8 @@ def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
 
 
 def _with_noise(equation: Equation, sigma: float) -> Equation:
-    """Return an equation with another noise; each recording's own noise beyond that of the equation
-    does not change.
+    """Return an equation with another noise; the own noise of each recording, if greater than the
+    noise of the equation, does not change.
     """
     ratio = equation.sigma / sigma
     own = {index: max(1.0, power * ratio**2) for index, power in equation.own.items()}

@@ -1,8 +1,9 @@
 """Stacks and whitens all equations, projects the nominal tangent out, and scores candidates against
 the remaining mismatch.
 
-Scores are sums over blocks of time, which accounts for correlation within blocks (wild cluster
-bootstrap: Cameron, Gelbach and Miller, Review of Economics and Statistics 90 (2008) 414).
+Scores are computed for each block of time, so that correlation within blocks is taken into account
+(wild cluster bootstrap: Cameron, Gelbach and Miller, Review of Economics and Statistics 90 (2008)
+414).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
 ROUNDING = 1e-9
-"""Norm below which a part of an orthonormal column is rounding error."""
+"""Norm below which a part of an orthonormal column counts as rounding error."""
 NOMINAL_IN = ("torque", "breakaway")
 """Equations in which regressors may depend on the nominal values."""
 
@@ -49,8 +50,8 @@ class Stack:
         blocks: Number of blocks.
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
         cache: Regressors that do not depend on the nominal values, by term and nonlinear
-            parameters; shared between stacks of the same recordings.
-        own: Cache of the regressors that depend on the nominal values; not shared.
+            parameters; all stacks of the same recordings use this cache.
+        own: Regressors that depend on the nominal values; only this stack uses this cache.
     """
 
     equations: tuple[Equation, ...]
@@ -74,10 +75,11 @@ class Stack:
         return slice(0, 0)
 
     def only(self, names: Collection[str]) -> Stack:
-        """Return the part of the stack in which regressors of these equations can be nonzero after
-        projection.
+        """Return the part of the stack with the rows in which regressors of the equations ``names``
+        can be nonzero after projection.
 
-        Columns of the effect basis may couple equations; without coupling most rows can be omitted.
+        Projection of an effect basis may make a regressor nonzero in other equations, in which a
+        column of the basis is nonzero too; all other rows are omitted.
         """
         wanted = connected(names, self._effect_basis_equations)
         key = frozenset(e.name for e in self.equations if e.name in wanted)
@@ -125,7 +127,8 @@ class Stack:
         kept = (
             self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
         )
-        # Torque and breakaway use the same columns, which are computed once.
+        # The columns of the torque and of the breakaway equation are the same, and are computed
+        # once.
         once = cache(_computed)
         found = {
             equation.name: kept[equation.name]
@@ -162,8 +165,8 @@ class Stack:
         return out
 
     def without(self, names: Collection[str]) -> Stack:
-        """Return the stack without these names in the torque's tangent; the residual is not
-        changed.
+        """Return the stack without the parameters ``names`` in the tangent of the torque equation;
+        the residual is not changed.
         """
         basis = [
             _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
@@ -190,8 +193,9 @@ class Stack:
         positive: Sequence[int] = (),
         least_active: float = RULES.least_active,
     ) -> Candidate | None:
-        """Return the score of regressors, or None if they are collinear with the nominal model,
-        active in fewer than ``least_active`` blocks, or have an unphysical sign.
+        """Return the score of regressors, or None if the regressors are collinear with the nominal
+        model, active in fewer than ``least_active`` blocks, or have a coefficient of unphysical
+        sign.
         """
         if not columns:
             return None
@@ -207,7 +211,7 @@ class Stack:
         least_active: float = RULES.least_active,
     ) -> Candidate | None:
         full = self.whitened(columns)
-        # A recording that shows nothing of what each recording has to itself has zeros there.
+        # Columns that belong to one recording are zero if this recording does not show the effect.
         shown = _lengths(full) > 0.0
         before = _lengths(full)[shown]
         rest = self.projected(full[:, shown])
@@ -241,8 +245,8 @@ class Stack:
         )
 
     def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
-        """Return the score of the directions of one equation's regressors that are not collinear
-        with the stack.
+        """Return the score of those linear combinations of one equation's regressors that are not
+        collinear with the nominal tangent and the effect basis.
         """
         number = next(k for k, e in enumerate(self.equations) if e.name == equation)
         rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
@@ -275,14 +279,18 @@ class Stack:
         )
 
     def term(self, term: Term, shape: Shape) -> Candidate | None:
-        """Return the score of one effect at one set of nonlinear parameters, or None."""
-        # An effect of one recording is active in the blocks of this recording only.
+        """Return the score of one effect at one set of nonlinear parameters, or None as in
+        :meth:`candidate`.
+        """
+        # An effect that occurs in one recording only is active in few blocks.
         least = RULES.least_active if term.place is None else 0.0
         return self.candidate(term.name, shape, self.columns(term, shape), term.positive, least)
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
-    """Return these equations and all that the groups ``ties`` connect to them, even indirectly."""
+    """Return these equations and all equations that the groups ``ties`` connect with them, directly
+    or indirectly.
+    """
     found, left = set(names), [set(t) for t in ties]
     while joined := [t for t in left if t & found]:
         found = found.union(*joined)
@@ -301,8 +309,8 @@ def view_regressors(
     shape: Shape,
     made: Callable[..., Array] = _computed,
 ) -> Callable[[View], Array]:
-    """Return a function from a view to one equation's regressors; ``made`` may be a cached
-    function.
+    """Return a function that returns the regressors of one equation for a view; ``made`` may be a
+    cached function.
     """
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
@@ -311,8 +319,8 @@ def view_regressors(
 
 
 def stack_of(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
-    """Stack equations at the nominal values; blocks and cache are taken from ``like``, a stack of
-    the same recordings.
+    """Stack equations at the nominal values; if ``like`` is given, a stack of the same recordings,
+    its blocks and its cache are used.
     """
     basis = []
     residuals = []

@@ -1,5 +1,5 @@
-"""Starts a diagnosis: fits the nominal model to all equations, from the default estimator's values
-and from assumed falls of friction.
+"""Starts a diagnosis: fits the nominal model to all equations, starting from the values of the
+equation error and from assumed falls of friction with speed.
 """
 
 from __future__ import annotations
@@ -21,25 +21,27 @@ from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
 
 SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
-"""Quantiles of the speed between which trial Stribeck speeds are placed, and the number of these
-speeds.
+"""Quantiles of the speed between which trial Stribeck speeds are placed, and number of trial
+Stribeck speeds.
 """
 ACCEPTED_RATIO = 0.7
-"""Ratio of the remaining squares to those of the fit from the estimate, below which an assumed fall
-of friction is accepted.
+"""Greatest ratio of the sum of squares of a fit from an assumed fall of friction to that of the
+fit from the estimate, for which the assumed fall is accepted.
 
 In simulated trials in which an injected effect masked the fall of friction the ratio was 0.06 to
-0.6; a wrong fall lowers the squares by a few per cent.
+0.6; a wrong fall lowers the sum of squares by a few per cent.
 """
 GREATEST_BANDWIDTH_HZ = 25.0
-"""Greatest bandwidth, if enough samples are in motion at it. A higher bandwidth adds noise and
-hardly any signal of the effects.
+"""Greatest bandwidth, unless too few samples are in motion at this bandwidth. A higher bandwidth
+adds noise and hardly any contribution of the effects.
 """
 RUNG_WITHOUT_LOAD: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
 }
-"""Rung with load-dependent friction to the rung without it, used if no load is declared."""
+"""Rung with load-dependent friction to the rung without load-dependent friction, which replaces it
+if no load is declared.
+"""
 
 
 def bandwidth_of(recordings: Sequence[Recording]) -> float:
@@ -48,7 +50,7 @@ def bandwidth_of(recordings: Sequence[Recording]) -> float:
 
 
 def views_and_fit(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
-    """Return views of the recordings to fit, and the fit of the nominal model to them.
+    """Return views of the recordings to fit, and the fit of the nominal model to these recordings.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model, or do not support a
@@ -61,11 +63,11 @@ def views_and_fit(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ..
 
 
 def fit_from_estimate(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:
-    """Fit the nominal model, starting from the estimate and, if this fit leaves more than noise,
-    from assumed falls of friction as well.
+    """Fit the nominal model, starting from the estimate and, if the mismatch of this fit exceeds
+    the noise, from assumed falls of friction with speed too.
 
-    An unmodelled effect can mask the fall of friction with speed in an estimate, and no step of a
-    fit recovers this fall.
+    An unmodelled effect can mask the fall of friction with speed in an estimate, so that the
+    estimate has no fall; no later step of a fit finds the fall.
     """
     return with_assumed_fall(here, unit, fit(here, unit, start), start, model.fixed)
 
@@ -73,14 +75,14 @@ def fit_from_estimate(here: Sequence[View], unit: str, start: Nominal, model: Mo
 def with_assumed_fall(
     here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]
 ) -> Joint:
-    """Return the fit, or a fit with the same effects that starts from an assumed fall of friction
-    with speed, if the latter leaves a far smaller mismatch.
+    """Return the fit ``first``, or a fit with the same effects that starts from an assumed fall of
+    friction with speed, if the mismatch of the latter is far smaller.
 
     Args:
         here: Recordings.
         unit: Unit of the torque.
-        first: The fit; if it leaves no more than noise, no other is tried.
-        start: Nominal values from which it started.
+        first: The fit; if its mismatch is within the noise, no other fit is tried.
+        start: Nominal values from which this fit started.
         fixed: Names of nominal parameters that are not estimated.
     """
     if _mean_square(first) < RULES.excess:
@@ -91,8 +93,8 @@ def with_assumed_fall(
 
 
 def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
-    """Return the fit, or a feasible fit that starts from an assumed fall of friction, if the first
-    fit is infeasible.
+    """Return the fit ``first`` or, if it is infeasible, a feasible fit that starts from an assumed
+    fall of friction with speed.
 
     The static friction of the load may become equal to Coulomb friction during a fit, because few
     rows are slow enough to determine the static friction; no later step separates the two levels.
@@ -100,7 +102,7 @@ def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
     Args:
         here: Recordings.
         unit: Unit of the torque.
-        first: The fit; if it is feasible, no other is tried.
+        first: The fit; if it is feasible, no other fit is tried.
     """
     if not infeasible_as_fitted(first):
         return first
@@ -116,14 +118,16 @@ def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
 
 
 def _trial_stribeck_speeds(here: Sequence[View]) -> list[float]:
-    """Return trial Stribeck speeds of the assumed fall, rad/s."""
+    """Return trial Stribeck speeds of the assumed fall of friction, rad/s."""
     speed = np.concatenate([np.abs(v.low_pass(v.velocity))[v.moving] for v in here])
     low, high = np.quantile(speed, SPEED_QUANTILES)
     return [float(omega) for omega in np.geomspace(low, high, TRIAL_SPEEDS)]
 
 
 def _mean_square(joint: Joint) -> float:
-    """Return the mean-square torque mismatch over that of the noise; 0 without torque rows."""
+    """Return the mean-square torque mismatch relative to that of the noise; 0 without torque
+    rows.
+    """
     rows = joint.residual[joint.stack.part("torque")]
     return float(np.mean(rows**2)) if len(rows) else 0.0
 
@@ -131,10 +135,11 @@ def _mean_square(joint: Joint) -> float:
 def estimated_nominal(
     dataset: Dataset, recordings: Sequence[Recording], bandwidth: float
 ) -> Nominal:
-    """Estimate the nominal parameters from some of a dataset's recordings by variable projection.
+    """Estimate the nominal parameters from some recordings of a dataset, by variable projection.
 
     Raises:
-        RecordingError: A stage has no motion, or all recordings are loaded.
+        RecordingError: The unloaded or the loaded recordings have no motion, or all recordings are
+            loaded.
     """
     prepared = [prepare(r, bandwidth) for r in recordings]
     unloaded = [p for p in prepared if p.recording.stage == "unloaded"]

@@ -1,9 +1,9 @@
 """Refines a fit within the limits of its nominal parameters, and computes the residual at the
 refined values.
 
-The search compares effects by fits without limits. A machine has no negative friction and no
-negative inertia. The fit within these limits is reported, and scored on recordings that are set
-aside (bounded least squares: Stark and Parker, Computational Statistics 10 (1995) 129).
+The search compares effects by fits without limits, although friction and inertia of a machine are
+not negative. The fit within these limits is reported, and its errors on recordings set aside are
+computed (bounded least squares: Stark and Parker, Computational Statistics 10 (1995) 129).
 """
 
 from __future__ import annotations
@@ -31,19 +31,21 @@ from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
 ROUNDS = 8
-"""Greatest number of steps. The fall of friction, and regressors that depend on the nominal values,
-make the problem nonlinear.
+"""Greatest number of steps; several steps are needed because the fall of friction, and regressors
+that depend on the nominal values, make the problem nonlinear.
 """
 CONVERGED = 1e-5
 """Relative change of the cost below which the refinement ends."""
 STEP_SHARES = (1.0, 0.5, 0.2)
 """Shares of a step that are tried."""
 RIDGE = 1e-4
-"""Weight, over that of the rows, of a ridge penalty on every parameter; of equivalent solutions the
-smallest is chosen.
+"""Weight of a ridge penalty on every parameter, relative to the weight of the rows; of equivalent
+solutions the penalty selects the smallest.
 """
 _JUDGED: WeakKeyDictionary[Joint, bool] = WeakKeyDictionary()
-"""Whether a fit is infeasible, as long as it is in use: comparisons ask several times."""
+"""Cache: fit to whether it is infeasible, because several comparisons need the answer for one
+fit.
+"""
 _COULOMB_OF = {static: coulomb for coulomb, static, _ in STRIBECK_TERMS}
 
 
@@ -55,8 +57,8 @@ class _Point:
         nominal: Nominal values within their limits.
         effects: Effects with coefficients.
         stack: Stack at these values.
-        left: Whitened residual, shape (n,). In equations other than the torque, their own
-            constants, which are not reported, are projected out.
+        left: Whitened residual, shape (n,). In all equations except the torque equation, constants
+            that are not reported, such as the zero of an encoder, are projected out.
     """
 
     nominal: Nominal
@@ -71,9 +73,9 @@ class _Point:
 
 
 def infeasible(joint: Joint) -> bool:
-    """Whether a fit is infeasible: refined within the limits of its parameters, the fit leaves a
-    far greater residual than the unlimited fit predicts. Effects of an infeasible fit are not
-    accepted.
+    """Whether a fit is infeasible: its residual, after refinement within the limits of the
+    parameters, is far greater than the fit without limits predicts. Effects of an infeasible fit
+    are not accepted.
     """
     if joint not in _JUDGED:
         _JUDGED[joint] = infeasible_as_fitted(joint) and not _attained_within_limits(joint)
@@ -81,8 +83,8 @@ def infeasible(joint: Joint) -> bool:
 
 
 def _attained_within_limits(joint: Joint) -> bool:
-    """Whether a fit that is refined within the limits of its parameters leaves about the residual
-    that the fit predicts.
+    """Whether the residual of a fit, after refinement within the limits of the parameters, is about
+    that which the fit predicts.
     """
     promised, _ = predicted_and_attained(joint.stack, joint.effects, joint.residual)
     equation = next(e for e in joint.equations if e.name == "torque")
@@ -92,11 +94,11 @@ def _attained_within_limits(joint: Joint) -> bool:
 
 
 def infeasible_as_fitted(joint: Joint) -> bool:
-    """Whether a fit with its parameters moved to their limits leaves a far greater residual than
-    the fit predicts.
+    """Whether the residual of a fit, with parameters beyond a limit moved to the limit, is far
+    greater than the fit predicts.
 
-    A fit whose last effect is not in the torque equation counts as feasible: such an effect changes
-    no friction parameter.
+    A fit whose last effect does not appear in the torque equation counts as feasible, because such
+    an effect does not change the friction parameters.
     """
     if joint.effects and "torque" not in joint.effects[-1].term.columns:
         return False
@@ -109,8 +111,8 @@ def infeasible_as_fitted(joint: Joint) -> bool:
 def within_limits(views: Sequence[View], unit: str, joint: Joint) -> Joint:
     """Return a fit with its nominal parameters and coefficients refined within their limits.
 
-    The residual of this fit is that of the refined values, not the residual that a linear step
-    predicts.
+    The residual of the returned fit is computed at the refined values, not predicted by a linear
+    step.
 
     Args:
         views: Recordings that were fitted.
@@ -155,8 +157,8 @@ def cross_validation_residual(joint: Joint, parts: Array) -> Array:
 
     Args:
         joint: Result of :func:`within_limits`.
-        parts: Number of each row's part, shape (n,); -1 for rows in no part, whose residual is
-            zero.
+        parts: Number of the part to which each row belongs, shape (n,), or -1 for rows in no part,
+            whose residual is zero.
     """
     point = _Point(joint.nominal, joint.effects, joint.stack, joint.residual)
     every, begin, limits, drawn = _bounded_problem(point, ())
@@ -188,8 +190,9 @@ def _point_at(
 
 
 def _nuisance_basis(stack: Stack) -> Array:
-    """Return orthonormal columns of the torque's tangent that belong to no nominal parameter: the
-    rotor's share of the inertia, with a flexible transmission.
+    """Return orthonormal columns of those derivatives of the torque that belong to no nominal
+    parameter: with a flexible transmission, the derivative with respect to the rotor's share of the
+    inertia.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = equation.tangent[:, [n not in stack.nominal.free for n in equation.names]]
@@ -198,8 +201,8 @@ def _nuisance_basis(stack: Stack) -> Array:
 
 
 def _bounded_step(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Added, ...]]:
-    """Return a step of the nominal parameters within their limits, and effects with the
-    corresponding coefficients.
+    """Return a step of the nominal parameters within their limits, and the effects with the
+    coefficients that belong to this step.
     """
     every, begin, limits, drawn = _bounded_problem(point, held)
     found = _bounded_least_squares(every, point.left + every @ begin, limits, drawn)
@@ -216,8 +219,8 @@ def _bounded_step(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Adde
 def _bounded_problem(
     point: _Point, held: Sequence[str]
 ) -> tuple[Array, Array, tuple[Array, Array], Array]:
-    """Return the bounded least-squares problem: whitened columns of nominal parameters and
-    coefficients, shape (n, k), present values, limits, and centre of the ridge penalty.
+    """Return the data of the bounded least-squares problem: whitened columns of nominal parameters
+    and coefficients, shape (n, k); present values; limits; and centre of the ridge penalty.
     """
     stack, nominal = point.stack, point.nominal
     count = len(nominal.free)
@@ -264,8 +267,8 @@ def _bounded_least_squares(
 
 
 def _values(nominal: Nominal) -> Array:
-    """Return the values that a step changes: the rise for a static level, and 0 for a Stribeck
-    speed, because a step changes the logarithm of this speed.
+    """Return the values to which a step is added: for a static level its rise; for a Stribeck speed
+    0, because the step is one of its logarithm.
     """
     return np.array(
         [
@@ -286,7 +289,7 @@ def _step_limits(nominal: Nominal) -> tuple[Array, Array]:
             low[k], high[k] = -LARGEST_STEP, LARGEST_STEP
         elif name in nominal.most:
             high[k] = max(nominal.most[name] - nominal.get(name), 0.0)
-    # The solver requires a nonzero distance between limits.
+    # The solver requires that the two limits of a parameter differ.
     room = np.where(np.isfinite(low), 1e-12 * np.maximum(np.abs(low), 1.0), 0.0)
     return low, np.maximum(high, low + room)
 

@@ -15,16 +15,18 @@ from identification.model.valve import ValveGeometry, throat_area
 from identification.recording import Array, Recording, RecordingError
 
 ROW_S = 0.005
-"""Duration of a row, over which samples are averaged; the chamber takes ten times as long to
-empty.
+"""Duration over which samples are averaged to one row, s; the time constant of the chamber's
+outflow is ten times as long.
 """
 LEAST_ROWS = 50
 _FIRST_ROWS = 4
 _TURN, _SIZE = math.radians(0.05), 2.5e-5
-"""Steps of numerical derivatives, rad and m; about the error of valve and encoder."""
+"""Steps of numerical derivatives, rad and m, which are about the tolerances of encoder and
+valve.
+"""
 _SPREAD_PER_MAD = 1.4826
 _THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise, over that of the noise."""
+"""Standard deviation of the third differences of white noise of unit variance."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Burn:
     Attributes:
         recording: The recording.
         index: Index among the recordings under diagnosis.
-        time: Time since its first sample, s, shape (n,).
+        time: Time since the first sample of the recording, s, shape (n,).
         areas: A_t and its derivatives with respect to the thickness of a deposit, shape (3, n).
         shifts: Derivatives of A_t by angle, d, D and b, shape (4, n).
         angle: rad, shape (n,).
@@ -52,7 +54,7 @@ class Burn:
 
     @property
     def first_pressure(self) -> float:
-        """Mean of the first rows, Pa; it is the start value of a fit."""
+        """Mean pressure of the first rows, Pa, which is the start value of a fit."""
         return float(np.mean(self.pressure[:_FIRST_ROWS]))
 
     @property
@@ -62,8 +64,8 @@ class Burn:
 
 
 def has_gas_channels(recording: Recording) -> bool:
-    """Whether a recording allows a diagnosis of the gas generator: it has constants, pressure and
-    valve angle.
+    """Whether a recording allows a diagnosis of the gas generator, that is, has constants of a gas
+    generator, a pressure and a valve angle.
     """
     return (
         recording.bench.gas_generator is not None
@@ -75,7 +77,7 @@ def burns(recordings: Sequence[Recording]) -> tuple[Burn, ...]:
     """Return recordings as rows.
 
     Raises:
-        RecordingError: A recording has no pressure or angle, is too short, or its pressure falls to
+        RecordingError: A recording has no pressure or no angle, is too short, or has a pressure of
             zero.
     """
     return tuple(_burn(recording, index) for index, recording in enumerate(recordings))
@@ -100,8 +102,8 @@ def noise(burns: Sequence[Burn]) -> float:
     steps = np.diff(np.unique(np.concatenate([b.pressure for b in burns])))
     if not steps.size:
         raise RecordingError(
-            f"{burns[0].recording.name}: the pressure channel is constant, so that the "
-            "transducer was probably not read"
+            f"{burns[0].recording.name}: the pressure channel is constant; check whether the "
+            "pressure transducer was logged"
         )
     return max(scatter, float(np.min(steps)) / math.sqrt(12.0))
 
@@ -112,16 +114,15 @@ def _burn(recording: Recording, index: int) -> Burn:
     if missing or g is None:
         what = " and ".join(sorted(missing)) or "bench.gas_generator"
         raise RecordingError(
-            f"{recording.name}: no {what}; a gas generator is diagnosed from pressure and valve "
-            f"angle"
+            f"{recording.name}: the recording has no {what}, but a gas generator is diagnosed from "
+            "pressure and valve angle"
         )
     per_row = max(1, round(ROW_S / recording.period))
     count = len(recording.time) // per_row
     if count < LEAST_ROWS:
         raise RecordingError(
-            f"{recording.name}: {len(recording.time)} samples make {count} rows of "
-            f"{ROW_S * 1e3:g} ms; at least "
-            f"{LEAST_ROWS} are needed"
+            f"{recording.name}: the {len(recording.time)} samples give {count} averages over "
+            f"{ROW_S * 1e3:g} ms; at least {LEAST_ROWS} averages are needed"
         )
 
     def mean(values: Array) -> Array:
@@ -135,8 +136,8 @@ def _burn(recording: Recording, index: int) -> Burn:
     lowest = float(np.min(pressure))
     if not lowest > 0.0:
         raise RecordingError(
-            f"{recording.name}: pressure falls to {lowest:g} Pa; state the absolute pressure, in "
-            f"Pa, and only the time in which the gas generator burns"
+            f"{recording.name}: the pressure falls to {lowest:g} Pa; the channel must be the "
+            "absolute pressure in Pa, only while the gas generator burns"
         )
     measured = recording.channels["angle"]
     areas, shifts = (

@@ -1,7 +1,8 @@
 """Lists the nominal constants of the gas generator with their tolerances.
 
-All constants are fitted together with the effects, each with a prior of its tolerance; else a
-throat two hundredths of a millimetre wider than in the drawing would count as missing physics.
+All constants are fitted together with the effects, each with a prior whose standard deviation is
+its tolerance; otherwise a throat that is 0.02 mm wider than in the drawing would count as missing
+physics.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from identification.model.gas_generator import GasGenerator
 
 @dataclass(frozen=True)
 class Constant:
-    """A constant that all recordings share.
+    """A constant that has one value in all recordings.
 
     Attributes:
         unit: Unit, SI.
-        tolerance: Standard deviation of the prior: a share if ``relative``, else in the unit.
-        relative: Whether its logarithm is fitted.
+        tolerance: Standard deviation of the prior: a share of the value if ``relative``, else in
+            the unit.
+        relative: Whether the logarithm of the constant is fitted.
     """
 
     unit: str
@@ -36,30 +38,34 @@ class Constant:
         )
 
     def steps(self, nominal: float, value: float) -> float:
-        """Return the deviation of a value in tolerances; the inverse of :meth:`moved`."""
+        """Return the deviation of a value from the nominal value, in tolerances; the inverse of
+        :meth:`moved`.
+        """
         return (math.log(value / nominal) if self.relative else value - nominal) / self.tolerance
 
 
 CONSTANTS: Mapping[str, Constant] = {
-    "a": Constant("m/s", 0.1, relative=True),  # at 1 MPa; scatter between lots of a propellant
-    "n": Constant("1", 0.03),  # uncertainty of a strand burner
+    "a": Constant("m/s", 0.1, relative=True),  # at 1 MPa; scatter between propellant lots
+    "n": Constant("1", 0.03),  # uncertainty of a strand burner measurement
     "C_r": Constant("m/s", 0.05, relative=True),
     "d": Constant("m", 2.5e-5),
     "D": Constant("m", 2.5e-5),
     "b": Constant("m", 2.5e-5),
-    "angle_zero": Constant("rad", math.radians(0.05)),  # true angle less measured
+    "angle_zero": Constant("rad", math.radians(0.05)),  # true less measured angle
     "pressure_zero": Constant(
         "Pa", 3e3
-    ),  # measured pressure less true, of a transducer tared before ignition
-    "delay": Constant("s", 1e-3),  # of pressure behind angle
+    ),  # measured less true pressure, of a transducer tared before ignition
+    "delay": Constant("s", 1e-3),  # delay of the pressure relative to the angle
 }
-"""Name to tolerance, in the order in which they are fitted."""
+"""Constants by name, in the order in which they are fitted."""
 PROPELLANT = ("a", "n", "C_r")
 """Constants that neither a drawing nor a calibration states."""
 VOLUME = Constant("m^3", 0.3, relative=True)
-"""Free volume at the first row of each recording, not occupied by igniter and grain."""
+"""Free volume of the chamber at the first row of each recording, without igniter and grain."""
 PRESSURE = Constant("Pa", 0.01, relative=True)
-"""Unit in which the pressure at the first row is fitted; it has no prior."""
+"""Pressure at the first row of each recording; the tolerance is a scale for the fit, not a
+prior.
+"""
 
 
 _SENSORS = ("angle_zero", "pressure_zero", "delay")

@@ -1,6 +1,6 @@
 """Diagnoses the gas generator: noise, test for a mismatch, location, effects and validation.
 
-Validation recordings are scored once, at the end.
+The errors on validation recordings are computed once, at the end.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
 
 ADEQUATE = 0.9
-"""Least share of the mismatch power beyond the noise that the effects must explain together, if
-more than noise is left. The gas balance lacks the details of friction, so the right effect explains
-nearly all.
+"""Least share of the mismatch power beyond the noise that the effects must explain together, if the
+remaining mismatch exceeds the noise. The share is high because the gas balance, unlike friction,
+has no unmodelled details: the right effect explains nearly all.
 """
 _GREATEST_CONFIDENCE = 0.99
 VALIDATION_RATIO = 1.5
-"""Ratio of the error on validation recordings to the noise, from which a warning is given."""
+"""Ratio of the rms error on validation recordings to the noise, from which a warning is given."""
 DEVIATION_LIMIT = 3.0
 """Deviation of a constant, in tolerances, from which it is reported."""
 
@@ -55,17 +55,18 @@ DEVIATION_LIMIT = 3.0
 def diagnose_gas(
     dataset: Dataset, *, rng: np.random.Generator | None = None, progress: Progress | None = None
 ) -> Diagnosis:
-    """Test whether effects are missing from the gas-generator model, identify and locate them.
+    """Test whether physics is missing from the gas-generator model; identify and locate the missing
+    effects.
 
-    The constants of propellant, valve and sensors, within tolerances
-    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording are
-    fitted together with the effects.
+    The constants of propellant, valve and sensors, within their tolerances
+    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the state at the start of every
+    recording are fitted together with the effects.
 
     Args:
-        dataset: Recordings with pressure and valve angle, each from its ignition; those with role
-            ``validate`` are scored once, at the end.
+        dataset: Recordings with pressure and valve angle, each from its ignition; recordings with
+            role ``validate`` are used once, at the end.
         rng: Random generator for the sign flips.
-        progress: Called with the name of the step and the share done.
+        progress: Called with the name of the step and the share of the step that is done.
 
     Raises:
         RecordingError: A recording cannot be used.
@@ -115,13 +116,13 @@ def diagnose_gas(
 def _require_fitted(dataset: Dataset) -> None:
     if not dataset.part("fit"):
         raise RecordingError(
-            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
-            "campaign file"
+            "no recording has the role fit, but a diagnosis needs at least one; set `role: fit` in "
+            "the campaign file"
         )
 
 
 def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
-    """Return each constant in the nominal model and in the corrected model."""
+    """Return the value of each constant in the nominal model and in the corrected model."""
     after = _constants(scored)
     return {
         name: Shift(before, after[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
@@ -181,13 +182,17 @@ def _effect(
 
 
 def _rival(rivalry: Rivalry) -> Rival:
-    why = "" if rivalry.open else f"its error is larger by {rivalry.preference:.1f} standard errors"
+    why = (
+        ""
+        if rivalry.open
+        else f"the error with this rival is larger by {rivalry.preference:.1f} standard errors"
+    )
     return Rival(rivalry.name, min(1.0 - probability(rivalry.preference), 0.5), why)
 
 
 def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
-    """Return each effect's parameters with 90 % intervals, clustered by blocks (Liang and Zeger,
-    Biometrika 73, 13).
+    """Return the parameters of each effect with 90 % intervals, from the scatter over blocks of
+    time (Liang and Zeger, Biometrika 73 (1986) 13).
     """
     final, stack = found.final, found.stack
     scale = np.linalg.norm(final.tangent, axis=0) + final.held
@@ -217,7 +222,7 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
 
 
 def _constants(fitted: Fitted) -> dict[str, float]:
-    """Return the constants common to all recordings, and the mean of their free volumes."""
+    """Return the constants that all recordings have in common, and the mean of the free volumes."""
     volumes = [s.volume for s in fitted.model.starts]
     return {**fitted.model.constants, "V_0": float(np.mean(volumes))}
 
@@ -269,8 +274,8 @@ def _rms(fitted: Fitted, sigma: float) -> float:
 
 
 def _validated(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
-    """Return the prediction of a model for recordings set aside; only the start of each of these
-    recordings is fitted.
+    """Return the prediction of a model for recordings set aside; of these recordings only the state
+    at the start is fitted.
     """
     starts = nominal_model(aside).starts
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
@@ -298,8 +303,8 @@ def _statement(
     error = f"pressure error {main.baseline_rms:.3g} Pa; noise floor {main.noise_floor_rms:.3g}"
     if verdict is Verdict.NOTHING_MISSING:
         return (
-            f"nothing is missing from the gas generator that these recordings could show (p = "
-            f"{p_value:.2g}); {error}"
+            f"nothing is missing from the model of the gas generator that these recordings could "
+            f"show (p = {p_value:.2g}); {error}"
         )
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = f", most of it over {where.coordinate}" if where else ""
@@ -314,7 +319,11 @@ def _statement(
         words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     before, after, on = main.baseline_rms, main.final_rms, "the recordings it was fitted to"
     if main.validate_baseline_rms is not None and main.validate_final_rms is not None:
-        before, after, on = main.validate_baseline_rms, main.validate_final_rms, "unseen recordings"
+        before, after, on = (
+            main.validate_baseline_rms,
+            main.validate_final_rms,
+            "recordings set aside",
+        )
     return (
         f"{words}. Pressure error on {on} {before:.3g} -> {after:.3g} Pa; noise floor "
         f"{main.noise_floor_rms:.3g}."
@@ -325,15 +334,16 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     warnings = []
     if not dataset.part("validate"):
         warnings.append(
-            "no recording is set aside (role: validate), so all errors are those of the fitted "
+            "no recording is set aside (role: validate), so all errors are errors on the fitted "
             "recordings"
         )
     unseen = main.validate_final_rms
     if unseen is not None and unseen > VALIDATION_RATIO * main.noise_floor_rms:
         warnings.append(
             f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
-            f"noise, above {VALIDATION_RATIO:g}: the fitted recordings do not determine the gas "
-            "generator; also fit recordings with steps between narrow and wide throats"
+            f"noise (limit {VALIDATION_RATIO:g}): the fitted recordings do not determine the "
+            "parameters of the gas generator; fit recordings with steps between narrow and wide "
+            "throats too"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
@@ -349,7 +359,7 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     ]
     if strained:
         warnings.append(
-            f"without effects these constants would have to differ from their nominal values: "
-            f"{', '.join(strained)}; check them first"
+            "a model without effects would need constants that differ from their nominal values: "
+            f"{', '.join(strained)}; check these constants first"
         )
     return tuple(warnings)

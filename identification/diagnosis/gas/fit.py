@@ -1,4 +1,4 @@
-"""Fits constants, start of each recording and effects jointly, by forward simulation."""
+"""Fits constants, effects and the state at the start of each recording jointly, by simulation."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ from identification.signals import BoolArray
 _STEP = 0.01
 """Step of numerical derivatives, in the units of the fit."""
 _STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
-"""Stages of the fit: factor on the prior of valve and sensors, relative drop of the cost below
-which a stage ends, and greatest number of steps. Valve and sensors are almost fixed until the rest
-has converged; from a distant start they would drift away.
+"""Stages of the fit: factor on the weight of the priors of valve and sensors, relative decrease of
+the cost below which a stage ends, and greatest number of steps. The constants of valve and sensors
+are almost fixed until all other parameters have converged; from distant start values they would
+move far from their nominal values.
 """
 _FARTHEST, _FIRM_FARTHEST = 6.0, 15.0
-"""Limits of the constants, in tolerances, wider for valve and sensors. Otherwise a chamber ten
-times as large would explain any slow mismatch by its filling.
+"""Limits of the constants of the propellant, and of valve and sensors, in tolerances. Without
+limits, the filling of a chamber ten times as large would explain any slow mismatch.
 """
 _REJECTED = 1e6
-"""Residual beyond these limits, over the noise."""
+"""Residual, relative to the noise, that is returned beyond the limits."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,14 @@ class Fitted:
     """A model fitted to all recordings.
 
     Attributes:
-        model: Values of the model.
+        model: Fitted quantities.
         simulated: Simulated transducer signal of all rows, Pa, shape (n,).
         residual: Measured less simulated over the noise, shape (n,).
         tangent: Derivative of the simulated rows, over the noise, with respect to all fitted
-            numbers, shape (n, p); the effects' parameters come last.
-        held: Weight of each number's prior, shape (p,).
+            quantities, shape (n, p); the parameters of the effects come last.
+        held: Weight of the prior of each fitted quantity, shape (p,).
         pull: Nominal less fitted value over the tolerance, shape (p,); zero without a prior.
-        firm: Which numbers belong to valve and sensors, shape (p,).
+        firm: Mask of the fitted quantities that belong to valve and sensors, shape (p,).
     """
 
     model: Model
@@ -99,7 +100,8 @@ def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = Tru
         burns: Recordings to fit.
         sigma: Noise of a row, Pa.
         start: Start values, with the effects to fit.
-        shared: Whether constants and effects are fitted; else only the start of each recording.
+        shared: Whether constants and effects are fitted too; otherwise only the state at the start
+            of each recording is fitted.
     """
     layout = _Layout(burns, start, shared)
     measured = np.concatenate([b.pressure for b in burns])
@@ -130,7 +132,7 @@ def _minimised(
     tolerance: float,
     most_steps: int,
 ) -> Array:
-    """Return the least-squares vector with priors of weight ``held``."""
+    """Return the least-squares solution with priors of weight ``held``."""
     measured = np.concatenate([b.pressure for b in burns])
 
     def residuals(x: Array) -> Array:
@@ -185,7 +187,9 @@ def effect_vector(effects: Sequence[GasEffect]) -> Array:
 
 
 class _Layout:
-    """Layout of the fitted vector, whose entries are in tolerances from the nominal value."""
+    """Layout of the fitted vector, whose entries are deviations from nominal values in
+    tolerances.
+    """
 
     def __init__(self, burns: Sequence[Burn], start: Model, shared: bool) -> None:
         self._believed, self._given = nominal_model(burns), start
@@ -209,7 +213,7 @@ class _Layout:
         self.firm[: self.shared] = [name not in PROPELLANT for name in self.constants]
 
     def model(self, x: Array) -> Model:
-        """Return the model of a vector."""
+        """Return the model with the fitted quantities of a vector."""
         own = self._believed
         moved = {
             k: c.moved(own.constants[k], float(v))
@@ -230,14 +234,16 @@ class _Layout:
         )
 
     def touches(self, k: int) -> int | None:
-        """Return the only recording that an entry of the vector affects, or None if it affects
-        all.
+        """Return the recording that the entry ``k`` of the vector affects, or None if this entry
+        affects all recordings.
         """
         return (k - self.shared) // 2 if self.shared <= k < self.ends else None
 
 
 def _tangent(burns: Sequence[Burn], layout: _Layout, x: Array) -> Array:
-    """Return the derivative of the simulated pressure, Pa, shape (n, p)."""
+    """Return the derivative of the simulated pressure with respect to the fitted vector, Pa, shape
+    (n, p).
+    """
     here = [simulate((b,), layout.model(x)) for b in burns]
     edges = np.cumsum([0, *(len(p) for p in here)])
     out = np.zeros((edges[-1], len(x)))

@@ -1,9 +1,9 @@
 """Builds the pressure equation of the gas diagnosis: the pressure mismatch and the regressors of
 every gas effect, with the nominal tangent projected out.
 
-The result has the types that the torque diagnosis uses (``Stack``, ``Candidate``), so that the
-significance tests of the torque diagnosis apply unchanged. There is one row for each sample
-(mismatch over noise), and one for each parameter with a prior (its deviation over its tolerance).
+The result has the types of the torque diagnosis (``Stack``, ``Candidate``), so that its
+significance tests can be used. There is one row for each averaged sample (mismatch over noise), and
+one row for each parameter with a prior (deviation from the nominal value over the tolerance).
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ PRESSURE = "pressure"
 """Name of the equation."""
 UNIT = "Pa"
 _PIECES = 4
-"""Number of pieces of each recording, each with its own level."""
+"""Number of intervals of time of each recording for which a generic family has a constant each."""
 _SMALL = 0.01
-"""Size of an effect, over its scale, for numerical derivatives; the effect is linear there."""
+"""Size of an effect, relative to its scale, for numerical derivatives; at this size the effect is
+linear.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ def stack_of(
     """Return the stack of the mismatch of a fit, with the tangent of all fitted parameters
     projected out.
 
-    The rows of the recordings are followed by one row for each prior, in a separate block: fitted
-    parameters can therefore replace an effect only within their tolerances.
+    The rows of the recordings are followed by one row for each prior, in a separate block;
+    therefore fitted parameters can replace an effect only within their tolerances.
 
     Args:
         burns: Recordings.
@@ -109,8 +111,8 @@ def padded_rows(stack: Stack, values: Array) -> Array:
 def candidates(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
 ) -> Iterator[Candidate]:
-    """Yield every effect at all trial parameters, linearised at the fit; coefficients are in the
-    effect's unit.
+    """Yield every effect at all trial parameters, linearised about the fit; the coefficients are in
+    the unit of the effect.
     """
     for term in terms:
         for shape in term.shapes:
@@ -123,8 +125,9 @@ def candidates(
 def starts(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
 ) -> list[tuple[float, float, tuple[float, ...]]]:
-    """Fit an effect's size by linear least squares at each of its trial parameters; return (drop of
-    the sum of squares, size, trial parameters) of each, the largest drop first.
+    """Fit the size of an effect by linear least squares at each set of trial parameters; return
+    (decrease of the sum of squares, size, trial parameters) for each set, the greatest decrease
+    first.
     """
     found = []
     for shape in term.shapes:
@@ -164,7 +167,7 @@ def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Ca
 
 
 def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Array]]:
-    """Yield every coordinate's name and its values over all rows, shape (n,)."""
+    """Yield the name of every coordinate and its values at all rows, shape (n,)."""
     marched = [simulated_burn(b, fitted.model) for b in burns]
     for coordinate in COORDINATES:
         yield (
@@ -181,8 +184,9 @@ def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
 
 
 def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[np.ndarray, int]:
-    """Number the blocks of time; a block is ten correlation times of the most correlated mismatch,
-    within limits, and the block of the priors is the last.
+    """Return the block number of each row and the number of blocks. A block of time has ten
+    correlation times of the most correlated mismatch, within limits; the last block has the rows of
+    the priors.
     """
     length = LEAST_BLOCK_S
     for burn in burns:

@@ -25,15 +25,17 @@ from identification.recording import Array
 
 MOST_EFFECTS = 2
 LEAST_SHARE = 5e-4
-"""Power of a contribution, over the noise power, below which it is negligible.
+"""Power of an effect's contribution, relative to the noise power, below which it is negligible.
 
-The limit is low because the nominal constants absorb nearly all of a leak or of erosion, and
-transducer noise is white: the small remainder is significant.
+The limit is low because a leak or erosion is nearly collinear with the nominal constants, and a
+small remainder is significant in white transducer noise.
 """
 REJECTED = 1.645
-"""Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
+"""Number of standard errors by which a rival must be worse to be rejected (one-sided level of 5
+%).
+"""
 TRIALS_FITTED = 2
-"""Number of trial parameters of an effect, the best by the linear score, from which it is
+"""Number of sets of trial parameters, the best by the linear score, from which an effect is
 fitted.
 """
 
@@ -50,8 +52,8 @@ class Rivalry:
         preference: Preference of the data for the selected effect, in standard errors of the
             difference: by blocks (Vuong, Econometrica 57 (1989) 307), or from the likelihood ratio
             if only noise is left.
-        apart: Distance of the two simulated pressures over the noise, in the same unit: the
-            greatest expected preference with this excitation.
+        apart: Expected preference in white noise, from the distance of the two simulated pressures:
+            the greatest preference that this excitation allows.
     """
 
     name: str
@@ -163,7 +165,7 @@ def _stop(
         p_value: p-value of the test whether further physics is missing.
     """
     if winner is None:
-        words = "no effect of the catalogue fits with a plausible size"
+        words = "no effect of the catalogue fits with parameters in their plausible ranges"
         return Step("stop", "", p_value, 0.0, words)
     turned = [
         f
@@ -173,7 +175,7 @@ def _stop(
     ]
     if turned:
         best = min(turned, key=lambda f: f.cost)
-        words = "fits better than any other effect, but with the opposite sign"
+        words = "fits better than any other effect, but with a size of the opposite sign"
         name = best.model.effects[-1].term.name
         return Step("stop", name, p_value, here.cost - best.cost, words)
     gain = here.cost - winner.cost
@@ -182,8 +184,9 @@ def _stop(
     needed = RULES.further_share if beside >= LEAST_FURTHER else RULES.nearly_all
     if here.model.effects and share < needed:
         words = (
-            f"explains {100.0 * share:.0f} % of the remaining mismatch, and {100.0 * beside:.2g} % "
-            "of the squares explained already: too little for one more effect"
+            f"explains {100.0 * share:.0f} % of the remaining mismatch, and only "
+            f"{100.0 * beside:.2g} % of the squares that the selected effects explain: too little "
+            "for one more effect"
         )
         return Step("stop", winner.model.effects[-1].term.name, p_value, gain, words)
     return None
@@ -201,8 +204,9 @@ class _Test:
 
 
 def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Generator) -> _Test:
-    """Test whether physics is missing: by shape (sign flips of blocks), by size, and by the
-    deviations of valve and sensors; the least p-value counts.
+    """Test whether physics is missing by three p-values: of the pattern of the mismatch (sign flips
+    of blocks), of its size, and of the deviations of valve and sensors; the result is the least of
+    them.
     """
     named = {e.term.name for e in here.model.effects}
     left = [t for t in GAS_TERMS if t.name not in named]
@@ -218,13 +222,15 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     if by_belief < min(by_shape, by_size):
         loudest, words = (
             "beliefs",
-            "valve or sensors would have to deviate by more than their tolerances",
+            "constants of valve or sensors would have to deviate by more than their tolerances",
         )
     return _Test(p_value, Step("test", loudest, p_value, 0.0, words), stack)
 
 
 def _simplest_fit(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
-    """Return the fit of least cost, or an indistinguishable fit with fewer parameters."""
+    """Return the fit of least cost, or a fit with fewer parameters that is not significantly
+    worse.
+    """
     best = min(fitted, key=lambda f: f.cost)
     same = [
         f
@@ -246,8 +252,8 @@ def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
 
 
 def _likelihood_preference(chosen: Fitted, rival: Fitted, _stack: Stack) -> float:
-    """Return the preference if ``chosen`` leaves white noise: from the root of the likelihood
-    ratio, as in :func:`expected_preference`.
+    """Return the preference if the residual of ``chosen`` is white noise: from the square root of
+    the likelihood ratio, as in :func:`expected_preference`.
     """
     return 0.5 * math.sqrt(max(rival.cost - chosen.cost, 0.0))
 
@@ -262,8 +268,8 @@ def expected_preference(one: Fitted, other: Fitted) -> float:
 def _fits_with_one_more(
     burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack
 ) -> list[Fitted]:
-    """Return the best fit of every effect that lowers the cost, jointly with everything already
-    fitted.
+    """Return for every effect that lowers the cost its best fit, jointly with all selected effects
+    and constants.
     """
     named = {e.term.name for e in here.model.effects}
     fresh, found = nominal_model(burns), []
@@ -284,8 +290,9 @@ def _fits_with_one_more(
 def _with(
     model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]
 ) -> Model:
-    """Return a start with the effects of a model and one further effect; its constants are from
-    ``start``, since nominal constants are better start values than distorted constants.
+    """Return the start of a fit with the effects of a model and one further effect. The constants
+    are those of ``start``, because nominal constants are better start values than constants of a
+    fit without the further effect.
     """
     sizes = dict(zip(term.sizes, (size, *shape), strict=True))
     return replace(start, effects=(*model.effects, GasEffect(term, sizes)))
@@ -300,8 +307,8 @@ def plausible(effect: GasEffect) -> bool:
 
 
 def reversed_sign(effect: GasEffect) -> bool:
-    """Whether an effect's size has the sign that the catalogue excludes: a widening throat is not a
-    negative deposit.
+    """Whether the size of an effect has a sign that the catalogue excludes; for example, a throat
+    that becomes wider is not a negative deposit.
     """
     name = next(iter(effect.term.sizes))
     low = next(q.low for q in ENTRIES[effect.term.name].parameters if q.name == name)
@@ -309,8 +316,8 @@ def reversed_sign(effect: GasEffect) -> bool:
 
 
 def _excess(fitted: Fitted) -> float:
-    """Return the p-value of the hypothesis that the mismatch has at most `excess` times the
-    noise power.
+    """Return the p-value of the hypothesis that the power of the mismatch is at most `excess` times
+    the power of the noise.
     """
     rows: Array = np.minimum(np.abs(fitted.residual), RULES.outlier)
     return float(stats.chi2.sf(float(rows @ rows) / RULES.excess, len(rows)))
@@ -326,7 +333,7 @@ def _deviation_p_value(fitted: Fitted) -> float:
 
 def _why(rivals: Sequence[Rivalry]) -> str:
     if not rivals:
-        return "nothing else fits with a plausible size"
+        return "no other effect fits with parameters in their plausible ranges"
     return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)
 
 
@@ -338,8 +345,8 @@ def _with_needed_effects(
     stack: Stack,
     steps: list[Step],
 ) -> tuple[Fitted, list[Selected]]:
-    """Remove every effect that effects added later have made unnecessary; return fit and
-    effects.
+    """Remove every effect that is no longer needed beside effects that were selected later; return
+    fit and effects.
     """
     for name in [t.name for t in taken] if len(taken) > 1 else []:
         rest = tuple(e for e in final.model.effects if e.term.name != name)

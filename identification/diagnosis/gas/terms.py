@@ -17,7 +17,8 @@ class Size:
 
     Attributes:
         slot: Index in the kernel's vector of effects.
-        scale: A typical visible size, in the parameter's unit; unit of the fit.
+        scale: A typical observable size, in the unit of the parameter; the fit uses multiples of
+            it.
         trials: Start values of a nonlinear parameter, whose logarithm is fitted; empty for a size.
     """
 
@@ -28,12 +29,12 @@ class Size:
 
 @dataclass(frozen=True)
 class GasTerm:
-    """One effect of the catalogue with its parameters; the first is its size, zero if the effect is
-    absent.
+    """One effect of the catalogue with its parameters; the first parameter is the size of the
+    effect, which is zero if the effect is absent.
 
     Attributes:
         name: Stable name.
-        sizes: Parameter name to its slot and scale.
+        sizes: Name of each parameter to its slot, scale and trial values.
     """
 
     name: str
@@ -73,7 +74,7 @@ class GasEffect:
 
     @property
     def coordinates(self) -> tuple[float, ...]:
-        """Parameters as the fit uses them: each divided by its scale; for a parameter with trial
+        """Coordinates of the fit: each parameter divided by its scale; for a parameter with trial
         values, the logarithm of this ratio.
         """
         return tuple(

@@ -63,15 +63,15 @@ class Effect:
 
     Attributes:
         name: Stable name of the catalogue.
-        alias_group: Names of effects that these recordings do not distinguish from it, including
-            itself.
+        alias_group: Names of the effects that these recordings do not distinguish from this effect,
+            including this effect.
         confidence: Probability that this effect, and not a rival, is right; 0 to 1.
         statement: The finding in a plain sentence, with parameters.
-        assumption_broken: Assumption of the paper that it breaks.
+        assumption_broken: Assumption of the paper that the effect violates.
         where: Location of the mismatch.
-        parameters: Estimates by the catalogue's parameter names.
-        rivals: Nearest rivals, best first.
-        separating_experiment: Recording that would split the alias group, or confirm the effect.
+        parameters: Estimates by the parameter names of the catalogue.
+        rivals: Rivals, sorted by their fit, best first.
+        separating_experiment: Experiment that would split the alias group, or confirm the effect.
     """
 
     name: str
@@ -87,8 +87,8 @@ class Effect:
 
 @dataclass(frozen=True)
 class Fit:
-    """Rms errors of one equation by the nominal and by the corrected model, at one bandwidth;
-    ``validate_*`` are None without validation recordings.
+    """Rms errors of one equation by the nominal and by the corrected model, at one bandwidth; the
+    values ``validate_*`` are None without recordings of role ``validate``.
     """
 
     equation: str
@@ -103,8 +103,8 @@ class Fit:
 
 @dataclass(frozen=True)
 class Shift:
-    """A nominal parameter in the nominal model and in the corrected model; a value is None if it is
-    not identifiable.
+    """Value of a nominal parameter in the nominal model and in the corrected model; None if the
+    value is not identifiable.
     """
 
     before: float | None
@@ -124,9 +124,9 @@ class Map:
         centre: Centres of the bins, shape (b,).
         mean: Mean mismatch in each bin before correction, shape (b,).
         low: Lower band around ``mean``, shape (b,).
-        high: Upper band, shape (b,).
+        high: Upper band around ``mean``, shape (b,).
         after: Mean mismatch in each bin by the corrected model, shape (b,).
-        share: Share of the mismatch's power that the curve explains.
+        share: Share of the mismatch's power that ``mean`` explains.
         against_motion: Whether the mismatch was multiplied by the direction of motion, like
             friction.
     """
@@ -148,7 +148,8 @@ class Map:
 class Curve:
     """An empirical curve of a mismatch outside the catalogue, for simulations.
 
-    ``value`` over ``grid``, both shape (g,); linear between points, constant outside.
+    The curve is ``value`` over ``grid``, shape (g,) each; it is linear between points and constant
+    beyond the first and the last point.
     """
 
     equation: str
@@ -161,7 +162,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search: a test, an added or a removed effect, with the reason."""
+    """One step of the search: a test, or an added or removed effect with the reason."""
 
     action: str
     name: str
@@ -192,17 +193,18 @@ class Diagnosis:
         statement: The verdict in a plain sentence.
         effects: Identified effects in order of importance; empty if nothing is missing or no effect
             fits.
-        fit: Errors of the equation with the mismatch (the torque's if nothing is missing).
+        fit: Errors of the equation in which the mismatch is judged (the torque equation if nothing
+            is missing).
         fits: Errors of every equation that the recordings allow.
         parameters: Nominal parameters of the corrected model, name to value.
-        parameter_shift: Nominal parameters before and after.
+        parameter_shift: Nominal parameters in the nominal model and in the corrected model.
         p_value: p-value of the test whether physics is missing.
-        location: Location of the greatest mismatch, identified or not.
-        curve: The empirical curve of an outside_catalogue verdict.
-        maps: Maps of the mismatch for the report.
+        location: Location of the greatest mismatch, whether an effect explains it or not.
+        curve: Empirical curve of the mismatch if the verdict is ``outside_catalogue``.
+        maps: Mismatch against each coordinate, for the report.
         steps: Steps of the search.
-        traces: Mismatch in time for the report.
-        warnings: Warnings for the reader.
+        traces: Mismatch against time, for the report.
+        warnings: Warnings on the recordings and on the result.
         seconds: Computing time, s.
     """
 

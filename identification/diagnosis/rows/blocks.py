@@ -1,4 +1,4 @@
-"""Divides time into blocks, common to all equations, within which the mismatch may be
+"""Divides time into blocks, the same for all equations, within which the mismatch may be
 correlated.
 """
 
@@ -17,15 +17,15 @@ from identification.recording import Array
 
 LEAST_BLOCK_S = 1.0
 GREATEST_BLOCK_S = 3.0
-"""The mismatch is correlated over whole half cycles, but with longer blocks too few would
-remain.
+"""Greatest length of a block, s. The mismatch is correlated over whole half cycles, but with longer
+blocks the number of blocks would be too small.
 """
 
 
 def gather_of(
     equations: Sequence[Equation], block: np.ndarray, blocks: int
 ) -> tuple[sparse.csr_matrix, ...]:
-    """Return for each equation the matrix that sums its rows by block, shape (blocks, n_e)."""
+    """Return for each equation the matrix that sums the rows of each block, shape (blocks, n_e)."""
     out, start = [], 0
     for equation in equations:
         count = len(equation.residual)
@@ -41,8 +41,8 @@ def gather_of(
 def in_blocks(
     columns: Array, residual: Array, block: np.ndarray, blocks: int
 ) -> tuple[Array, Array]:
-    """Return inner products of columns, shape (n, k), with the residual and with each other, by
-    block.
+    """Return for each block the inner products of columns, shape (n, k), with the residual and with
+    each other.
 
     Returns:
         Shapes (b, k) and (b, k, k).
@@ -64,8 +64,8 @@ def in_blocks(
 
 
 def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple[np.ndarray, int]:
-    """Number blocks of time that all equations share, and return their count. A block is ten
-    correlation times of the most correlated residual, within limits.
+    """Return the block number of each row and the number of blocks. A block has ten correlation
+    times of the most correlated residual, within limits, and is the same for all equations.
     """
     length = LEAST_BLOCK_S
     for equation, residual in zip(equations, residuals, strict=True):

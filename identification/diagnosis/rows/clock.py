@@ -11,7 +11,9 @@ from identification.recording import Recording
 
 
 def one_clock(recordings: Sequence[Recording]) -> bool:
-    """Whether the starts or time stamps of recordings follow one another, as on one clock."""
+    """Whether the recordings, by their starts or time stamps, follow one another as on one
+    clock.
+    """
     spans = sorted(r.span for r in recordings)
     return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
 
@@ -20,9 +22,10 @@ def run_starts(recordings: Sequence[Recording]) -> list[float]:
     """Return the running time at which each recording begins, s.
 
     If starts or time stamps follow one another, running time counts from the zero of their clock,
-    when the machine was cold, provided that this zero precedes the first recording by no more than
-    the recordings' total duration; otherwise it counts from the first recording. Recordings without
-    a common clock have an unknown order; each is assumed to start cold, at its own zero.
+    at which the machine was cold, provided that this zero precedes the first recording by no more
+    than the total duration of the recordings; otherwise running time counts from the start of the
+    first recording. The order of recordings without a common clock is unknown; each recording is
+    then assumed to start cold, with running time 0.
     """
     if len(recordings) > 1 and one_clock(recordings):
         first, last = (

@@ -29,8 +29,8 @@ from identification.signals import BoolArray, central_difference, quantum
 LEAST_BREAKAWAYS = 12
 """Least number of breakaways, over all recordings, for a breakaway equation."""
 WITHIN_STEP = 0.3
-"""Standard deviation of a breakaway's instant within its sample, over the sample time (uniform:
-0.29).
+"""Standard deviation of the instant of a breakaway within its sample, relative to the sample period
+(0.29 for a uniform distribution).
 """
 SURE_N_M = 0.1
 """Approximate torque noise of one sample on the practical bench."""
@@ -38,11 +38,11 @@ SAME_STEP = 0.01
 """Relative difference up to which two steps of an encoder are equal."""
 Places = NDArray[np.int64]
 GREATEST_RATIO = 1e100
-"""Greatest ratio of an error to a noise, whose square can still be computed with; recordings at
-rest have no noise at all.
+"""Greatest ratio of an error to a noise, whose square is a finite number; recordings at rest have
+no noise.
 """
 ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
-"""Error of the most accurate encoders for one turn."""
+"""Error of the most accurate encoders for one turn, rad."""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -54,18 +54,18 @@ class Equation:
         name: One of :data:`EQUATIONS`.
         unit: Unit of the mismatch.
         views: Recordings in order.
-        kept: For each view, which filter outputs (or breakaways) are rows.
+        kept: For each view, mask of the filter outputs (or breakaways) that are rows.
         residual: Measured less nominal, shape (n,).
         tangent: Derivatives with respect to the parameters of the equation, shape (n, k).
         names: Names of the tangent's columns; those of the torque equation are nominal parameters.
         owner: Index of each row's recording, shape (n,).
         time: Time stamp of each row, s, shape (n,).
         sigma: Noise of one row.
-        own: Mean square of each recording's own noise over the square of ``sigma``, at least 1, by
-            the recording's index. The noise of a recording may depend on its motion, as where a
-            controller amplifies the rounding of an encoder.
-        accuracy: Error that the best sensors may cause, in ``unit``; noise does not contain it, as
-            it repeats with the motion.
+        own: Index of a recording to the mean square of the recording's own noise over the square of
+            ``sigma``, at least 1. The noise of a recording may depend on its motion, for example if
+            a controller amplifies the rounding of an encoder.
+        accuracy: Error that even the best sensors may cause, in ``unit``; it repeats with the
+            motion, so that the noise does not contain it.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Equation:
     accuracy: float = 0.0
 
     def allowed(self) -> Array:
-        """Return the mean square of each row's own noise and sensors' error over the square of
+        """Return the mean square of noise and sensor error of each row over the square of
         ``sigma``, shape (n,).
         """
         sensors = min(self.accuracy / self.sigma, GREATEST_RATIO) ** 2
@@ -102,14 +102,15 @@ class Equation:
 def equations(
     views: Sequence[View], nominal: Nominal, unit: str, before: Sequence[Equation] = ()
 ) -> tuple[Equation, ...]:
-    """Return every equation for which these recordings have channels, at the nominal values.
+    """Return every equation for which these recordings have the channels, at the nominal values.
 
     Args:
         views: Recordings.
         nominal: Values of the nominal parameters.
         unit: Unit of the torque.
-        before: The equations at other nominal values. Their noise is used, and the rows of all
-            equations but the torque, whose tangents contain the change of the nominal values.
+        before: The equations at other nominal values, whose noise is used. The rows of all
+            equations except the torque equation are used too; the tangents of these equations
+            account for the change of the nominal values.
     """
     if before:
         known = {e.name: e for e in before}
@@ -196,9 +197,10 @@ def _accuracy(equation: Equation) -> float:
 
 
 def held_voltage(equation: Equation) -> float:
-    """Return the noise of the voltage's rows, V, due to changes of the voltage between samples: a
-    voltage that changes during a sample is known only to within this change, unless the channel is
-    declared as averaged. A constant delay of the voltage samples is a parameter (:func:`_change`).
+    """Return the noise of the rows of the voltage equation, V, due to changes of the voltage
+    between samples: a voltage that changes during a sample period is known only to within this
+    change, unless the channel is declared as averaged. A constant delay of the voltage samples is a
+    parameter (:func:`_change`).
     """
     if equation.name != "voltage":
         return 0.0
@@ -207,12 +209,13 @@ def held_voltage(equation: Equation) -> float:
 
 def between_samples(equation: Equation) -> float:
     """Return the error of the voltage equation, V, that voltages between the samples may cause; 0
-    for other equations and for means over the sample.
+    for other equations and for averaged channels.
 
-    A loop faster than the log changes its voltage between two samples. Where log and loop are
-    locked, the same part of each change is sampled again and again, so that the error depends on
-    the motion and no filter averages it. This error is not white noise (:func:`held_voltage`), but
-    the deviation of an instant within a sample times the voltage's change.
+    A control loop that is faster than the log changes its voltage between two samples. If log and
+    loop are synchronised, every sample is taken at one phase of the loop's cycle, so that the error
+    depends on the motion and no filter averages it. This error is not white noise
+    (:func:`held_voltage`), but the deviation of an instant within a sample period times the rate of
+    change of the voltage.
     """
     if equation.name != "voltage":
         return 0.0
@@ -226,18 +229,20 @@ def between_samples(equation: Equation) -> float:
 
 
 def least_noise(equation: Equation) -> float:
-    """Return the least possible noise of an equation's rows, that is, their rounding error."""
+    """Return the least possible noise of the rows of an equation, that is, the rounding error of
+    the samples.
+    """
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
     if equation.name != "transmission":
         return least
-    # In slow motion rounding errors are correlated; no filter averages them.
+    # In slow motion rounding errors are correlated, so that no filter averages them.
     motor = _count(equation.views, "motor_angle") / equation.views[0].recording.bench.gear_ratio
     return max(least, math.hypot(_count(equation.views, "angle"), motor) / math.sqrt(12.0))
 
 
 def _count(views: Sequence[View], channel: str) -> float:
-    """Return the quantisation step of an encoder, rad; where no recording has enough small steps to
-    determine it, the smallest step in any of them.
+    """Return the quantisation step of an encoder, rad; if no recording has enough small steps to
+    determine it, the smallest step in all recordings.
     """
     series = [v.recording.channels[channel] for v in views]
     known = max(quantum(values) for values in series)
@@ -245,7 +250,7 @@ def _count(views: Sequence[View], channel: str) -> float:
         return known
     steps = np.sort(np.concatenate([np.abs(np.diff(values)) for values in series]))
     steps = steps[steps > 0.0]
-    # The steps of an encoder repeat, those of a continuous angle do not.
+    # The steps of a quantised angle repeat, the steps of a continuous angle do not.
     repeats = len(steps) > 1 and steps[1] < (1.0 + SAME_STEP) * steps[0]
     return float(steps[0]) if repeats else 0.0
 
@@ -253,8 +258,8 @@ def _count(views: Sequence[View], channel: str) -> float:
 def _torque(
     views: Sequence[View], nominal: Nominal, unit: str, before: Equation | None = None
 ) -> Equation | None:
-    # With a flexible transmission the rotor's unknown share of the inertia moves otherwise than the
-    # valve.
+    # With a flexible transmission the rotor, whose share of the inertia is unknown, moves
+    # differently from the valve.
     gives = any(np.any(v.twist) for v in views)
 
     def tangent(view: View) -> Array:
@@ -282,8 +287,8 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
     loaded = any(v.loaded for v in views)
 
     def limit(view: View) -> Array:
-        # The last sample that the encoder shows at rest; its delay is in proportion to the torque's
-        # rise.
+        # The torque is that of the last sample at rest by the encoder; its error is proportional to
+        # the rate of rise of the torque.
         last = np.roll(view.raw_torque, 1)
         return np.asarray(
             last - view.sense * (nominal.get("Ms") + view.moment * nominal.get("mu_s"))
@@ -305,7 +310,7 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
 
 
 def _rise(view: View) -> Array:
-    """Return the torque's rise over the samples before each sample, N m/s."""
+    """Return the rate of rise of the torque over a few samples before each sample, N m/s."""
     before = np.roll(view.raw_torque, 1)
     return np.asarray(
         (before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step)
@@ -313,8 +318,8 @@ def _rise(view: View) -> Array:
 
 
 def _sharpness(view: View) -> Array:
-    """Return weights of breakaways: the faster the torque rises, the less accurately one sample
-    gives the torque of the breakaway.
+    """Return the weights of breakaways, which are lower the faster the torque rises, because a
+    sample then differs more from the torque at the breakaway.
     """
     last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
     unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
@@ -374,11 +379,11 @@ def _voltage(views: Sequence[View]) -> Equation | None:
 
 
 def _change(view: View) -> Array:
-    """Return the voltage's change over one sample, V; zero for means over the sample.
+    """Return the change of the voltage over one sample period, V; zero for an averaged channel.
 
     A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
-    channel is declared as averaged, a log states neither when a cycle begins nor how long it is;
-    the delay of the voltage is therefore a parameter of the voltage equation.
+    channel is declared as averaged, start and duration of this cycle are unknown; therefore the
+    delay of the voltage is a parameter of the voltage equation.
     """
     assert view.voltage is not None
     if "voltage" in view.recording.averaged:

@@ -1,4 +1,4 @@
-"""Makes generic families of regressors, to detect and locate a mismatch that no effect of the
+"""Computes generic families of regressors, which detect and locate a mismatch that no effect of the
 catalogue explains.
 """
 
@@ -26,7 +26,7 @@ class Coordinate:
         unit: Displayed unit of its values.
         values: Function from a view to values at the full rate, shape (m,), or None if the
             recording lacks them.
-        by_direction: Whether the two directions of motion are separated.
+        by_direction: Whether the two directions of motion have separate bins.
     """
 
     name: str
@@ -51,17 +51,18 @@ COORDINATES = (
 
 
 def edges(values: Array, bins: int = BINS) -> Array:
-    """Return edges of bins with about equal numbers of samples, shape (b + 1,); fewer if values
-    repeat.
+    """Return the edges of ``bins`` bins with about equal numbers of samples, shape (b + 1,); fewer
+    bins if values repeat.
     """
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
 
 
 def families(equation: Equation) -> Iterator[tuple[str, Array]]:
-    """Yield (name, regressors, shape (n, k)): an indicator for every bin of every coordinate and
-    direction.
+    """Yield (name, regressors, shape (n, k)) for every coordinate; a regressor is 1 in the rows of
+    one bin and direction, else 0.
 
-    Bins are assigned from the filtered coordinates: generic families do not need sharp edges.
+    The bin of a row follows from the filtered coordinate, because generic families do not need
+    sharp edges.
     """
     sense = equation.rows(lambda v: v.sense)[:, 0]
     for coordinate in COORDINATES:

@@ -15,32 +15,34 @@ from identification.recording import Array
 from identification.signals import BoolArray, quantum
 
 RISE_SAMPLES = 5
-"""Samples before a breakaway over which the torque's rise is averaged."""
+"""Number of samples before a breakaway over which the torque's rate of rise is averaged."""
 STEADY_SHARE = 0.7
-"""Peak-to-peak variation of the speed around a sample, over the speed, from which motion counts as
-unsteady.
+"""Ratio of the peak-to-peak variation of the speed around a sample to the speed, from which motion
+counts as unsteady.
 """
 HUNTING_SHARE = 0.09
-"""Rms of the speed that the filter removes, over the filtered speed, from which motion counts as
-unsteady too.
+"""Ratio of the rms of the part of the speed that the filter removes to the filtered speed, from
+which motion counts as unsteady too.
 """
 QUICK_SAMPLES = 2
-"""Samples on either side of a sample over which its unfiltered speed is computed."""
+"""Number of samples before and after a sample over which the unfiltered speed is computed."""
 BEYOND_FILTER = 3.0
-"""Ratio of the bandwidth of that speed to the filter's cut-off, from which hunting can be
-distinguished from motion just above the cut-off.
+"""Ratio of the bandwidth of the unfiltered speed to the cut-off of the filter, from which an
+oscillation of the drive can be distinguished from motion just above the cut-off.
 """
 THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise, over that of the noise."""
+"""Standard deviation of the third differences of white noise of unit variance."""
 LEAST_REST_S = 0.02
-"""Least duration of a rest; shorter ones are not distinguished from a slow passage through zero."""
+"""Least duration of a rest, s; a shorter rest is not distinguished from slow passage through zero
+speed.
+"""
 
 
 def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
     """Return the samples at which rests end in breakaways, shape (e,)."""
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
-    # Motion against the torque at the end of a rest is not a breakaway: an encoder count flickers,
-    # or the shaft springs back.
+    # Motion against the torque at the end of a rest is not a breakaway: a reading of the encoder
+    # changes by noise, or the shaft springs back.
     pushed = np.sign(torque)
     kept = [
         k
@@ -51,7 +53,7 @@ def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> ND
 
 
 class Quick(NamedTuple):
-    """The speed by differences over few samples, and its noise, rad/s."""
+    """The speed, computed by differences over few samples, and the noise of this speed, rad/s."""
 
     velocity: Array
     noise: float
@@ -74,14 +76,15 @@ def quick_speed(series: Array, rate: float) -> Quick:
 def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolArray:
     """Mark moving samples whose friction is not a function of the filtered speed.
 
-    Samples are unsteady where the speed varies by more than its own magnitude, since the shaft
-    slips and nearly sticks within the filter's window. Samples are also unsteady where the speed
-    varies faster than the filter resolves, as with a drive that oscillates on falling friction at
-    up to 100 Hz: mean friction is not friction at the mean speed.
+    A sample is unsteady if the speed around it varies by more than a share of the speed, because
+    the shaft slips and nearly sticks within the filter's window. A sample is also unsteady if the
+    speed varies faster than the filter resolves, as with a drive that oscillates at up to 100 Hz on
+    the falling branch of friction. In both cases the mean of friction is not the friction at the
+    mean speed.
 
     Args:
         velocity: Speed filtered to ``cutoff``, rad/s.
-        quick: Speed over few samples.
+        quick: Speed by differences over few samples.
         rate: Sample rate, Hz.
         cutoff: Cut-off of the filter, Hz.
     """
@@ -101,7 +104,9 @@ def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
 
 
 def _swing(series: Array, reach: int) -> Array:
-    """Return the difference of the greatest and the least value around each sample."""
+    """Return the difference of the greatest and the least value within ``reach`` samples of each
+    sample.
+    """
     size = 2 * reach + 1
     return np.asarray(
         ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
@@ -114,18 +119,24 @@ def reversals(sense: Array) -> BoolArray:
 
 
 def time_since(time: Array, marks: BoolArray) -> Array:
-    """Return the time since the last marked sample, or since the start."""
+    """Return the time since the last marked sample, or since the first sample if none is marked
+    before.
+    """
     last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
     return np.asarray(time - time[last])
 
 
 def last_rest_duration(rest: Array, still: BoolArray) -> Array:
-    """Return the duration of the last rest, held until the next rest begins."""
+    """Return the duration of the last rest at each sample; the value is held until the next rest
+    begins.
+    """
     last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
     return np.asarray(rest[last])
 
 
 def travel(angle: Array, turned: BoolArray) -> Array:
-    """Return the distance from the angle of the last reversal, or of the start."""
+    """Return the distance of the angle from its value at the last reversal, or at the first
+    sample.
+    """
     last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
     return np.asarray(np.abs(angle - angle[last]))

@@ -1,7 +1,8 @@
-"""Computes the nominal model at the full rate, for regressors and joint refits: torque, friction
-level and tangent.
+"""Computes torque, friction level and tangent of the nominal model at the full sample rate, for
+regressors and joint fits.
 
-The model uses the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
+The parameters are the rise dM = Ms - Mc and log omega_s, with which a joint fit converges to the
+right basin more often.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
 
 RISE = 0.5
-"""Assumed rise of friction over Coulomb friction."""
+"""Assumed rise of static over Coulomb friction, as a share of Coulomb friction."""
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
 _AT_LIMIT = 1e-9
 LEAST_RISE = 1e-6
-"""Least rise over Coulomb friction."""
+"""Least rise of static over Coulomb friction, as a share of Coulomb friction."""
 LEAST_FALL = 1e-3
-"""Rise over Coulomb friction below which friction counts as constant with speed."""
+"""Rise, as a share of Coulomb friction, below which dry friction counts as constant with speed."""
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
@@ -33,27 +34,29 @@ STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 class Nominal:
     """Values of the nominal parameters.
 
-    Instances are cache keys by identity: hundreds of trial parameters use the same series of a
-    recording.
+    Instances are compared by identity, as keys of caches: hundreds of trial parameters use the same
+    series of a recording.
 
     Attributes:
         values: Name to value, at the joint.
         free: Names of the estimated parameters.
         alpha: Stribeck exponent.
-        undeclared: Undeclared load torque of identified effects that turns with the joint:
-            coefficients of sin(angle), cos(angle), angle and 1, N m. It loads the gear like a
+        undeclared: Load torque of identified effects that turn with the joint: coefficients of
+            sin(angle), cos(angle), angle and 1, N m. The gear transmits this torque like that of a
             declared load.
         zero_A: Zero offset of the logged current, from identified effects, A.
         ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
-            the number of recordings, if each has its own origin), and coefficients; empty for none.
+            the number of recordings, if each recording has its own origin of angles), and
+            coefficients; empty without ripple.
         efficiency: Efficiency of the transmission, from identified effects.
         fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
-            derivatives with respect to rises and speeds, or None.
-        late_s: Delay of the torque's samples relative to the angles', from an identified effect, s;
-            or 0.
+            derivatives with respect to rises and Stribeck speeds; None without such an effect.
+        late_s: Delay of the torque samples relative to the angle samples, from an identified
+            effect, s; 0 without such an effect.
         presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
-            or 0.
-        most: Greatest static levels that the recordings allow; empty for no limits.
+            0 without such an effect.
+        most: Name of each static level to its greatest value by the recordings; empty for no
+            limits.
     """
 
     values: Mapping[str, float]
@@ -69,10 +72,9 @@ class Nominal:
     most: Mapping[str, float] = field(default_factory=dict)
 
     def limited(self, views: Sequence[View]) -> Nominal:
-        """Return the values with static levels limited by the greatest torque that broke the joint
-        away.
+        """Return the values with static levels limited to the greatest torque at a breakaway.
 
-        Without slow rows a fit may otherwise diverge in the static levels.
+        Without these limits a fit may diverge in the static levels if no row is slow.
         """
         unloaded = [v for v in views if not v.loaded] or views
         most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
@@ -84,7 +86,9 @@ class Nominal:
         return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
 
     def at_most(self, step: Array) -> frozenset[str]:
-        """Return the static levels that are at their limit and that a step would move beyond it."""
+        """Return the static levels that are at their limit and that ``step`` would move beyond this
+        limit.
+        """
         return frozenset(
             name
             for name, change in zip(self.free, step, strict=True)
@@ -98,10 +102,10 @@ class Nominal:
         return float(self.values.get(name, 0.0))
 
     def level(self, view: View) -> Array:
-        """Return the magnitude of the system friction, eq. 9, N m.
+        """Return the magnitude of the system friction (eq. 9), N m.
 
-        With declared load-dependent friction the level includes the gear's friction under a weight
-        that turns with the joint.
+        If load-dependent friction is declared, the level includes the friction of the gear due to a
+        weight that turns with the joint.
         """
         return _level(self, view)
 
@@ -111,7 +115,7 @@ class Nominal:
         return any(self.get(name) for name in _RISES[2][:2])
 
     def gear(self, view: View) -> Array:
-        """Return the coefficient of declared load-dependent friction, 0 where none is declared."""
+        """Return the coefficient of declared load-dependent friction, or 0 if none is declared."""
         return self._level(view, _RISES[2], "")
 
     def coefficient(self, view: View) -> Array:
@@ -119,17 +123,17 @@ class Nominal:
         return self._level(view, _RISES[1], "mu_2")
 
     def borne(self, view: View) -> Array:
-        """Return the magnitude of the load torque that turns with the joint and loads the gear, N
-        m.
+        """Return the magnitude of the torque of loads that turn with the joint, N m; the gear
+        transmits this torque.
 
-        The load torque excludes the weight's inertia torque, which does not load the gear in eq. 9,
-        in the friction ladder or on the bench.
+        The torque excludes the inertia torque of a weight, on which load-dependent friction does
+        not depend in eq. 9, in the friction ladder and on the bench.
         """
         return _borne(view, self.undeclared)
 
     def helping(self, view: View) -> Array:
-        """Return the load torque that turns with the joint, declared or identified, N m; positive
-        if it helps the drive.
+        """Return the torque of loads that turn with the joint, declared or identified, N m;
+        positive if this torque drives the joint forward.
         """
         if not any(self.undeclared):
             return view.known
@@ -142,8 +146,8 @@ class Nominal:
         return any(self.undeclared) or view.burdened
 
     def drive(self, view: View) -> Array:
-        """Return the whole torque required of the drive, including loads that turn with the joint,
-        N m.
+        """Return the torque that the drive must produce, including the torque of loads that turn
+        with the joint, N m.
         """
         return _drive(self, view)
 
@@ -155,7 +159,7 @@ class Nominal:
         return np.asarray(np.exp(-(np.abs(view.velocity / omega_s) ** self.alpha)))
 
     def friction(self, view: View) -> Array:
-        """Return friction with its sign, eq. 9 + 13, N m."""
+        """Return the sum of system load and working load with its sign (eq. 9 and 13), N m."""
         return _friction(self, view)
 
     def torque(self, view: View) -> Array:
@@ -172,11 +176,11 @@ class Nominal:
         """Return the values after a step of the free parameters, within physical limits.
 
         Args:
-            linear_step: Changes of the parameters in which the torque is linear, with the Stribeck
-                speeds held.
-            speed_step: Changes with the speeds free as well, of which only the speeds' changes are
-                used. They are scaled from the previous rise to the new one.
-            share: Share of the speeds' changes that is applied.
+            linear_step: Changes of the parameters in which the torque is linear, with fixed
+                Stribeck speeds.
+            speed_step: Changes of all parameters, of which only the changes of the Stribeck speeds
+                are used. They are scaled by the ratio of the previous to the new rise.
+            share: Share of the changes of the Stribeck speeds that is applied.
         """
         values = dict(self.values)
         for name, change in zip(self.free, (float(s) for s in linear_step), strict=True):
@@ -209,12 +213,12 @@ class Nominal:
 
     @property
     def flat(self) -> bool:
-        """Whether the system friction has no fall with speed."""
+        """Whether the system friction does not fall with speed."""
         return self._rise("Mc", "Ms") < LEAST_FALL * self.get("Mc")
 
     def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
-        """Return the values with an assumed rise of friction at this Stribeck speed, and all
-        parameters but ``fixed`` free.
+        """Return the values with an assumed rise of static over Coulomb friction and the Stribeck
+        speed ``omega_s``; all parameters except ``fixed`` are free.
         """
         values = dict(self.values)
         for coulomb, static, speed in _RISES:
@@ -250,8 +254,8 @@ class Nominal:
         return total
 
     def _slope(self, view: View, name: str, names: tuple[str, str, str]) -> Array:
-        """Return the derivative of one level with respect to its Coulomb part, its rise or the
-        logarithm of its Stribeck speed.
+        """Return the derivative of a friction level with respect to its Coulomb part, its rise or
+        the logarithm of its Stribeck speed.
         """
         coulomb, static, omega = (self.get(n) for n in names)
         if name == names[0]:
@@ -284,8 +288,8 @@ def _unknown(view: View, undeclared: tuple[float, float, float, float]) -> Array
 
 @recent
 def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
-    """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha), which a level and its slopes
-    share.
+    """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha), which a friction level and its
+    derivatives have in common.
     """
     power = _frozen((np.abs(view.velocity) / omega) ** alpha)
     return power, _frozen(np.exp(-power))
@@ -318,6 +322,6 @@ def _drive(nominal: Nominal, view: View) -> Array:
 
 
 def _frozen(series: Array) -> Array:
-    """Return the series, made read-only because it is shared."""
+    """Return the series, made read-only because several callers use it."""
     series.flags.writeable = False
     return series

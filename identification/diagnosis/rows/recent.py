@@ -1,7 +1,7 @@
-"""Cache of the latest series of recordings, released before the next diagnosis.
+"""Cache of computed series of recordings, which is emptied before the next diagnosis.
 
-Views and nominal values are keys by identity, so that the next diagnosis uses no old series;
-without the release, the old recordings would stay in memory.
+Views and nominal values are keys that are compared by identity, so that a diagnosis uses no series
+of an earlier one. The cache is emptied because it would keep the earlier recordings in memory.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from typing import Any, ParamSpec, TypeVar, cast
 P = ParamSpec("P")
 R = TypeVar("R")
 KEPT = 128
-"""Number of results that each function keeps: hundreds of trials use the same series."""
+"""Number of results that are kept for each function; hundreds of trial parameters use the same
+series.
+"""
 _CACHES: list[Any] = []
 
 
 def recent(function: Callable[P, R]) -> Callable[P, R]:
-    """Keep the latest results of a function; its arguments must be hashable."""
+    """Keep the latest results of a function; the arguments of the function must be hashable."""
     kept = lru_cache(maxsize=KEPT)(function)
     _CACHES.append(kept)
     return cast(Callable[P, R], kept)
 
 
 def forget() -> None:
-    """Release all results."""
+    """Remove all results from the caches."""
     for kept in _CACHES:
         kept.cache_clear()

@@ -14,16 +14,17 @@ LEAST_ROWS_OF_A_TONE = 300
 rows of white noise, which is 3 % here.
 """
 TONE_PADDING, TONE_TRIALS = 4, 10
-"""Length of the padded spectrum in which a tone is searched for, over that of the rows, and number
-of trial frequencies on either side.
+"""Ratio of the length of the padded spectrum, in which a tone is searched, to the number of rows;
+and number of trial frequencies below and above the greatest line of this spectrum.
 """
 
 
 def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
     """Return the scatter of a filtered series that is due to white noise before the filter.
 
-    Third differences within recordings remove what is smooth from row to row, and the median
-    removes rare outliers; the filter's correlation from row to row is accounted for.
+    Third differences within recordings remove changes that are smooth from row to row, and the
+    median removes rare outliers. The correlation between rows due to the filter is taken into
+    account.
     """
     difference = np.diff(series, n=3)
     same = owner[3:] == owner[:-3]
@@ -41,7 +42,7 @@ def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
 
 
 def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
-    """Return rows less the strongest sine of each recording.
+    """Return the rows with the strongest sine of each recording subtracted.
 
     In differences from row to row, a torque at one frequency would count as noise.
     """
@@ -54,8 +55,8 @@ def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
 
 
 def _tone(rows: Array, time: Array) -> Array:
-    """Return the sine that explains the greatest part of the rows, given with their times; rows may
-    be missing between them.
+    """Return the sine that explains the greatest part of the rows; ``time`` are the times of the
+    rows, which need not be evenly spaced.
     """
     step = float(np.min(np.diff(time)))
     place = np.round(time / step).astype(np.int64)

@@ -1,5 +1,6 @@
-"""Scales of a bench over those of the practical bench, for which trial values and plausible ranges
-are stated. Torque and travel of a bench that can be diagnosed are not zero.
+"""Computes torque, speed and travel of a bench relative to those of the practical bench, for which
+trial values and plausible ranges are stated. Torque and travel of a bench that can be diagnosed are
+not zero.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ def travel_scale(views: Sequence[View]) -> float:
 
 
 def at_scale(angles_rad: Sequence[float], views: Sequence[View]) -> list[float]:
-    """Return angles of the transmission at the joint: rad, which are the same on benches of any
-    size, or m for a linear axis, scaled by its travel.
+    """Return trial values of angles of the transmission at the joint: in rad, the same for benches
+    of any size; on a linear axis in m, in proportion to the travel.
     """
     scale = travel_scale(views) if views[0].recording.bench.motion == LINEAR else 1.0
     return [scale * angle for angle in angles_rad]

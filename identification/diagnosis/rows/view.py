@@ -1,8 +1,8 @@
-"""Preprocesses a recording for the diagnosis: full-rate signals on an even grid, and the filter to
-the stated bandwidth.
+"""Preprocesses a recording for the diagnosis: signals at the full sample rate on an even grid, and
+the filter to the stated bandwidth.
 
-Every regressor is formed from these signals at the full rate and then passes the same filter as the
-mismatch, so that filtering causes no apparent effect.
+Every regressor is computed from these signals at the full sample rate and then passes the filter
+that the mismatch passes, so that the filter does not cause an apparent effect.
 """
 
 from __future__ import annotations
@@ -39,10 +39,12 @@ from identification.signals import (
 )
 
 LEAST_STEADY = 0.1
-"""Least share of steady motion over all recordings for unsteady motion to be omitted."""
+"""Samples in unsteady motion are omitted only if at least this share of all samples is in steady
+motion.
+"""
 SAME_ENCODER = 1e-9
-"""Difference of motor and joint angle, over the travel, up to which both are readings of the same
-encoder.
+"""Greatest difference of motor and joint angle, relative to the travel, at which both angles count
+as readings of one encoder.
 """
 
 
@@ -51,7 +53,7 @@ class View:
     """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless
     stated otherwise.
 
-    Instances are cache keys by identity.
+    Instances are compared by identity, as keys of caches.
 
     Attributes:
         recording: The recording.
@@ -63,8 +65,8 @@ class View:
         acceleration: Joint acceleration, rad/s^2.
         torque: Drive torque less known loads, N m.
         raw_torque: Unfiltered ``torque``, for events within a few samples, N m.
-        twist: Motor acceleration at the joint less joint acceleration if friction follows the
-            joint's encoder, else zero, rad/s^2.
+        twist: Motor acceleration over the gear ratio less joint acceleration, rad/s^2; zero if
+            friction is a function of the motor's motion.
         known: Known loads (a declared weight that turns with the joint), N m.
         hanging: Known loads without their inertia torque, N m.
         moment: F_P L1, N m.
@@ -73,20 +75,20 @@ class View:
         rest_time: Duration of the present or last rest, s.
         reversal_time: Time since the last reversal, s.
         reversal_travel: Travel since the last reversal, rad.
-        motor: Angle of the motor shaft, rad; computed from the joint angle without a motor encoder.
+        motor: Angle of the motor shaft, rad; without a motor encoder computed from the joint angle.
         motor_speed: Speed of the motor shaft, rad/s.
         lag: Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
         current: Motor current, A, or None if not recorded.
-        voltage: Voltage, V, NaN while unpowered, or None if not recorded.
+        voltage: Voltage, V, NaN while the power stage is off, or None if not recorded.
         supply: Supply voltage, V, or None if not recorded.
         temperature: Temperature, deg C, or None if not recorded.
         low_pass: Filter to the stated bandwidth.
-        moving: Filter outputs touched by no sample at rest, in reversal or in unsteady motion,
-            shape (n,).
-        unsteady: Like ``moving``, with unsteady motion allowed, for machines that hardly move
-            steadily, as at a crawl against cogging.
+        moving: Mask of the filter outputs that depend on no sample at rest, at a reversal or in
+            unsteady motion, shape (n,).
+        unsteady: Mask of the filter outputs that depend on no sample at rest or at a reversal, for
+            machines that hardly move steadily, such as in slow motion against cogging, shape (n,).
         breakaways: Samples at which a rest ends, shape (e,).
-        behind: Cache of the last delayed view: delay of its motion, s, to view.
+        behind: Cache of the view with delayed motion that was computed last: delay, s, to view.
     """
 
     recording: Recording
@@ -127,7 +129,7 @@ class View:
 
     @cached_property
     def rotor_acceleration(self) -> Array:
-        """Motor acceleration referred to the joint, rad/s^2."""
+        """Motor acceleration over the gear ratio, rad/s^2."""
         return np.asarray(
             central_difference(self.motor_speed, self.step) / self.recording.bench.gear_ratio
         )
@@ -139,7 +141,7 @@ class View:
 
     @cached_property
     def drive_angle(self) -> Array:
-        """Motor angle referred to the joint, rad."""
+        """Motor angle over the gear ratio, rad."""
         return np.asarray(self.motor / self.recording.bench.gear_ratio)
 
     @cached_property
@@ -149,7 +151,7 @@ class View:
 
     @cached_property
     def loaded(self) -> bool:
-        """Whether a contact moment acts."""
+        """Whether a contact moment acts on the joint."""
         return bool(np.any(self.moment != 0.0))
 
     @property
@@ -179,10 +181,10 @@ def views(
     Args:
         recordings: Recordings.
         bandwidth_Hz: Bandwidth of the filter.
-        valve_side: Whether angle and speed are from the joint encoder even if the motor's is finer:
-            with a flexible transmission, friction depends on the valve's motion.
-        campaign: All recordings of the campaign in order; warming continues during those that are
-            not used.
+        valve_side: Whether angle and speed are from the joint encoder even if the motor encoder is
+            finer: with a flexible transmission, friction depends on the motion of the valve.
+        campaign: All recordings of the campaign in order; the machine also warms during recordings
+            that are not used.
 
     Raises:
         RecordingError: A recording does not allow this bandwidth.
@@ -204,12 +206,12 @@ def views(
 def _shifts_of_zero(
     recordings: Sequence[Recording], starts: Sequence[float], valve_side: bool
 ) -> list[float]:
-    """Return the offset that is added to the joint angle of each recording, rad, so that all have
-    one zero.
+    """Return the offset that is added to the joint angle of each recording, rad, so that the angles
+    of all recordings have one zero.
 
-    The joint angle is that of the motor encoder, with the zero of the joint encoder in that
-    recording (:func:`joint_angle`). If the motor's origin was kept, the zero of the first recording
-    holds for all recordings: a joint encoder that slipped later does not turn the joint.
+    The joint angle is computed from the motor encoder, with the zero of the joint encoder in each
+    recording (:func:`joint_angle`). If the motor encoder kept its origin, the zero of the first
+    recording is valid for all recordings, even if the joint encoder slipped later.
     """
     lags = [None if valve_side or finer_joint(r) else _encoder_lag(r) for r in recordings]
     known = [(start, lag) for start, lag in zip(starts, lags, strict=True) if lag is not None]
@@ -228,11 +230,11 @@ def _origin_is_lost(lags: Sequence[Array]) -> bool:
 
 
 def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
-    """Return the views with motor angles from a common origin, given by the joint encoder.
+    """Return the views with motor angles from a common origin, which the joint encoder determines.
 
-    A motor encoder that counts from power-on loses its origin between recordings, and effects
-    periodic in the motor angle lose their phase. The origin counts as lost if the difference of the
-    encoders changes more between recordings than within any recording.
+    A motor encoder that counts from power-on loses its origin between recordings, and effects that
+    are periodic in the motor angle lose their phase. The origin counts as lost if the difference of
+    the encoders changes more between recordings than within any recording.
     """
     both = [v for v in found if v.lag is not None]
     if len(both) < 2:
@@ -251,9 +253,9 @@ def _view(
     low_pass = decimator(rate, bandwidth_Hz)
     if len(grid) < 2 * low_pass.half + 8:
         raise RecordingError(
-            f"{recording.name}: {len(grid)} samples are fewer than a bandwidth of "
-            f"{bandwidth_Hz:.3g} Hz needs ({2 * low_pass.half + 8}); state a higher bandwidth, "
-            "or none"
+            f"{recording.name}: the recording has {len(grid)} samples, but the filter for a "
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs at least {2 * low_pass.half + 8}; state a "
+            "higher bandwidth"
         )
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)
@@ -373,8 +375,8 @@ def _lag(recording: Recording, grid: Array) -> Array | None:
 
 
 def _encoder_lag(recording: Recording) -> Array | None:
-    """Return the angle of the drive side less that of the joint side at the samples, rad; None
-    without both encoders.
+    """Return motor angle over gear ratio less joint angle at the samples, rad; None unless both
+    encoders were recorded.
     """
     channels = recording.channels
     if "motor_angle" not in channels or "angle" not in channels:
@@ -391,6 +393,8 @@ def torque_per_ampere(view: View) -> float:
 
 
 def lacks_common_origin(views: Sequence[View]) -> bool:
-    """Whether recordings have no common origin of their angles because only speed was recorded."""
+    """Whether the recordings have no common origin of angles, because only the speed was
+    recorded.
+    """
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0

@@ -14,98 +14,114 @@ class SelectionRules:
     """Rules of a diagnosis.
 
     Attributes:
-        level: Significance level of the tests whether (further) physics is missing. Basis: alarms
-            at most 1 %; sign flips within blocks of time give the level by construction (D4, D5).
-        tested_from: Ratio of an equation's mean-square mismatch to that of the noise, from which it
-            is tested. Basis: some hundred independent rows give the noise's mean square to about a
-            tenth (decisions 36, 43).
-        excess: Ratio of the mean-square mismatch to that of the noise, up to which an
-            underestimated noise may be the cause, and below which a mismatch counts as explained.
-            Basis: chosen on development trials: the noise is estimated above the bandwidth.
-        accuracy: Share of the greatest torque or voltage within which a mismatch may be an error of
-            its sensor. Basis: current sensors and converters of drives are linear to 0.1 to 1 %;
-            this is a fifth of the best.
-        excess_of_one: The same ratio for one recording, up to which its torque mismatch counts as
-            noise. Basis: a recording has a few half cycles, whose mean square scatters more; too
-            few blocks for sign flips.
-        least_share: Power of a contribution, over the noise's power in its equations, below which
-            it is negligible. Basis: a tenth of the noise's amplitude.
-        outlier: Magnitude of a row, over the noise, from which it is an outlier. Basis: normal
-            noise exceeds it in one of 5e8 rows.
-        outlier_blocks: Share of blocks in which an outlier may occur by chance. Basis: simulated
-            benches without effects have none.
-        collinear_below: Share of a regressor's norm after projection, below which it counts as
-            collinear with the nominal parameters. Basis: beyond it, errors of 0.1 % of the
-            regressor decide.
+        level: Significance level of the tests whether physics, or further physics, is missing.
+            Basis: false alarms in at most 1 % of diagnoses; sign flips of blocks of time have this
+            level by construction (D4, D5).
+        tested_from: Ratio of an equation's mean-square mismatch to that of the noise, from which
+            the equation is tested. Basis: some hundred independent rows determine the mean square
+            of the noise to about a tenth (decisions 36, 43).
+        excess: Ratio of the mean-square mismatch to that of the noise, up to which the mismatch is
+            attributed to noise, or counts as explained. Basis: chosen on development trials; the
+            noise may be underestimated, because it is estimated from frequencies above the
+            bandwidth.
+        accuracy: Mismatch, as a share of the greatest torque or voltage, that may be an error of
+            the sensor. Basis: current sensors and converters of drives are linear to 0.1 to 1 %;
+            the share is a fifth of the best of these values.
+        excess_of_one: Ratio of the mean-square torque mismatch of one recording to that of the
+            noise, up to which the mismatch is attributed to noise. Basis: one recording has a few
+            half cycles, whose mean square scatters more, and too few blocks for sign flips.
+        least_share: Power of an effect's contribution, over the power of the noise in the equations
+            of the effect, below which the contribution is negligible. Basis: a tenth of the noise's
+            amplitude.
+        outlier: Magnitude of a row, over the noise, from which the row is an outlier. Basis: normal
+            noise exceeds this value in one of 5e8 rows.
+        outlier_blocks: Share of blocks in which an outlier may occur by chance. Basis: on simulated
+            benches without effects no block has an outlier.
+        collinear_below: Share of a regressor's norm that remains after projection, below which the
+            regressor counts as collinear with the nominal model. Basis: a smaller remainder would
+            be determined by errors of 0.1 % of the regressor.
         least_active: Least number of blocks in which a regressor must be active (inverse
             participation ratio). Basis: the variance between blocks needs several.
         infeasible: Ratio of the attained to the predicted mean-square torque mismatch, from which a
-            fit is infeasible. Basis: simulated trials: 1.00 to 1.03 with the right effects, 490 000
-            where friction had to rise with speed.
-        finalists: Greatest number of effects that are fitted jointly before one of them is
-            selected. Basis: chosen: the time of a search grows with it.
-        rival_share: Least score of a finalist, over the best score. Basis: a joint fit raises a
-            score by at most `gain_ratio`.
-        gain_ratio: Greatest ratio of the gain in a joint fit to the gain predicted by an effect's
-            regressors. Basis: chosen: a larger gain comes from parameters other than those of the
-            effect.
+            fit is infeasible. Basis: in simulated trials the ratio was 1.00 to 1.03 with the right
+            effects, and 490 000 with an effect with which friction would have had to rise with
+            speed.
+        finalists: Greatest number of effects that are tried, each fitted jointly with the nominal
+            parameters, before one of them is selected. Basis: chosen; the time of a search grows
+            with this number.
+        rival_share: Least score of a finalist, relative to the best score. Basis: the gain in a
+            joint fit is at most `gain_ratio` times the score.
+        gain_ratio: Greatest ratio of the gain in a joint fit to the gain that an effect's
+            regressors predict. Basis: chosen; the cause of a larger gain is a change of other
+            parameters than those of the effect.
         most_effects: Greatest number of effects that are identified together. Basis: one more than
             the proofs inject.
-        rejected: Standard errors by which a rival must be worse to be rejected, and by which an
-            effect must reduce the error on unused recordings. Basis: 5 %, one-sided.
-        simpler: Standard errors of preference below which the effect with fewer parameters is
-            taken. Basis: one-standard-error rule of cross-validation.
+        rejected: Number of standard errors by which a rival must be worse to be rejected, and by
+            which an effect must reduce the error on unused recordings. Basis: one-sided level of 5
+            %.
+        simpler: Preference, in standard errors, below which the effect with fewer parameters is
+            selected. Basis: one-standard-error rule of cross-validation.
         same_fit: Square of the difference of two fits over the square of their mismatch, below
-            which they are equal. Basis: a tenth of the mismatch.
+            which the fits are equal. Basis: a difference of a tenth of the mismatch.
         further_share: Share of the mismatch beyond the noise that one more effect must explain.
-            Basis: chosen on development trials (decision 21): the shape error of the first
-            regressor leaves less.
-        shape_errors: Least gain of one more effect, in multiples of the shape error of the other
-            regressors. Basis: chosen: a factor of ten over what that error may leave (decision 21).
-        nearly_all: Share of the mismatch beyond the noise from which an effect is accepted with
-            less gain than `shape_errors`. Basis: chosen on development trials (decision 21).
-        further_searches: Number of searches without the effects that validation dropped. Basis: one
-            for each effect that stands in for another (decision 43).
-        parts: Number of parts of the blocks of time, used if one recording alone determines a
-            parameter. Basis: chosen; three quarters of the rows remain for the fit.
-        sole_share: Share of the squares of a parameter's derivative in one part, above which that
-            part alone determines it. Basis: the others then give it ten times its standard error.
-        loop_share: Ratio of the closing torque to the motion's torque, from which a crossing shows
-            a loop and not a gap. Basis: three times `gap_scatter`.
-        gap_scatter: Standard deviation of that ratio for a gap. Basis: simulated trials with a gap.
-        least_crossings: Least number of crossings that decide between a gap and a loop. Basis:
-            their mean has a third of the scatter of one.
-        hysteretic_share: Share of the mismatch beyond the noise that a coordinate of hysteresis
-            must explain. Basis: chosen on development trials.
+            Basis: chosen on development trials (decision 21); the error of the first effect's
+            regressor leaves a smaller share.
+        shape_errors: Least gain of one more effect, as a multiple of the error of the regressors of
+            the other effects. Basis: chosen; ten times the gain that this error may cause
+            (decision 21).
+        nearly_all: Share of the mismatch beyond the noise from which one more effect is accepted
+            even if its gain is less than `shape_errors` requires. Basis: chosen on development
+            trials (decision 21).
+        further_searches: Greatest number of further searches, each without the effects that were
+            dropped before. Basis: one search for each effect that was selected in place of another
+            (decision 43).
+        parts: Number of parts of the cross-validation, made of blocks of time, if one recording
+            alone determines a parameter. Basis: chosen; three quarters of the rows remain for the
+            fit.
+        sole_share: Share of the squares of a parameter's derivative in one part, above which this
+            part alone determines the parameter. Basis: without this part the standard error of the
+            parameter is ten times as large.
+        loop_share: Ratio of the torque that closes a hysteresis loop to the torque of the motion,
+            from which a crossing shows a loop and not a gap. Basis: three times `gap_scatter`.
+        gap_scatter: Standard deviation of this ratio for a gap. Basis: simulated trials with a gap.
+        least_crossings: Least number of crossings that decide between a gap and a loop. Basis: the
+            mean over so many crossings has a third of the scatter of one crossing.
+        hysteretic_share: Share of the mismatch beyond the noise that travel or time since the last
+            reversal must explain for the mismatch to count as hysteretic. Basis: chosen on
+            development trials.
         adequate: Share of the mismatch's power beyond the noise that the effects must explain
             together. Basis: chosen on development trials; the proofs in docs/diagnosis.md were run
-            with it.
-        adequate_after_removal: The same share where some effects were dropped as they do not reduce
-            the error on unused recordings. Basis: chosen; more than half must be explained.
-        nearly_complete: Share of the mismatch's power beyond the noise, below which the remainder
-            is tested for hysteresis, and on recordings set aside further physics counts as missing.
-            Basis: simulated trials: right effects explained at least 95.9 %, springs in place of
-            hysteresis 76 to 89 %.
+            with this value.
+        adequate_after_removal: Share of the mismatch's power beyond the noise that the remaining
+            effects must explain if others were dropped because they do not reduce the error on
+            unused recordings. Basis: chosen; more than half must be explained.
+        nearly_complete: Share of the mismatch's power beyond the noise that right effects explain.
+            If the effects explain less, the remainder is tested for hysteresis; if they explain
+            less on recordings set aside, further physics counts as missing. Basis: in simulated
+            trials right effects explained at least 95.9 %, springs in place of hysteresis 76 to
+            89 %.
         cancelled: Power of the sum of two contributions over the sum of their powers, below which
-            the two cancel each other. Basis: independent contributions have 1 on average; below
-            it, equal ones are more than twice their sum.
-        greatest_confidence: Greatest confidence in any effect. Basis: chosen;
-            on machines made by others such names are right less often (docs/diagnosis.md).
-        incomplete_confidence: Greatest confidence in an effect if the test finds that more is
-            missing, or in a further effect whose mismatch is faint. Basis: 22 of 33 such names were
-            right (48 to 82 %), on three simulators.
-        faint_confidence: Greatest confidence in an effect whose mismatch is faint. Basis: a tenth
-            of it may be something else (docs/diagnosis.md).
+            the two contributions cancel each other. Basis: for independent contributions the ratio
+            is 1 on average; below the limit, each of two equal contributions is more than twice
+            their sum.
+        greatest_confidence: Greatest confidence in any effect. Basis: chosen; on machines made by
+            others an identified effect is right less often (docs/diagnosis.md).
+        incomplete_confidence: Greatest confidence in an effect if the test finds further missing
+            physics, or in an effect that was not selected first and whose mismatch is faint. Basis:
+            on three simulators 22 of 33 such effects were right (48 to 82 %).
+        faint_confidence: Greatest confidence in an effect whose mismatch is faint. Basis: another
+            effect may cause a tenth of the mismatch (docs/diagnosis.md).
         implausible_confidence: Confidence in a rival that fits as well, but with a parameter
-            outside its plausible range. Basis: the one-sided 5 % of `rejected`.
-        own_coordinate: Ratio of the share of an effect's own coordinate to the best share, from
-            which the own one is reported. Basis: chosen on development trials.
+            outside its plausible range. Basis: the one-sided level of 5 % of `rejected`.
+        own_coordinate: Ratio of the share of the mismatch that the catalogue's coordinate of an
+            effect explains to the greatest share of any coordinate, from which the catalogue's
+            coordinate is reported. Basis: chosen on development trials.
         recording: Ratio of a recording's mean-square mismatch to that of the noise, from which the
-            mismatch is present in it. Basis: equal to `excess_of_one`.
-        alike: Share of an effect's regressor that another explains, from which the two are
+            mismatch is present in the recording. Basis: equal to `excess_of_one`.
+        alike: Share of an effect's regressor that another effect explains, from which the two are
             indistinguishable. Basis: the definition of an alias group.
-        alike_shapes: Share of an effect's trial parameters for which this must hold. Basis: chosen;
-            most of them.
+        alike_shapes: Share of an effect's trial parameters at which another effect must explain
+            the share `alike` of the regressor. Basis: chosen; most of the trial parameters.
     """
 
     level: float = 0.01

@@ -1,5 +1,5 @@
-"""Finds effects that are collinear with the nominal model, so that no recording of this kind can
-show these effects.
+"""Finds effects that are collinear with the nominal model, so that recordings with these loads and
+channels cannot show them.
 
 For example, if friction is the only load, a gear with 80 % efficiency is equivalent to nominal
 parameters that are larger by 1/0.8.
@@ -19,9 +19,9 @@ from identification.diagnosis.terms.term import Context, Term
 def collinear_effects(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
     """Return the names of effects that are collinear with the nominal tangent, whatever their size.
 
-    Only effects without nonlinear parameters are tested; of several trial parameters, not all can
-    be collinear with the nominal model. Breakaways are not tested, since their tangent includes the
-    delay.
+    Only effects without nonlinear parameters are tested, because an effect with several trial
+    parameters is not collinear at all of them. The breakaway equation is not used, because its
+    tangent includes the delay of the breakaway.
 
     Args:
         baseline: Fit of the nominal model.

@@ -1,4 +1,4 @@
-"""Locates the mismatch: computes its mean over each coordinate, with simultaneous bands."""
+"""Locates the mismatch: computes its mean in bins of each coordinate, with simultaneous bands."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DRAWS = 499
 
 @dataclass(frozen=True)
 class Axis:
-    """A coordinate with its values on some rows.
+    """A coordinate with its values at the rows of an equation.
 
     Attributes:
         name: Name of the coordinate.
@@ -73,9 +73,9 @@ def maps(
 
 
 def location(equation: Equation, found: Map | None, before: Array) -> Location:
-    """Return the location of the mismatch: ranges of a map's coordinate, and recordings.
+    """Return the location of the mismatch: ranges of the coordinate of a map, and recordings.
 
-    With too few rows for a map, only the recordings are known.
+    If there are too few rows for a map, the location consists of the recordings alone.
     """
     power = {v.index: before[equation.owner == v.index] for v in equation.views}
     names = tuple(
@@ -90,8 +90,8 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
 
 
 def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
-    """Return the map over an effect's own coordinate if this map explains about as much as the best
-    map, else the best map.
+    """Return the map over the coordinate that the catalogue states for an effect, if this map
+    explains about as much as the best map; otherwise the best map.
     """
     own = next((m for m in drawn if m.coordinate == coordinate), None)
     best = drawn[0] if drawn else None
@@ -103,7 +103,7 @@ def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
 
 
 def ranges(found: Map) -> tuple[tuple[float, float], ...]:
-    """Return the ranges of a map's coordinate in which the band excludes zero."""
+    """Return the ranges of the coordinate of a map in which the band excludes zero."""
     outside = (found.low > 0.0) | (found.high < 0.0)
     half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
     stretches: list[tuple[float, float]] = []
@@ -117,8 +117,8 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
 
 
 def curve(drawn: Sequence[Map]) -> Curve | None:
-    """Return the mean of the best map as an empirical curve of the mismatch; only maps without
-    dependence on direction can be used.
+    """Return the mean of the best map as an empirical curve of the mismatch; maps that separate the
+    directions of motion are not used.
     """
     found = next((m for m in drawn if not m.against_motion), None)
     if found is None:

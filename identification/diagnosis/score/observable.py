@@ -1,8 +1,8 @@
-"""Computes which effects recordings can show, at which least size, and which they cannot
+"""Computes which effects recordings can show, at which least size, and which effects they cannot
 distinguish.
 
-The answer is computed from excitation, channels and noise: from the regressors of the effects, with
-the nominal model's tangent projected out. The mismatch is not used.
+The answer depends on excitation, channels and noise only: it is computed from the regressors of the
+effects, with the nominal tangent projected out. The mismatch is not used.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ class Observable:
         name: Name in the catalogue.
         left: Share of the regressor's squares that the nominal parameters cannot explain, median
             over trial parameters; zero if no recording can show the effect.
-        sizes: Parameter to its value at the smallest size that the recordings can show. This is the
-            middle one of the trial parameters by size or, if these determine the size, the smallest
-            observable trial; empty if none is observable.
-        alike: Effects that explain at least `alike` of its regressor, to the share explained,
-            greatest first.
+        sizes: Name of each parameter to its value at the least size that the recordings can show.
+            Of the trial parameters, those with the median least size are used; if the trial
+            parameters determine the size, those with the smallest observable size. Empty if the
+            effect is not observable.
+        alike: Name of each effect that explains at least the share `alike` of this effect's
+            regressor to the share that it explains, greatest first.
     """
 
     name: str
@@ -50,9 +51,9 @@ class _Trial:
         term: Term of the effect.
         shape: Trial values of its nonlinear parameters.
         span: Orthonormal regressors with the tangent projected out, shape (n, k).
-        left: Share of the squares that remains after the projection.
-        gain: Whitened squares for a first coefficient of one.
-        rows: Number of rows of its equations.
+        left: Share of the squares of the regressors that remains after the projection.
+        gain: Sum of whitened squares if the first coefficient is one.
+        rows: Number of rows of the effect's equations.
     """
 
     term: Term
@@ -117,7 +118,7 @@ def _explained(trials: Sequence[_Trial]) -> Array:
 
 
 def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
-    """Return the effects that explain the regressor of one effect at most of the effect's trial
+    """Return the effects that explain the regressor of one effect at more than half of its trial
     parameters.
     """
     found = {}
@@ -132,8 +133,8 @@ def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> di
 def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[str, float]:
     """Return the parameters of an effect at the smallest size that the recordings can show.
 
-    The squares that the effect explains must be significant at ``level``, and must reach the share
-    of the noise below which an effect is negligible.
+    The squares that the effect explains must be significant at ``level``, and must exceed the share
+    of the noise (`least_share`) below which an effect is negligible.
     """
     linear: list[tuple[float, Mapping[str, float]]] = []
     shaped: list[tuple[float, Mapping[str, float]]] = []
@@ -148,8 +149,8 @@ def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[
         elif size**2 * trial.gain >= needed:
             shaped.append((trial.gain, read))
     if linear:
-        # One trial, as values of several would not belong together: the mass of a wrong weight is
-        # its recording's.
+        # All values are those of one set of trial parameters, because values of different sets do
+        # not belong together: the mass of a wrong weight belongs to its recording.
         middle = sorted(linear, key=lambda found: found[0])[len(linear) // 2]
         return {name: float(value) for name, value in middle[1].items()}
     return dict(min(shaped, key=lambda found: found[0])[1]) if shaped else {}

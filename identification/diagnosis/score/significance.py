@@ -20,7 +20,9 @@ from identification.recording import Array
 
 DRAWS = 999
 SINGULAR = 1e-6
-"""Determinant of a variance over its squared trace, below which the pseudo-inverse is used."""
+"""Determinant of a 2 x 2 covariance relative to its squared trace, below which the pseudo-inverse
+is used.
+"""
 
 
 def trial_candidates(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
@@ -33,7 +35,7 @@ def trial_candidates(stack: Stack, context: Context, terms: Sequence[Term]) -> I
 
 
 def generic_candidates(stack: Stack) -> Iterator[Candidate]:
-    """Yield the generic families in every equation."""
+    """Yield the scores of the generic families in every equation."""
     for equation in stack.equations:
         for name, columns in families(equation):
             candidate = stack.independent(f"{equation.name} over {name}", equation.name, columns)
@@ -50,10 +52,10 @@ def sign_flip_p_value(
     """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
     blocks.
 
-    All candidates are flipped together, which accounts for the number and the correlation of the
-    candidates. A candidate that explains less than ``least`` of the noise is irrelevant even if
-    significant: it is omitted from the observed statistics, but not from the statistics under
-    flips.
+    One set of flips is applied to all candidates, which accounts for the number and the correlation
+    of the candidates. A candidate that explains less than ``least`` of the noise is irrelevant even
+    if it is significant: it is omitted from the observed statistics, but not from the statistics
+    under flips.
     """
     if not candidates:
         return 1.0
@@ -61,8 +63,8 @@ def sign_flip_p_value(
     seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
     if seen == -np.inf:
         return 1.0
-    # Significance grows with the statistic: among candidates with equally many coefficients only
-    # the greatest is needed.
+    # Significance grows with the statistic; of candidates with equally many coefficients only the
+    # one with the greatest statistic is needed.
     greatest: dict[int, Array] = {}
     for candidate in candidates:
         degrees, drawn = candidate.blocks.shape[1], flipped_statistics(candidate, flips)
@@ -85,8 +87,8 @@ def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
             np.sum((flips @ sums @ (vectors[:, keep] / np.sqrt(values[keep]))) ** 2, axis=1)
         )
     score = flips @ sums
-    # V = sum over blocks of (w a - G s)(w a - G s)', multiplied out so that flips meet blocks in
-    # one product.
+    # V = sum over blocks of (w a - G s)(w a - G s)', expanded so that the sum over blocks is one
+    # matrix product with the flips w.
     blocks, degrees = sums.shape
     crossed = np.einsum("bj,bkl->bjkl", sums, weights).reshape(blocks, -1)
     mixed = ((flips @ crossed).reshape(-1, degrees**2, degrees) @ score[:, :, None]).reshape(
@@ -116,8 +118,9 @@ def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
 
 
 def _over_two(score: Array, variance: Array) -> Array:
-    """Return the statistic of two-coefficient scores, shape (d, 2), with variances (d, 2, 2); most
-    candidates are waves, which have two coefficients.
+    """Return the statistic of scores of two coefficients, shape (d, 2), with covariances (d, 2, 2).
+    This case has a function of its own, because most candidates are waves, with a sine and a
+    cosine.
     """
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T
@@ -130,8 +133,8 @@ def _over_two(score: Array, variance: Array) -> Array:
 
 
 def beyond_noise(joint: Joint) -> set[str]:
-    """Return the names of the equations whose mismatch is beyond the noise: over all recordings, or
-    by `excess_of_one` in one recording.
+    """Return the names of the equations whose mismatch is beyond the noise, over all recordings or,
+    by more than `excess_of_one`, in one recording.
     """
     return {
         e.name
@@ -142,45 +145,45 @@ def beyond_noise(joint: Joint) -> set[str]:
 
 
 def over_own_noise(joint: Joint, equation: Equation) -> Array:
-    """Return the residual of a fit in an equation, over the own noise of each row's recording,
-    shape (n,).
+    """Return the residual of a fit in an equation, divided by the own noise of the recording of
+    each row, shape (n,).
     """
     rows = joint.residual[joint.stack.part(equation.name)]
     return np.asarray(rows / np.sqrt(equation.allowed()))
 
 
 def greatest_mean_square(joint: Joint, equation: Equation) -> float:
-    """Return the mean-square mismatch of an equation over that of the recording's own noise, in the
-    recording in which it is greatest.
+    """Return the ratio of the mean-square mismatch of an equation to that of the recording's own
+    noise, in the recording in which this ratio is greatest.
     """
     return greatest(over_own_noise(joint, equation), equation)
 
 
 def greatest(rows: Array, equation: Equation) -> float:
-    """Return the mean square of an equation's rows in the recording in which it is greatest."""
+    """Return the mean square of an equation's rows in the recording with the greatest mean
+    square.
+    """
     return max(
         float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )
 
 
 def level(equation: Equation) -> float:
-    """Return the mean square of an equation's noise over all rows, each with its recording's own
-    noise, over the square of the equation's noise.
+    """Return the mean square, over all rows, of the own noise of each row's recording, relative to
+    the square of the equation's noise.
     """
     return float(np.mean(equation.allowed()))
 
 
 def size_p_value(joint: Joint, only: str = "") -> float:
     """Return the p-value of the hypothesis that the mean-square mismatch is at most `excess`
-    times that of the noise.
-
-    The test covers all equations, or only the equation named ``only``.
+    times that of the noise, in all equations or only in the equation named ``only``.
 
     The test needs no candidate: a mismatch that resembles neither an effect nor a smooth function
     is detected by its size. Rows are clipped at `outlier` times the noise, so that a few outliers
-    do not count as a mismatch; a row counts as half an observation, because neighbouring rows share
-    the filter. If outliers recur in many blocks, as after every reversal with presliding, the
-    number of these blocks is tested.
+    do not count as a mismatch; a row counts as half an observation, because the filter correlates
+    neighbouring rows. If outliers recur in many blocks, such as after every reversal with
+    presliding, the number of blocks with an outlier is tested.
     """
     chances = []
     for equation in joint.equations:
@@ -199,18 +202,18 @@ def size_p_value(joint: Joint, only: str = "") -> float:
 
 
 def _beyond(powers: Array, limit: float) -> float:
-    """Return the probability of at least this mean square if the mean square of the noise were
-    ``limit``; 1 without rows.
+    """Return the probability that noise with a mean square of ``limit`` has at least the mean
+    square of ``powers``; 1 without rows.
     """
     half = 0.5 * len(powers)
     return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
 
 
 def _recurring(residual: Array, block: np.ndarray) -> float:
-    """Return the probability of at least so many blocks with an outlier, if one in a hundred blocks
-    has an outlier (`outlier_blocks`).
+    """Return the probability of at least as many blocks with an outlier as observed, if a share of
+    `outlier_blocks` of the blocks has an outlier by chance.
 
-    The result is 1 if the whole mismatch has at most `excess` times the noise power.
+    The result is 1 if the power of the mismatch is at most `excess` times the power of the noise.
     """
     if not len(residual) or float(np.mean(residual**2)) <= RULES.excess:
         return 1.0

@@ -1,5 +1,5 @@
-"""Finds implausible rests and concentrated mismatch in single recordings, which maps over all
-recordings do not show.
+"""Finds implausible rests and a concentrated mismatch in single recordings, which the mean over all
+recordings does not show.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 LONG_S = 0.3
-"""Least duration of a rest; in shorter ones, under fast-rising torque, the torque exceeds the
-static limit before motion is visible.
+"""Least duration of a rest, s. At the end of a shorter rest, under a torque that rises fast, the
+torque exceeds the static limit before motion is visible.
 """
 TORQUE_RATIO = 1.5
 """Ratio of the torque during a rest to the greatest torque at the end of a rest in any other
@@ -22,19 +22,20 @@ recording, from which the rest is reported.
 """
 LEAST_BREAKAWAYS = 12
 LEAST_SHARE, CROWDED = 0.25, 3.0
-"""Share of the remaining mismatch, and its ratio to the share of the rows, from which a recording
-is reported.
+"""Share of the remaining mismatch from which a recording is reported, and least ratio of this share
+to the share of the rows.
 """
 MOST_OF_IT = 0.8
-"""Share of a recording's mismatch that the reported interval contains."""
+"""Share of the mismatch of a recording that the reported interval of time contains."""
 
 
 def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
     """Return a text for each rest under a torque greater than the torque at the end of any rest in
     other recordings.
 
-    At rest friction has only a limit, so a violation does not show in the mismatch. A drive that
-    switches its torque off may still log the requested torque.
+    At rest friction is known only to be within its static limit, so that a torque beyond the limit
+    does not appear in the mismatch. A possible cause is a drive that has switched its torque off
+    but still logs the requested torque.
 
     Args:
         views: All recordings.
@@ -44,7 +45,7 @@ def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
 
 
 def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
-    # Friction at rest grows with the load, so recordings with less load give no limit.
+    # Friction at rest grows with the load; recordings with less load therefore give no limit.
     others = [
         v
         for v in views
@@ -64,15 +65,15 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
         where = f"{place:.4g} m" if linear else f"{np.rad2deg(place):.1f} deg"
         yield (
             f"{view.recording.name}: from {view.time[first]:.2f} to {view.time[last - 1]:.2f} s "
-            f"the joint rests at {where} under a logged torque of {torque:.2g} {unit}; "
-            f"elsewhere every rest ends at {limit:.2g} {unit} or less: check whether the drive "
-            "switched its torque off, or something blocked the joint"
+            f"the joint rests at {where} under a logged torque of {torque:.2g} {unit}, but all "
+            f"rests in other recordings end at a torque of at most {limit:.2g} {unit}: check "
+            "whether the drive had switched its torque off, or whether the joint was blocked"
         )
 
 
 def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
-    """Return a text for each recording that contains most of the mismatch of the corrected model,
-    with the interval.
+    """Return a text for each recording that contains a large part of the mismatch of the corrected
+    model, with the interval of time.
 
     Args:
         traces: Mismatch of the recordings that were fitted.
@@ -88,8 +89,8 @@ def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
                 first, last = shortest(trace.time, trace.after**2)
                 lines.append(
                     f"{trace.recording}: contains {100.0 * share:.0f} % of the remaining "
-                    f"{equation} mismatch, but {100.0 * usual:.0f} % of the rows; most of it from "
-                    f"{first:.2f} to {last:.2f} s"
+                    f"{equation} mismatch, but only {100.0 * usual:.0f} % of the samples; most of "
+                    f"this mismatch is between {first:.2f} and {last:.2f} s"
                 )
     return tuple(lines)
 

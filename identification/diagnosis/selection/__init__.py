@@ -1,1 +1,1 @@
-"""Which effects are missing: forward selection, comparison with rivals, removal, held-out test."""
+"""Selection of effects: forward selection, comparison with rivals, removal, held-out test."""

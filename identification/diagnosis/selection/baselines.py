@@ -1,10 +1,10 @@
 """Baseline methods for comparison with the diagnosis: greedy selection by BIC, and sparse
-regression, on the nominal model's mismatch.
+regression, of the mismatch of the nominal model.
 
-Both methods use the same data as the search: the same equations, whitened rows with the nominal
-tangent projected out, and the same regressors at the same trial parameters, with the physical signs
-of their coefficients. The baseline methods lack the search's block-wise tests, joint refits of the
-nonlinear parameters, test of adequacy, and rivals.
+Both methods use the data of the search: its equations, its whitened rows with the nominal tangent
+projected out, and its regressors at trial parameters, with the physical signs of their
+coefficients. Unlike the search, they have no tests by blocks of time, no joint fits of nonlinear
+parameters, no test of adequacy, and no rivals.
 
 The greedy method is forward selection by the Bayesian information criterion (Schwarz, Annals of
 Statistics 6 (1978) 461). The sparse method is sequentially thresholded least squares (Brunton,
@@ -30,15 +30,15 @@ from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
 
 MOST_STEPS = 40
-"""Greatest number of groups that greedy selection takes."""
+"""Greatest number of groups that the greedy selection adds."""
 FOLDS = 4
 RIDGE = 1e-3
-"""Ridge, relative to the unit norm of the regressors, which keeps the equations of neighbouring
-trial parameters solvable.
+"""Ridge penalty, relative to the unit norm of the regressors; with it the normal equations are
+solvable although regressors at neighbouring trial parameters are nearly collinear.
 """
 LEAST_THRESHOLD = 3.0
-"""Norm of a contribution, over the noise of one row, at which the path begins; smaller ones occur
-by chance.
+"""First threshold of the path: norm of a contribution, relative to the noise of one row; smaller
+contributions occur by chance.
 """
 THRESHOLDS = 20
 """Number of thresholds on the path, up to the strongest contribution."""
@@ -78,7 +78,7 @@ class Library:
 
 
 def library(joint: Joint, terms: Sequence[Term]) -> Library:
-    """Return the regressors that the search screens on the nominal model's mismatch.
+    """Return the regressors that the search tests on the mismatch of the nominal model.
 
     Args:
         joint: Fit of the nominal model alone.
@@ -149,7 +149,9 @@ def _folds(stack: Stack) -> np.ndarray:
 
 
 def greedy_bic(given: Library) -> tuple[str, ...]:
-    """Return effects in the order of selection; empty if the criterion never falls."""
+    """Return the selected effects in the order of selection; empty if no effect decreases the
+    criterion.
+    """
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
     power = float(given.power.sum())
     named: dict[str, None] = {}
@@ -205,8 +207,8 @@ def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
 
 
 def sparse(given: Library) -> tuple[str, ...]:
-    """Return effects sorted by the power of their contribution, greatest first; empty if all are
-    below the threshold.
+    """Return the selected effects sorted by the power of their contribution, greatest first; empty
+    if all contributions are below the threshold.
     """
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
     greatest = math.sqrt(max(_gains(gram, moment, given.groups), default=0.0))
@@ -239,8 +241,8 @@ def sparse(given: Library) -> tuple[str, ...]:
 
 
 def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array) -> list[Array]:
-    """Return coefficients, shape (p,), at rising thresholds; each threshold starts from the groups
-    that remain at the previous threshold.
+    """Return coefficients, shape (p,), at each of the rising thresholds; the regression at a
+    threshold starts with the groups that remain at the previous threshold.
     """
     left = list(groups)
     coefficients = np.zeros(len(moment))

@@ -27,11 +27,11 @@ USUAL_CURRENT_A, USUAL_VOLTAGE_V, USUAL_INERTIA_KG_M2 = 13.0, 40.0, 0.2
 
 @dataclass(frozen=True)
 class Contender:
-    """An effect fitted jointly, and the preference of the data for the selected effect over this
-    effect.
+    """A rival, fitted jointly with the nominal parameters, and the preference of the data for the
+    selected effect over this rival.
 
-    ``preference`` is that of :func:`preference`. ``beyond`` names a parameter outside its plausible
-    range; the text is empty if all parameters are plausible.
+    ``preference`` is the result of :func:`preference`, in standard errors. ``beyond`` is a text
+    that names a parameter outside its plausible range, or empty if all parameters are plausible.
     """
 
     name: str
@@ -53,9 +53,9 @@ def preference(chosen: Joint, rival: Joint) -> float:
     blocks.
 
     A fit with more parameters explains more in any case, and the difference of two nearly equal
-    fits has a small error. The preference is therefore that of the smaller magnitude, without and
-    with Schwarz's correction for the number of parameters; 0 if these two disagree on the better
-    fit.
+    fits has a small standard error. Therefore the preference is computed without and with Schwarz's
+    correction for the number of parameters, and the result is the value of smaller magnitude; 0 if
+    the two values have opposite signs.
     """
     plain, corrected = advantage(chosen, rival), _corrected_advantage(chosen, rival)
     if plain * corrected <= 0.0:
@@ -64,15 +64,18 @@ def preference(chosen: Joint, rival: Joint) -> float:
 
 
 def advantage(chosen: Joint, rival: Joint) -> float:
-    """Return by how much a fit is better than another one, in standard errors of the difference by
-    blocks, whatever their numbers of parameters (Vuong, Econometrica 57 (1989) 307).
+    """Return by how much ``chosen`` is better than ``rival``, in standard errors of the difference
+    by blocks, without a correction for the number of parameters (Vuong, Econometrica 57 (1989)
+    307).
     """
     loss, spread = _loss(chosen, rival)
     return loss / spread if spread > 0.0 else 0.0
 
 
 def _corrected_advantage(chosen: Joint, rival: Joint) -> float:
-    """Return :func:`advantage` with Schwarz's correction: log n for each parameter more."""
+    """Return :func:`advantage` with Schwarz's correction of log n squares for each additional
+    parameter.
+    """
     loss, spread = _loss(chosen, rival)
     more = _effect_parameters(rival) - _effect_parameters(chosen)
     loss += more * math.log(len(chosen.residual))
@@ -87,21 +90,21 @@ def _loss(chosen: Joint, rival: Joint) -> tuple[float, float]:
 
 
 def _effect_parameters(joint: Joint) -> int:
-    """Return the number of fitted parameters of all effects."""
+    """Return the number of fitted parameters of all effects of a fit."""
     return sum(parameter_count(e) for e in joint.effects)
 
 
 def probability(preferred: float) -> float:
-    """Return the probability that corresponds to a preference."""
+    """Return the probability that corresponds to a preference in standard errors."""
     return float(stats.norm.cdf(preferred))
 
 
 def implausible(joint: Joint) -> str:
     """Return the reason why a fit is implausible for a bench; empty if it is plausible.
 
-    The reason is a parameter of the last effect outside its range in the catalogue, at the scale of
-    this bench, or an infeasible fit (:func:`infeasible`), such as friction that would have to rise
-    with speed where it falls.
+    The reason is a parameter of the last effect outside its range in the catalogue, scaled to this
+    bench, or an infeasible fit (:func:`infeasible`), for example a fit whose static friction would
+    be below Coulomb friction.
     """
     if infeasible(joint):
         return "nominal parameters outside their physical limits"
@@ -115,19 +118,20 @@ def implausible(joint: Joint) -> str:
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
         if motion == LINEAR and q.unit == "rad" and not q.name.startswith(PHASES):
-            # A range in rad does not apply to metres: it is scaled by the travel of both benches.
+            # A range in rad does not apply to m; it is scaled by the ratio of the travels of the
+            # two benches.
             low, high = (limit * travel_scale(views) for limit in (q.low, q.high))
         if not low <= found[q.name] <= high:
             name = parameter_title(motion, q.name)
             return (
-                f"{name} {found[q.name]:.3g}, outside its plausible range {low:.3g} to {high:.3g}"
+                f"{name} = {found[q.name]:.3g}, outside the plausible range {low:.3g} to {high:.3g}"
             )
     return ""
 
 
 def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
-    """Return by unit the scale of this bench over that of the bench for which the catalogue's
-    ranges were written.
+    """Return the scale of this bench relative to the practical bench, for which the ranges of the
+    catalogue are stated, by unit.
 
     Args:
         views: Recordings.
@@ -150,8 +154,9 @@ def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
         "N m/rad": torque / angle,
         "N m s/rad": torque / speed,
         "N m s^2/rad^2": torque / speed**2,
-        # The inertia of a load is stated for the reference mass. A fast machine moves more inertia
-        # than torque, travel and greatest speed tell.
+        # The inertia of a load is stated for the reference mass. The scale is that of the
+        # identified inertia too, because a fast machine moves more inertia than follows from
+        # torque, travel and speed.
         "kg m^2": max(torque * angle / speed**2, inertia / USUAL_INERTIA_KG_M2) / (mass or 1.0),
     }
 
@@ -165,9 +170,10 @@ def _greatest(channels: Sequence[Array | None], usual: float) -> float:
 
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
-    """Return the fit with the fewest parameters among those that are less than `simpler` standard
-    errors worse than the best; of equally many parameters the first. The best fit and the
-    differences have Schwarz's correction for the number of parameters.
+    """Return the index of the fit with the fewest parameters among the fits that are less than
+    `simpler` standard errors worse than the best fit; of fits with equally many parameters the
+    first. The best fit and the differences are computed with Schwarz's correction for the number of
+    parameters.
     """
     best = min(joints, key=_criterion)
     near = [
@@ -184,28 +190,31 @@ def _criterion(joint: Joint) -> float:
 
 
 def preferred(name: str, preference: float, beyond: str = "") -> str:
-    """Return why an effect is preferred to another one, in words.
+    """Return a text that states why an effect is preferred to another effect.
 
     Args:
         name: Name of the other effect.
-        preference: Preference of the data for the effect over the other one.
-        beyond: Why the fit of the other effect is implausible; empty if it is plausible.
+        preference: Preference of the data for the effect over the other effect, standard errors.
+        beyond: Reason why the fit of the other effect is implausible; empty if it is plausible.
     """
     if preference > 0.0:
         return f"preferred to {name} by {preference:.1f} standard errors"
     if beyond:
         return f"{name} fits as well or better, but only with {beyond}"
-    return f"{name} fits as well or better, but not by more than its parameters explain by chance"
+    return (
+        f"{name} fits as well or better, but by no more than its additional parameters explain by "
+        "chance"
+    )
 
 
 def parameter_count(effect: Added) -> int:
-    """Return the number of an effect's parameters that are fitted."""
+    """Return the number of fitted parameters of an effect."""
     return effect.term.freedom + len(effect.coefficients)
 
 
 def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
-    """Whether a rival contains the chosen effect as a special case: the rival has more parameters
-    and the same fit. Such a rival is no alias.
+    """Whether a rival contains the chosen effect as a special case, that is, has more parameters
+    and an equal fit. Such a rival is not in the alias group.
     """
     difference = its.residual - best.residual
     return (
@@ -217,7 +226,9 @@ def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
 def one_of_each(
     trials: Sequence[tuple[Candidate, Joint]],
 ) -> tuple[list[Candidate], list[Joint]]:
-    """Return the candidates and fits with only the best fit of each effect, in the given order."""
+    """Return the candidates and fits without those that are not the best of their effect, in the
+    given order.
+    """
     best: dict[str, tuple[Candidate, Joint]] = {}
     for candidate, joint in trials:
         if candidate.name not in best or joint.cost < best[candidate.name][1].cost:

@@ -1,13 +1,13 @@
-"""Distinguishes backlash from coupling hysteresis by the torque transmitted while one side moves
-and the other rests.
+"""Distinguishes backlash from coupling hysteresis by the torque that is transmitted while the motor
+moves and the valve rests.
 
 If friction holds the valve until the gap or the hysteresis loop is closed, the angles with a gap
 and with a loop are equal within the encoders' resolution. In a gap the drive supplies only the
 rotor's torque, T = J_r domega_m/dt + M_r s. In a hysteresis loop the torque rises with the angle, T
 = J_r domega_m/dt + M_r s + w (s + u), that is (D8) with M = M_r + w. Here J_r is the rotor's
 inertia, M_r the friction on the motor's side, w the torque that closes the loop, s the direction,
-and u from -1 to 1 the position in the loop. The rise w u distinguishes a loop from a gap; the
-constant part may occur with either.
+and u from -1 to 1 the position in the loop. The part w u, which rises with the angle, distinguishes
+a loop from a gap; a constant part may occur with a gap too.
 """
 
 from __future__ import annotations
@@ -38,22 +38,24 @@ from identification.recording import Array
 
 PAIR = ("backlash", "coupling_hysteresis")
 INNER = 0.6
-"""Central share of a crossing that is used; near its ends torque is already transmitted."""
+"""Central share of a crossing that is used, because near its ends a gap transmits torque too."""
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 INERTIA, RISE = 0, 2
-"""Regressors of the rotor's inertia and of the torque that rises during a crossing."""
+"""Indices of the regressors of the rotor's inertia and of the torque that rises during a
+crossing.
+"""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Torque estimated from the crossings of a gap.
+    """Torque estimated from the crossings of a gap or a hysteresis loop.
 
     Attributes:
         inertia: Inertia of the rotor at the joint, kg m^2.
         torque: Torque that closes the loop, N m; about zero for a gap.
         share: Ratio of this torque to the torque of the motion.
-        error: Standard error of the share: scatter over crossings and `gap_scatter` combined.
+        error: Standard error of the ratio, from the scatter over crossings and `gap_scatter`.
     """
 
     inertia: float
@@ -65,12 +67,13 @@ class Crossing:
 def crossing_torque(
     views: Sequence[View], nominal: Nominal, gap: float, rotor: float
 ) -> Crossing | None:
-    """Return the torque while a gap of this size is crossed, or None if too few crossings last long
-    enough.
+    """Return the torque during crossings of a gap of width ``gap``, or None if too few crossings
+    have enough samples.
 
     Args:
-        views: Recordings, with motion of the valve's side.
-        nominal: Nominal values; under a weight their friction and inertia are needed.
+        views: Recordings, with friction as a function of the motion of the valve.
+        nominal: Nominal values, whose friction and inertia are used if a weight turns with the
+            joint.
         gap: Width of the gap, or twice the deflection of a loop, rad.
         rotor: Assumed inertia of the rotor at the joint, kg m^2.
     """
@@ -97,13 +100,13 @@ def crossing_torque(
 def _columns(
     view: View, nominal: Nominal, gap: float, rotor: float
 ) -> tuple[Array, list[tuple[int, int]]]:
-    """Return regressors of the drive's torque, shape (m, 3), and first sample and end of each
-    crossing.
+    """Return regressors of the drive's torque, shape (m, 3), and for each crossing its first sample
+    and the sample after its last.
     """
     gear = view.recording.bench.gear_ratio
     speed = view.motor_speed / gear
     way = lead(view, nominal, gap, rotor) / (0.5 * gap)
-    # In a falling joint the weight, not the motor's motion, closes the loop.
+    # If the joint falls, its weight and not the motion of the motor closes the loop.
     held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
     inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
     turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
@@ -112,9 +115,9 @@ def _columns(
 
 
 def _quick_acceleration(view: View) -> Array:
-    """Return motor acceleration referred to the joint, by differences over few samples, rad/s^2.
+    """Return the motor acceleration over the gear ratio, by differences over few samples, rad/s^2.
 
-    A crossing lasts ten samples, and a filter does not resolve so short a time: the acceleration
+    A crossing lasts about ten samples. A filter does not resolve this time, and the acceleration
     that the filter removes would appear as transmitted torque.
     """
     motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
@@ -134,7 +137,7 @@ def gap_or_loop(
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
     """If backlash or coupling hysteresis was identified, select one of the two by the torque that
-    is transmitted while the gap is crossed; return the fit and the selection rounds.
+    is transmitted during crossings; return the fit and the selection rounds.
     """
     named = [e for e in joint.effects if e.term.name in PAIR]
     by_name = {t.name: t for t in terms}
@@ -142,7 +145,8 @@ def gap_or_loop(
         return joint, rounds
     own = min(named, key=lambda e: PAIR.index(e.term.name))
     if len(named) > 1:
-        # A gap and a loop in one transmission together resemble a larger gap or loop.
+        # If a transmission has both a gap and a loop, the angles resemble those of one larger gap
+        # or loop.
         joint = fit(
             views,
             unit,
@@ -165,11 +169,11 @@ def gap_or_loop(
     )
     rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
     if seen is None:
-        note = "no crossing lasts long enough to distinguish a gap from a hysteresis loop"
+        note = "too few crossings last long enough to distinguish a gap from a hysteresis loop"
     else:
         note = (
-            f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's "
-            f"torque"
+            f"closes with a torque of {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the "
+            "torque of the motion"
         )
     steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
     out = [
@@ -190,9 +194,9 @@ def _preference(
     Args:
         views: Recordings.
         own: The identified effect.
-        joint: Fit with this effect.
-        beside: Fit with the other effect in its place, as the last effect.
-        seen: Torque from the crossings, or None if none lasts long enough.
+        joint: Fit with the identified effect.
+        beside: Fit with the other effect in place of the identified effect, as the last effect.
+        seen: Torque from the crossings, or None if too few crossings last long enough.
     """
     loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
     prefers_loop = (
@@ -202,8 +206,8 @@ def _preference(
     )
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
     if _weight_exceeds_friction(views, joint.nominal):
-        # Under such a weight the two differ in the angles too: combine both tests by Stouffer's
-        # sum.
+        # If a weight exceeds the friction, a gap and a loop differ in the angles too; the tests by
+        # angles and by torque are combined by Stouffer's sum.
         prefers_other = (prefers_other - advantage(joint, beside)) / (
             1.0 if seen is None else math.sqrt(2.0)
         )
@@ -211,8 +215,8 @@ def _preference(
 
 
 def _gap_and_rotor(effect: Added) -> tuple[float, float]:
-    """Return the travel of one side alone, rad, and the inertia of the rotor, kg m^2, from the
-    shape of a gap or a loop.
+    """Return the travel of the motor while the valve rests, rad, and the inertia of the rotor, kg
+    m^2, from the nonlinear parameters of a gap or a loop.
     """
     if effect.term.name == "backlash":
         return Gap(*effect.shape).width, Gap(*effect.shape).rotor
@@ -224,7 +228,7 @@ def _loop_preference(views: Sequence[View], torque: float) -> float:
     angles, is preferred to a gap.
 
     The result is at most zero. A loop that closes without torque equals a gap, which has one
-    parameter less; a loop that closes with torque has been compared with a gap by the angles.
+    parameter less; a loop that closes with a torque is compared with a gap by the angles elsewhere.
     """
     usual = float(
         np.median(
@@ -235,11 +239,11 @@ def _loop_preference(views: Sequence[View], torque: float) -> float:
 
 
 def _weight_exceeds_friction(views: Sequence[View], nominal: Nominal) -> bool:
-    """Whether in all recordings a weight turns with the joint, and its torque in motion exceeds
+    """Whether in all recordings a weight turns with the joint and its torque in motion exceeds the
     friction.
 
-    If only some recordings have such a weight, the crossings in the others are more informative
-    than a model of the falling joint.
+    If only some recordings have such a weight, the crossings in the other recordings determine the
+    torque better than a model of the falling joint.
     """
     if not all(v.burdened for v in views):
         return False
@@ -256,12 +260,12 @@ def _other_of_pair(
     rotor: float,
     twist: float,
 ) -> Added:
-    """Return the other effect of the pair, with the size of the identified effect; a loop gets the
-    torque from the crossings.
+    """Return the start values of the other effect of the pair, with the size of the identified
+    effect; a loop has the closing torque from the crossings.
 
-    A loop's fit starts from the rotor inertia estimated from the crossings, or from an assumed
-    inertia, ``rotor``, kg m^2; a gap's fit starts from a shaft compliance of ``twist``, rad/(N m),
-    per count.
+    The fit of a loop starts from the rotor inertia that is estimated from the crossings, or from
+    the assumed inertia ``rotor``, kg m^2. The fit of a gap starts from a shaft compliance of
+    ``twist``, rad/(N m), per encoder count.
     """
     counts = 0.5 * TWIST_COUNTS[1]
     if own.term.name != "backlash":
@@ -270,6 +274,7 @@ def _other_of_pair(
     if seen is None or seen.torque <= 0.0:
         return Added(term, loop, (1.0,))
     loop = loop._replace(torque=seen.torque, rotor=seen.inertia if seen.inertia > 0.0 else rotor)
-    # Crossings determine the torque better than the angles; the other shape entries are fitted.
+    # The closing torque is fixed, because the crossings determine it better than the angles; the
+    # other nonlinear parameters are fitted.
     sought = {k: reach for k, reach in term.refine.items() if Loop._fields[k] != "torque"}
     return Added(replace(term, refine=sought), loop, (1.0,))

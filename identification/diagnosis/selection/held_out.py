@@ -1,8 +1,8 @@
 """Tests whether an effect reduces the error on recordings that were not used in its fit.
 
-If recordings are set aside, the error is that of their prediction. If no recording is set aside,
-each part of the recordings is predicted from the other parts (cross-validation: Stone, Journal of
-the Royal Statistical Society B 36 (1974) 111), with nonlinear parameters and Stribeck speeds held.
+If recordings are set aside, the error is that of their prediction. Otherwise each part of the
+recordings is predicted from a fit to all other parts, with nonlinear parameters and Stribeck speeds
+fixed (cross-validation: Stone, Journal of the Royal Statistical Society B 36 (1974) 111).
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from identification.diagnosis.selection.unseen import (
 from identification.recording import Array
 
 DROPPED = "drop"
-"""Action of a step that drops an effect because it does not reduce the error on unused recordings,
-or because its size is not determined.
+"""Name of a step that drops an effect because the effect does not reduce the error on unused
+recordings, or because the recordings do not determine its size.
 """
 
 
@@ -57,11 +57,11 @@ def validated_effects(
     """Return a search with fits within their limits, and without effects that do not reduce the
     error on unused recordings significantly.
 
-    The effect that reduces the error least is dropped first, and the other effects are fitted again
-    without it. Of the rivals of a dropped effect, the first rival that reduces the error
-    significantly replaces the effect. Then, if several effects remain, an effect other than the
-    first is dropped if the interval of its size contains zero. Finally, the recordings set aside
-    decide between each remaining effect and its rivals.
+    Of the effects that fail this test, the effect that reduces the error least is dropped first,
+    and the other effects are fitted again. The first rival of a dropped effect that reduces the
+    error significantly replaces the dropped effect. Then, if several effects remain, every effect
+    except the one that was selected first is dropped if the interval of its size contains zero.
+    Finally, the errors on recordings set aside decide between each remaining effect and its rivals.
 
     Args:
         found: The search.
@@ -108,14 +108,15 @@ def validated_effects(
 def _with_replacing_rival(
     case: _Case, joint: Joint, taken: Round, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint:
-    """Return the fit with the first rival of a dropped effect that reduces the error significantly;
-    if no rival does, the fit without a rival. Its round and a step are added.
+    """Return the fit with the first rival of a dropped effect that reduces the error significantly,
+    or the fit without the dropped effect if there is no such rival. The selection round of the
+    rival and a step are added.
     """
     for rival in taken.rivals:
         tried = _fit_with_rival(case, joint, rival)
         if tried is None:
             continue
-        # An effect in one recording alone cannot be tested on others.
+        # An effect that occurs in one recording only cannot be tested on other recordings.
         alone = tried.effects[-1].term.place is not None
         worth = math.inf if alone else _error_reduction(case, tried, joint, tried.effects[-1])
         if worth >= RULES.rejected:
@@ -142,7 +143,7 @@ def _without_undetermined(
             continue
         parameter, size = found
         without = _fit_without(case, joint, effect)
-        note = f"the interval of {parameter}, {size.low:.3g} to {size.high:.3g}, contains zero"
+        note = f"the 90 % interval of {parameter}, {size.low:.3g} to {size.high:.3g}, contains zero"
         steps.append(Step(DROPPED, name, None, without.cost - joint.cost, note))
         rounds.pop(name, None)
         return without
@@ -151,8 +152,9 @@ def _without_undetermined(
 
 def _unseen_share(case: _Case, joint: Joint) -> float | None:
     """Return the share of the mismatch beyond the noise on recordings set aside that all effects
-    explain, in the equations by which they are judged, or None if there is no such mismatch, or if
-    an effect has no value there, such as a phase that differs between recordings.
+    together explain, in the equations by which the effects are judged. The result is None if there
+    is no such mismatch, or if a parameter of an effect is unknown in recordings set aside, such as
+    a phase that differs between recordings.
     """
     names = {name for e in joint.effects for name in judging_equations(joint, e.term)}
     before, after = (
@@ -189,7 +191,7 @@ def _with_rivals_judged(
     for rival in taken.rivals:
         tried = within_limits(case.here, case.unit, rival.joint)
         there = _seen_aside(case, tried, rival.name)
-        # The torque during crossings decides between a gap and a loop.
+        # The torque during crossings has already decided between a gap and a loop.
         if {taken.name, rival.name} == set(PAIR):
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
@@ -207,7 +209,7 @@ def _with_rivals_judged(
         return joint, replace(taken, rivals=tuple(rivals))
     worse, rival, tried = min(better, key=lambda b: b[0])
     steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
-    # Stouffer's sum of the preferences of the fitted recordings and of those set aside.
+    # Stouffer's sum of the preferences by the fitted recordings and by the recordings set aside.
     former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
     others = (
         replace(r, preference=preference(tried, r.joint)) for r in rivals if r.name != rival.name
@@ -216,9 +218,9 @@ def _with_rivals_judged(
 
 
 def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array:
-    """Return the residual of another fit in units of the noise of ``joint``.
+    """Return the residual of another fit relative to the noise of ``joint``.
 
-    The noises of the two fits differ if one of them was estimated again
+    The noises of the two fits differ if the noise of one fit was estimated again
     (:func:`identification.diagnosis.fit.noise.with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}
@@ -229,13 +231,13 @@ def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array
 
 
 def _others(joint: Joint, name: str) -> set[str]:
-    """Return the names of all effects of a fit but one."""
+    """Return the names of all effects of a fit except ``name``."""
     return {e.term.name for e in joint.effects} - {name}
 
 
 def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, list[str]] | None:
-    """Return rows and residual of recordings set aside, and the equations by which an effect is
-    judged, or None if these recordings cannot judge the effect.
+    """Return rows and residual of the recordings set aside, and the equations by which an effect is
+    judged, or None if these recordings cannot show the effect.
     """
     own = next((e for e in joint.effects if e.term.name == name), None)
     if own is None or own.term.place is not None or not case.aside:
@@ -269,16 +271,16 @@ def _step(
     action: str, name: str, gain: float, worth: float, case: _Case, alone: bool = False
 ) -> Step:
     if alone:
-        note = "occurs in one recording only, so that no other recording can test it"
+        note = "the effect occurs in one recording only, so that no other recording can test it"
         return Step(action, name, None, gain, note)
-    judges = "recordings set aside" if case.aside else "parts predicted from the others"
+    judges = "recordings set aside" if case.aside else "parts predicted from the other parts"
     if math.isinf(worth):
         return Step(action, name, None, gain, f"explains most of the error on {judges}")
     change = "smaller" if worth >= 0.0 else "larger"
-    note = f"on {judges} it makes the error {change} by {abs(worth):.1f} standard errors"
+    note = f"on {judges} the effect makes the error {change} by {abs(worth):.1f} standard errors"
     if action == DROPPED:
         least = f"{RULES.rejected:.2f} standard errors"
-        note += f", and an identified effect must reduce it by at least {least}"
+        note += f", and an identified effect must reduce this error by at least {least}"
     return Step(action, name, None, gain, note)
 
 
@@ -306,11 +308,12 @@ def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
 
 
 def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
-    """Return by how many standard errors an effect reduces the error in the equations by which it
-    is judged; the standard error is computed from blocks of time.
+    """Return by how many standard errors, computed from blocks of time, an effect reduces the error
+    in the equations by which it is judged.
     """
     names = judging_equations(joint, effect.term)
-    # An unknown initial state is fitted to these recordings too, in the same way for both fits.
+    # An unknown initial state is fitted to the recordings set aside, for the fit with and for the
+    # fit without the effect.
     unseen = [
         found
         for j, starts in ((joint, ()), (without, (effect,)))
@@ -325,7 +328,7 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
             and (_beyond_noise(stack, left[1], names) or less < -RULES.rejected)
         ):
             return less
-    # No recording is set aside, or those that are cannot judge the effect.
+    # No recording is set aside, or the recordings set aside cannot show the effect.
     parts = folds(joint)
     left = [cross_validation_residual(j, parts) for j in (joint, without)]
     return reduction(joint.stack, left, names)
@@ -334,9 +337,9 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
 def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
     """Whether an effect changes the prediction of recordings set aside.
 
-    An effect does not change the prediction if its value there is unknown, such as a phase that
-    differs between recordings, or if the parameters that are fitted to these recordings compensate
-    the effect.
+    An effect does not change the prediction if one of its parameters is unknown in recordings set
+    aside, such as a phase that differs between recordings, or if parameters that are fitted to the
+    recordings set aside compensate the effect.
     """
     columns = stack.columns(effect.term, effect.shape).values()
     change = judged_rows(stack, left[0] - left[1], names)
@@ -356,9 +359,9 @@ def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
 def folds(joint: Joint) -> Array:
     """Return the number of the cross-validation part of each row.
 
-    Parts are recordings. If one recording alone determines a parameter, such as the only loaded
-    recording, parts are made of blocks of time instead. If a part of blocks alone determines a
-    parameter, its rows are in no part (-1), because the other parts cannot predict them.
+    Each recording is a part. If one recording alone determines a parameter, such as the only loaded
+    recording, parts consist of blocks of time instead. If one such part alone determines a
+    parameter, its rows are in no part (-1), because a fit to the other parts cannot predict them.
     """
     stack = joint.stack
     squares = parameter_derivatives(joint) ** 2
@@ -370,8 +373,8 @@ def folds(joint: Joint) -> Array:
 
 
 def _sole_parts(squares: Array, parts: Array) -> Array:
-    """Return which parts alone determine a parameter, shape (parts,): nearly all squares of that
-    parameter's derivative are in one part.
+    """Return a mask of the parts that alone determine a parameter, because nearly all squares of
+    the derivative with respect to this parameter are in the part, shape (parts,).
     """
     energy = np.array([np.sum(squares[parts == part], axis=0) for part in np.unique(parts)])
     return np.asarray(np.any(energy > RULES.sole_share * np.sum(energy, axis=0), axis=1))

@@ -1,9 +1,9 @@
-"""Finds effects that these recordings cannot distinguish from an identified effect, whatever the
-preference of the fit.
+"""Finds effects that these recordings cannot distinguish from an identified effect, even if the
+preference of the data is for one of them.
 
-If the regressors of another effect contain all but a hundredth of the identified effect's
-contribution, the fits differ by this hundredth only, and the regressors of real machines have a
-larger error.
+If the regressors of another effect explain all but a hundredth of the contribution of the
+identified effect, the two fits differ by this hundredth only. On real machines the error of a
+regressor is greater.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from identification.recording import Array
 ONE_ENCODER_ALIASES: Mapping[str, tuple[str, ...]] = {
     "presliding": ("compliance", "coupling_hysteresis")
 }
-"""Effects that the motor's encoder alone does not distinguish. After a reversal the torque rises
-with the motor's travel until the friction slips, whether a spring in the friction, or a shaft or a
-coupling between motor and joint, is wound up.
+"""Effects that recordings of the motor's encoder alone do not distinguish. After a reversal the
+torque rises with the travel of the motor until the joint slips, whether the friction contact, or a
+shaft or coupling between motor and joint, is elastic.
 """
 
 
 def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
-    """Return the search with further rivals: effects that these recordings cannot distinguish from
-    an identified effect. Such a rival is open, that is, not rejected.
+    """Return the search with effects that these recordings cannot distinguish from an identified
+    effect as further rivals. Such a rival is open, that is, not rejected.
 
     Args:
         found: The search.
@@ -65,8 +65,8 @@ def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Seque
 
 
 def _is_step(final: Joint, place: int) -> bool:
-    """Whether a brush drop is reached over no more current than changes within one sample, so that
-    it may be the step of a dead time.
+    """Whether the range of current over which a brush drop is reached is at most the change of the
+    current within one sample period, so that the drop may be the step of a dead time.
     """
     views, effect = final.equations[0].views, final.effects[place]
     reached = effect.parameters(Context(views, final.nominal))["current_A"]
@@ -74,7 +74,7 @@ def _is_step(final: Joint, place: int) -> bool:
 
 
 def _without_joint_encoder(joint: Joint) -> bool:
-    """Whether every recording has the angle of the motor's encoder alone."""
+    """Whether no recording has a joint angle in addition to the motor angle."""
     channels = [v.recording.channels for v in joint.equations[0].views]
     return all("motor_angle" in c and "angle" not in c for c in channels)
 
@@ -83,7 +83,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list
     """Return the effects that have no more parameters than an identified effect, and whose
     regressors, at one set of trial parameters, contain the contribution of the identified effect.
 
-    The torque of a crossing, by which a gap and a loop are distinguished, is in no regressor.
+    A gap and a loop are distinguished by the torque during crossings, which no regressor contains.
     """
     own = final.effects[place]
     stack = _stack_of_one_effect(final, place)
@@ -92,7 +92,8 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list
         return []
     made = stack.projected(stack.whitened(columns) @ np.array(own.coefficients)[:, None])[:, 0]
     others = [e for k, e in enumerate(final.effects) if k != place]
-    # Regressors that depend on the drive's torque must not contain the effect's own torque.
+    # Regressors that depend on the drive's torque must not contain the torque of the identified
+    # effect.
     without = replace(stack, nominal=nominal_after_effects(final.nominal, others), own={})
     context = Context(final.equations[0].views, without.nominal)
     found = []
@@ -113,7 +114,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list
 
 
 def _stack_of_one_effect(final: Joint, place: int) -> Stack:
-    """Return the stack with the nominal tangent and all effects but one projected out."""
+    """Return the stack with the nominal tangent and all effects except one projected out."""
     bare = replace(final.stack, effect_basis=np.zeros((len(final.stack.residual), 0)))
     others = [e for k, e in enumerate(final.effects) if k != place]
     return with_effect_basis(bare, effect_derivatives(bare, others)) if others else bare
@@ -121,7 +122,7 @@ def _stack_of_one_effect(final: Joint, place: int) -> Stack:
 
 def _unexplained_share(stack: Stack, made: Array, columns: Mapping[str, Array]) -> float:
     """Return the share of the squares of a contribution, shape (n,), that regressors do not
-    contain; the nominal tangent and the effect basis are projected out of contribution and
+    explain. The nominal tangent and the effect basis are projected out of contribution and
     regressors.
     """
     whole = stack.whitened(columns)

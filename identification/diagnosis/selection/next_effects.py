@@ -1,8 +1,9 @@
-"""Selects the next effects to fit if the mismatch of one equation dominates that of another.
+"""Selects the effects that are fitted next, also if the mismatch of one equation is far greater,
+relative to its noise, than that of another equation.
 
 Encoders resolve a gap a thousand times better than the current resolves friction. The error of an
-approximate regressor in one equation then has far larger squares than every missing effect in the
-other equation.
+approximate regressor in the transmission equation then has far larger whitened squares than any
+missing effect in the torque equation.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from identification.diagnosis.terms.term import Context, Shape, Term
 
 TRIALS = 3
 """Number of trial parameters of an effect without a score; a fit searches within a factor of 4 of
-each.
+each trial parameter.
 """
 
 
@@ -67,17 +68,17 @@ def finalist_groups(
 ) -> Iterator[list[Candidate]]:
     """Yield groups of finalists, to be tried in turn until one effect is selected.
 
-    For the first effect the score alone decides. Of further effects, those that explain a
-    sufficient share of the mismatch beyond the noise in their equations come first. Effects that
-    appear only in equations where nothing is missing, and effects that would be removed again, are
-    omitted.
+    The finalists for the first effect are selected by their scores alone. For a further effect, the
+    first group has those that explain a sufficient share of the mismatch beyond the noise in their
+    equations. Effects that appear only in equations without a significant mismatch, and effects
+    that would be removed again, are omitted.
 
     Args:
         baseline: Fit of the nominal model.
-        joint: Fit with the effects so far.
+        joint: Fit with the effects that were selected so far.
         terms: Terms of the candidates, by name.
         ranked: The best candidate of each effect, best first.
-        missing: Function from an equation's name to whether physics is missing in it.
+        missing: Function that returns whether physics is missing in the equation of a given name.
     """
     if not joint.effects:
         yield _finalists(ranked)
@@ -108,9 +109,9 @@ def unscored(
     """Return candidates of the effects without a score whose size is given by a nonlinear
     parameter, in the equations whose mismatch is beyond the noise.
 
-    The regressors of these effects depend on the nominal values: if these values are far from the
-    right ones, as without a fall of friction with speed, the score of the right effect may be
-    negative.
+    The regressors of these effects depend on the nominal values. If the nominal values are far from
+    the true values, for example without a fall of friction with speed, the score of the right
+    effect may be negative.
     """
     names = {c.name for c in scored}
     context = Context(joint.equations[0].views, joint.nominal)

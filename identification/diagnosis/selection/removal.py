@@ -1,5 +1,5 @@
-"""Removes and replaces selected effects, by the squares that each explains in addition to the
-others and by comparison with rivals.
+"""Removes and replaces selected effects, by the squares that each effect explains in addition to
+the others, and by comparison with rivals.
 """
 
 from __future__ import annotations
@@ -30,11 +30,13 @@ from identification.diagnosis.selection.comparison import (
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 
 LEAST_FURTHER = RULES.shape_errors * ROUGH
-"""Share of a contribution below which it may be the error of another effect's regressors."""
+"""Gain of an effect, relative to the gain of another effect, below which the first gain may be due
+to an error of the other effect's regressors.
+"""
 SIGNIFICANT = float(stats.norm.isf(0.01))
-"""Significance, in standard errors, that an effect needs if without it no mismatch beyond the noise
-remains. Its gain must then also be `shape_errors` times the error of the others, unless they are
-exact, because errors of regressors lie below both limits.
+"""Least preference, in standard errors, for an effect without which no mismatch beyond the noise
+remains. The gain of the effect must then also be `shape_errors` times the error of the regressors
+of the other effects, unless these regressors are exact; errors of regressors are below both limits.
 """
 
 
@@ -47,7 +49,7 @@ def with_needed_effects(
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
     """Remove effects that explain too little of the mismatch that remains without them, beginning
-    with the effect that explains least; return fit and rounds.
+    with the effect that explains least; return the fit and the selection rounds.
     """
     while len(joint.effects) > 1:
         trials = []
@@ -72,13 +74,17 @@ def with_needed_effects(
 
 
 def _why_removed(share: float, needed: float) -> str:
-    """Return why an effect is removed, from the share that it explains and the needed share."""
-    explains = f"explains {100.0 * share:.0f} % of the mismatch beyond the noise without it"
+    """Return a text that states why an effect is removed, from the share that it explains and the
+    needed share.
+    """
+    explains = (
+        f"explains {100.0 * share:.0f} % of the mismatch beyond the noise that remains without it"
+    )
     if math.isinf(needed):
         return (
-            f"{explains}, which may be an error of the regressors of the other effects, or chance"
+            f"{explains}, which may be due to chance or to errors of the other effects' regressors"
         )
-    return f"{explains}; {100.0 * needed:.0f} % are needed for one more effect"
+    return f"{explains}; one more effect must explain at least {100.0 * needed:.0f} %"
 
 
 def _explained_share(
@@ -100,7 +106,7 @@ def _explained_share(
 
 
 def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
-    """Whether one more effect would be removed again after the fit, judged by its predicted gain.
+    """Whether one more effect would be removed again after its fit, by its predicted gain.
 
     An effect would be removed if no mismatch beyond the noise remains in its equations, and if it
     explains less than the regressor error of the earlier effects or is not significant.
@@ -116,16 +122,16 @@ def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candi
 
 
 def _least_gain(beside: Joint, term: Term) -> float:
-    """Return the relative gain below which an effect may be the regressor error of the other
-    effects, if no other mismatch is left.
+    """Return the gain, relative to that of the other effects, below which the gain of an effect may
+    be due to errors of the other effects' regressors, if no other mismatch remains.
     """
     error = _regressor_error(beside, term)
     return RULES.shape_errors * error if error > EXACT else error
 
 
 def _regressor_error(beside: Joint, term: Term) -> float:
-    """Return the regressor error of the other effects, relative to the squares that they
-    explain.
+    """Return the error of the regressors of the other effects, relative to the gain of these
+    effects.
     """
     return max(
         (e.term.shape_error for e in beside.effects if share_equation(e.term, term)), default=EXACT
@@ -133,12 +139,12 @@ def _regressor_error(beside: Joint, term: Term) -> float:
 
 
 def needed_share(others: float, error: float = ROUGH) -> float:
-    """Return the share of the remaining mismatch that one more effect must explain; infinite if
-    none is acceptable.
+    """Return the share of the remaining mismatch that one more effect must explain; infinite if no
+    share is sufficient.
 
     Args:
-        others: Gain of the effect over the squares that the others explain in its equations.
-        error: Error of the others' regressors, over the same squares.
+        others: Gain of the effect relative to the gain of the other effects in its equations.
+        error: Error of the regressors of the other effects, relative to the gain of these effects.
     """
     if others < error:
         return math.inf
@@ -154,10 +160,10 @@ def with_best_rivals(
     dropped: Sequence[Added],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Compare every effect with its rivals again, with all other effects in the model; return fit
-    and rounds.
+    """Compare every effect with its rivals again, with all other effects in the model; return the
+    fit and the selection rounds.
 
-    Removed effects are rivals of all kept effects in the same equation.
+    Removed effects are rivals of all kept effects that appear in the same equation.
     """
     for place, taken in enumerate(rounds):
         others = tuple(e for e in joint.effects if e.term.name != taken.name)
@@ -177,7 +183,10 @@ def with_best_rivals(
             simplest([j for _, j in sound], [parameter_count(e) for e, _ in sound])
         ]
         if chosen is not own:
-            note = f"with the other effects, {preferred(taken.name, preference(best, joint))}"
+            note = (
+                "with all other effects in the model, "
+                f"{preferred(taken.name, preference(best, joint))}"
+            )
             steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))
         rivals = tuple(
             Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))
@@ -195,7 +204,9 @@ def share_equation(one: Term, other: Term) -> bool:
 
 
 def left_beyond_noise(joint: Joint, term: Term) -> float:
-    """Return the sum of whitened squares beyond the noise that remains in an effect's equations."""
+    """Return the sum of whitened squares beyond the noise that remains in the equations by which an
+    effect is judged.
+    """
     return _beyond_noise(joint, _judging_rows(joint, term))
 
 

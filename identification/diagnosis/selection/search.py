@@ -60,10 +60,10 @@ class Search:
         rounds: Selection step of each kept effect.
         p_value: p-value of the test whether physics is missing.
         p_after: p-value of the test whether further physics is missing.
-        loudest: Generic family or effect with the least p-value at the end.
+        loudest: Generic family or effect with the least p-value at the end of the search.
         steps: Steps of the search.
         unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
-            effects explain, or None if these have no such mismatch.
+            effects explain, or None without such recordings or without such a mismatch.
     """
 
     baseline: Joint
@@ -81,10 +81,11 @@ class Options:
     """Options of a search.
 
     Attributes:
-        until: Names of effects; the search ends when one of them is added.
+        until: Names of effects; the search ends when one of these effects is selected.
         fixed: Nominal parameters that are not estimated.
-        thorough: Whether effects without a score are fitted too before the first is selected. A
-            score is linear about the nominal fit, which may be far from the right parameters.
+        thorough: Whether effects without a score are fitted too before the first effect is
+            selected. A score is a linearisation about the nominal fit, which may be far from the
+            right parameters.
     """
 
     until: Collection[str] = ()
@@ -114,8 +115,8 @@ class _Test:
     """Result of a test whether physics is missing.
 
     Attributes:
-        trials: Effects of the catalogue at trial parameters.
-        unnamed: Generic families.
+        trials: Scores of the effects of the catalogue at trial parameters.
+        unnamed: Scores of the generic families.
         p_value: p-value of the test.
         loudest: Name of the most significant candidate.
     """
@@ -137,8 +138,8 @@ def search(
 ) -> Search:
     """Add effects one at a time while the test allows, then try to remove each effect.
 
-    Each effect is judged at the end together with the others: two effects may explain the whole
-    mismatch together although one alone explains little.
+    Each effect is judged at the end, with all other effects in the model: two effects may together
+    explain the whole mismatch although each of them alone explains little.
 
     Args:
         views: Recordings.
@@ -161,7 +162,7 @@ def search(
         test = _missing_test(joint, case, left, rng)
         p_values.append(test.p_value)
         steps.append(
-            Step("test", test.loudest, test.p_value, 0.0, "the most significant candidate")
+            Step("test", test.loudest, test.p_value, 0.0, "this is the most significant candidate")
         )
         if test.p_value > RULES.level or len(rounds) == RULES.most_effects:
             break
@@ -186,7 +187,7 @@ def _missing_test(
     """Test whether physics is missing, by size and by sign flips.
 
     Only equations whose mismatch is beyond the noise are tested. Effects that may vary by their
-    full amplitude from row to row are tested in any case, because they count as noise.
+    full amplitude from row to row are tested in any case, because the noise estimate contains them.
     """
     beyond = beyond_noise(joint)
     shown = [t for t in left if t.name in FAST_EFFECTS or beyond & {*judging_equations(joint, t)}]
@@ -195,7 +196,7 @@ def _missing_test(
     unnamed = tuple(c for c in generic_candidates(joint.stack) if c.name.split(" ")[0] in beyond)
     every = (*trials, *unnamed)
     by_size = max(size_p_value(joint), 1e-12)
-    # Sign flips cannot give a smaller p-value than this.
+    # This is the smallest p-value that the number of sign flips can give.
     by_flips = (
         1.0 if by_size < 1.0 / (1 + DRAWS) else sign_flip_p_value(every, joint.stack.blocks, rng)
     )
@@ -222,8 +223,8 @@ def _next_effect(
         fits: Fits of the nominal model, and with the effects selected so far.
         test: Test by which one more effect is needed.
         rng: Random generator for the tests of single equations.
-        tell: Called with the effects being fitted.
-        steps: Steps so far; the new step is appended.
+        tell: Called with the effects that are being fitted.
+        steps: Steps of the search so far, to which the new step is appended.
     """
     baseline, joint = fits
     best = best_of_each(test.trials, case.terms)
@@ -256,7 +257,7 @@ def _final_effects(
     joint, rounds = with_needed_effects(views, unit, baseline, before, rounds, steps)
     dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
     if len(before.effects) > 1:
-        progress("rivals, with the other effects", 0.9)
+        progress("comparison with rivals", 0.9)
         joint, rounds = with_best_rivals(views, unit, baseline, joint, rounds, dropped, steps)
     return gap_or_loop(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
 
@@ -269,7 +270,7 @@ def _best_finalist(
     steps: list[Step],
 ) -> tuple[Joint, Round] | None:
     """Fit each finalist jointly with the selected effects; return the fit with the best finalist,
-    or None if no finalist is acceptable.
+    or None if no finalist is plausible and explains more than chance.
     """
     if not finalists:
         return None
@@ -320,8 +321,8 @@ def _best_finalist(
 def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
     """Return the fit with a candidate and the selected effects.
 
-    An effect with several forms is fitted in each form; a form must be significantly better than
-    the forms before it.
+    An effect with several forms is fitted in each form in turn; a later form is selected only if it
+    fits significantly better than the earlier forms.
     """
     taken, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
     for other in others:
@@ -331,8 +332,8 @@ def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> J
 
 
 def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
-    """Return the trial parameters of a candidate in each form of the effect: the form of the
-    candidate first, unless this form is the last of the term, then the forms in the order of the
+    """Return the trial parameters of a candidate in each form of the effect, in the order of the
+    forms of the term; but the form of the candidate comes first, unless it is the last form of the
     term.
     """
     shapes = [candidate.shape]
@@ -345,8 +346,8 @@ def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
 
 
 def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
-    """Return the fit with the selected effects and a candidate, whose fit starts from the given
-    nonlinear parameters.
+    """Return the fit with the selected effects and a candidate; the search for the nonlinear
+    parameters of the candidate starts from ``shape``.
     """
     baseline, joint = fits
     added = Added(
@@ -356,7 +357,8 @@ def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shap
     )
     tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)
     if added.term.follows and tried.nominal.flat:
-        # An effect that depends on the fall of friction may have masked it in the nominal fit.
+        # An effect that depends on the fall of friction with speed may have masked this fall in the
+        # nominal fit.
         tried = with_assumed_fall(case.views, case.unit, tried, joint.nominal, case.options.fixed)
     return feasible_or_first(case.views, case.unit, tried)
 
@@ -368,8 +370,8 @@ def _missing(
     rng: np.random.Generator,
     name: str,
 ) -> bool:
-    """Whether one equation has a significant mismatch, by the tests of :func:`_missing_test` on the
-    rows of this equation.
+    """Whether the mismatch of one equation is significant, by the tests of :func:`_missing_test`
+    with the rows of this equation only.
     """
     judged = len(joint.equations)
     if 2.0 * judged * size_p_value(joint, name) <= RULES.level:
@@ -389,5 +391,5 @@ def _missing(
 
 def _why(rivals: Sequence[Contender]) -> str:
     if not rivals:
-        return "no other effect fits nearly as well"
+        return "no other effect fits nearly as well as this effect"
     return "; ".join(preferred(r.name, r.preference, r.beyond) for r in rivals)

@@ -20,12 +20,12 @@ from identification.recording import Array
 def validation_residual(
     joint: Joint, aside: Sequence[View], unit: str, starts: Sequence[Added] = ()
 ) -> tuple[Stack, Array] | None:
-    """Return the rows of recordings set aside and the residual of a fit there, over the noise of
-    the fitted recordings, or None if hardly a sample is in steady motion.
+    """Return the rows of recordings set aside, and the residual of a fit at these rows, relative to
+    the noise of the fitted recordings; None if too few samples are in steady motion.
 
-    No parameter of the torque's model is fitted to these rows. In other equations their own
-    constants, such as the zero of an encoder, are fitted but not reported. Unknown states at the
-    start of a recording, of the fit's effects and of those in ``starts``, are fitted as well.
+    No nominal parameter and no effect is fitted to these rows. In equations other than the torque
+    equation, constants such as the zero of an encoder are fitted but not reported. Unknown states
+    at the start of a recording, of the effects of the fit and of ``starts``, are fitted too.
     """
     rows = equations(aside, joint.nominal, unit)
     sigma = {e.name: e.sigma for e in joint.equations}
@@ -35,7 +35,8 @@ def validation_residual(
     stack = stack_of(rows, joint.nominal)
     left = np.concatenate([e.residual / e.sigma for e in rows])
     for effect in joint.effects:
-        # An effect in a single recording, as a mislabelled weight, does not apply to another one.
+        # An effect that occurs in one recording only, such as a mislabelled weight, does not occur
+        # in recordings set aside.
         columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
         if columns:
             left -= stack.whitened(columns) @ np.array(effect.coefficients)
@@ -44,15 +45,17 @@ def validation_residual(
 
 
 def _with_noise(equation: Equation, sigma: float) -> Equation:
-    """Return an equation in units of another noise; the noise of each recording does not change."""
+    """Return an equation relative to another noise; the own noise of each recording does not
+    change.
+    """
     ratio = (equation.sigma / sigma) ** 2
     own = {index: max(1.0, power * ratio) for index, power in equation.own.items()}
     return replace(equation, sigma=sigma, own=own)
 
 
 def _with_own_constants(stack: Stack, rows: Array) -> Array:
-    """Return whitened rows, shape (n, k), after a linear fit of the parameters of all equations but
-    the torque equation.
+    """Return whitened rows, shape (n, k), after a linear fit of the parameters of all equations
+    except the torque equation.
     """
     out = rows.copy()
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
@@ -82,7 +85,9 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
 
 
 def validation_rms(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
-    """Return each equation's rms over recordings set aside (:func:`validation_residual`)."""
+    """Return the rms error of each equation on recordings set aside
+    (:func:`validation_residual`).
+    """
     found = validation_residual(joint, aside, unit) if aside else None
     if found is None:
         return {}
@@ -99,11 +104,11 @@ def judged_rows(stack: Stack, rows: Array, names: Sequence[str]) -> Array:
 
 
 def reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return :func:`studentised_reduction`; infinite if the first residual lacks most of the
-    squares beyond the noise that the second residual has.
+    """Return :func:`studentised_reduction`; infinite if the second residual has most of its squares
+    beyond the noise in excess of the first residual.
 
-    An effect in a few blocks, such as an end stop, may explain nearly everything, although a few
-    blocks do not suffice for a standard error.
+    An effect that occurs in a few blocks, such as an end stop, may explain nearly the whole
+    mismatch, although a few blocks are not sufficient for a standard error.
     """
     explained = explained_share(stack, left, names)
     if explained is not None and explained >= RULES.adequate:
@@ -126,7 +131,7 @@ def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[s
     """Return by how many standard errors, over blocks of time, the first residual is smaller than
     the second in the named equations together.
 
-    The rms of each block is compared; if squares were compared, a few blocks would decide.
+    The rms of each block is compared; with squares, a few blocks would determine the result.
     """
     shown = np.zeros(len(left[0]), dtype=bool)
     for name in names:
@@ -141,8 +146,8 @@ def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[s
 
 
 def decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return :func:`studentised_reduction`; 0 in a single block, or if the two mean squares differ
-    by less than the uncertainty of the mean square of the noise.
+    """Return :func:`studentised_reduction`; 0 if there is only one block, or if the two mean
+    squares differ by less than the uncertainty of the mean square of the noise.
     """
     rows = judged_rows(stack, np.stack(left, axis=1), names)
     low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))

@@ -1,3 +1,3 @@
-"""The verdict: identified effects with confidence, in sentences, and effects that need channels not
-recorded.
+"""The verdict: identified effects with their confidence, in sentences, and effects that recordings
+cannot show for lack of a channel.
 """

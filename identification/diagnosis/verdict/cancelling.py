@@ -1,8 +1,9 @@
-"""Tests whether identified effects nearly cancel each other, so that their small sum has a pattern
-of its own.
+"""Tests whether two identified effects nearly cancel each other, so that their small sum resembles
+a third effect.
 
-A linear spring and a weight of opposite sign together make the torque of a hardening spring: each
-would be many times greater than their sum, and neither of them exists.
+For example, the torques of a linear spring and of a weight of opposite sign add to the torque of a
+hardening spring. Each of the two torques is then many times greater than their sum, and the machine
+has neither the linear spring nor the weight.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """Compares the mismatch of each equation by the nominal and by the corrected model, and judges
-whether the effects explain enough of it.
+whether the effects explain enough of the mismatch.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from identification.diagnosis.verdict.hysteretic import is_hysteretic
 
 @dataclass(frozen=True)
 class Excess:
-    """Power of an equation's whitened mismatch per row, by nominal and corrected model."""
+    """Mean square of an equation's whitened mismatch, by the nominal and by the corrected model."""
 
     equation: str
     before: float
@@ -30,7 +30,9 @@ class Excess:
 
 
 def excess_of(found: Search) -> list[Excess]:
-    """Return the power of each equation's mismatch by the nominal and by the corrected model."""
+    """Return the mean-square mismatch of each equation by the nominal and by the corrected
+    model.
+    """
     stack = found.baseline.stack
     out = []
     for equation in found.baseline.equations:
@@ -43,21 +45,23 @@ def excess_of(found: Search) -> list[Excess]:
 
 
 def explains_nearly_all(found: Search) -> bool:
-    """Whether the effects explain as much of the mismatch beyond the noise as right effects do."""
+    """Whether the effects explain at least the share of the mismatch beyond the noise that right
+    effects explain (`nearly_complete`).
+    """
     return judged_equation(found).explained >= RULES.nearly_complete
 
 
 def equations_of_effects(found: Search) -> set[str]:
-    """Return the equations in which the accepted effects act."""
+    """Return the names of the equations in which the accepted effects appear."""
     return {name for effect in found.final.effects for name in effect.term.columns}
 
 
 def judged_equation(found: Search) -> Excess:
     """Return the equation with the greatest mismatch beyond the noise.
 
-    Only the torque equation and the equations in which an accepted effect acts are compared, if
-    there is a mismatch in one of them. A mismatch in another equation has a cause of its own, which
-    is reported beside the identified effects.
+    Only the torque equation and the equations in which an accepted effect appears are compared, if
+    one of them has a mismatch. A mismatch in any other equation has another cause, and is reported
+    in addition to the identified effects.
     """
     judges = [e for e in excess_of(found) if e.equation != "breakaway"]
     acting = equations_of_effects(found) | {"torque"}
@@ -66,7 +70,7 @@ def judged_equation(found: Search) -> Excess:
 
 
 def insufficient(found: Search, share: float = RULES.adequate) -> bool:
-    """Whether the effects explain less than a share of the mismatch beyond the noise."""
+    """Whether the effects explain less than ``share`` of the mismatch beyond the noise."""
     worst = judged_equation(found)
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (
@@ -82,8 +86,8 @@ def _rows(found: Search, equation: str) -> int:
 
 
 def hysteretic_remainder(found: Search) -> bool:
-    """Whether the effects explain less of the torque mismatch than right effects do, and the
-    remaining mismatch is hysteretic.
+    """Whether the effects explain less of the torque mismatch than right effects would
+    (`nearly_complete`), and the remaining mismatch is hysteretic.
     """
     torque = next(e for e in excess_of(found) if e.equation == "torque")
     return torque.explained < RULES.nearly_complete and is_hysteretic(found.final)

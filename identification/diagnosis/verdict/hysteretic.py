@@ -1,8 +1,9 @@
 """Tests whether the remaining torque mismatch is hysteretic, in which case the identified effect is
 wrong.
 
-Between reversals a hysteretic torque follows the angle, so that the torque of a weight or a spring
-explains most of the mismatch. The remaining mismatch starts anew at each reversal.
+Between reversals a hysteretic torque is a function of the angle, so that the torque of a weight or
+a spring explains most of the mismatch. But the remaining mismatch depends on the travel since the
+last reversal.
 """
 
 from __future__ import annotations
@@ -13,15 +14,17 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import level
 
 SINCE_REVERSAL = ("travel since reversal", "time since reversal")
-"""Coordinates of hysteresis; in a single sine they are equivalent."""
+"""Coordinates on which a hysteretic mismatch depends; in the motion of a single sine the two are
+equivalent.
+"""
 
 
 def is_hysteretic(joint: Joint) -> bool:
     """Whether the torque mismatch exceeds the noise and depends on travel or time since reversal
     more than on any other coordinate.
 
-    Unmodelled friction at the lowest speeds of real machines depends on torque, speed or rest
-    instead.
+    In contrast, unmodelled friction at the lowest speeds of real machines depends most on torque,
+    speed or rest time.
     """
     rows = joint.residual[joint.stack.part("torque")]
     torque = next(e for e in joint.equations if e.name == "torque")

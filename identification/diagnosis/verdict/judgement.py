@@ -26,14 +26,15 @@ from identification.prepare import drive_channel
 from identification.recording import Bench
 
 FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
-"""Ratio of the mean-square mismatch to that of the noise, up to which a mismatch is faint: an
-unidentified effect may cause the part that counts as noise
-(`excess`).
+"""Ratio of the mean-square mismatch to that of the noise, up to which a mismatch is faint. The part
+of a faint mismatch that is attributed to noise (`excess`) may be due to an unidentified effect.
 """
 
 
 VISIBLE = 3.0
-"""Mismatch over the noise that a diagnosis must find (the limit of the proofs)."""
+"""Rms mismatch, relative to the noise, from which a diagnosis must find it (the limit of the
+proofs).
+"""
 
 
 class Judged(NamedTuple):
@@ -43,8 +44,8 @@ class Judged(NamedTuple):
         verdict: The verdict.
         where: Location of the mismatch; None if nothing is missing.
         maps: Maps of the mismatch.
-        reason: Why the catalogue does not explain the mismatch, or why a mismatch counts as
-            nothing missing; None otherwise.
+        reason: Reason why the effects of the catalogue do not explain the mismatch, or why the
+            verdict is *nothing missing* in spite of a mismatch; None otherwise.
     """
 
     verdict: Verdict
@@ -59,8 +60,8 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     Args:
         found: The search with its fits within their limits and the accepted effects.
         rng: Random generator for the bands of the maps.
-        searched: The search before effects were dropped, or None if it is the same. Both must
-            explain enough of the mismatch.
+        searched: The search before effects were dropped, or None if no effect was dropped. The
+            effects before and after dropping must explain enough of the mismatch.
     """
     stack = found.baseline.stack
     main = main_equation(found)
@@ -70,8 +71,8 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     where = location(main, drawn[0], before) if drawn else None
     if found.p_value > RULES.level:
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
-    # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
-    # breakaway equation judges no model.
+    # The breakaway equation judges no model: it has one row per rest, and its noise is large
+    # because the instant of a breakaway is known only to within one sample.
     least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, least):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
@@ -88,10 +89,10 @@ def named_or_ambiguous(found: Search) -> Verdict:
 
 
 def without_unlogged(judged: Judged, found: Search) -> Judged:
-    """Return the verdict, which is *nothing missing* for a mismatch outside the catalogue that
-    voltages between the samples may cause.
+    """Return the verdict; a mismatch outside the catalogue that voltages between the samples may
+    cause has the verdict *nothing missing*.
 
-    Used after all searches, so that none is left out.
+    This function is called after all searches, so that it does not prevent a search.
     """
     if judged.verdict is not Verdict.OUTSIDE_CATALOGUE:
         return judged
@@ -101,14 +102,15 @@ def without_unlogged(judged: Judged, found: Search) -> Judged:
 
 
 def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool:
-    """Whether the nominal model leaves more than noise in any equation but the breakaway's.
+    """Whether the mismatch of the nominal model exceeds the noise in any equation except the
+    breakaway equation.
 
     Args:
         joint: Fit of the nominal model.
         least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
             noise.
-        between: Whether what voltages between the samples may cause counts as noise. A mismatch of
-            :data:`VISIBLE` times the noise never does.
+        between: Whether a mismatch that voltages between the samples may cause counts as noise. A
+            mismatch of at least :data:`VISIBLE` times the noise never counts as noise.
     """
     for equation in joint.equations:
         if equation.name == "breakaway":
@@ -138,7 +140,7 @@ def main_equation(found: Search) -> Equation:
 
     if found.final.effects:
         return max(found.baseline.equations, key=taken)
-    # The breakaway equation judges no model, even if its pattern is significant.
+    # The breakaway equation judges no model, even if the pattern of its mismatch is significant.
     judges = [e for e in found.baseline.equations if e.name != "breakaway"]
     loudest = found.loudest.split(" ")[0]
     named = [e for e in judges if e.name == loudest]
@@ -146,8 +148,8 @@ def main_equation(found: Search) -> Equation:
 
 
 def _beyond_noise(joint: Joint, equation: Equation) -> float:
-    """Return the sum of whitened squares beyond the noise that a fit leaves of an equation, with
-    the sensors' errors and the own noise of each recording in the noise.
+    """Return the sum of whitened squares beyond the noise that a fit leaves in an equation; the
+    noise includes the errors of the sensors and the own noise of each recording.
     """
     rows = over_own_noise(joint, equation)
     return float(rows @ rows) - len(rows)
@@ -162,8 +164,8 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
     """Return every accepted effect with its parameters, rivals and confidence, in the order of
     their selection.
 
-    A rival that replaced an effect is the last effect of the fit, but has the place of the replaced
-    effect in the returned list.
+    A rival that replaced an effect is the last effect of the fit, but takes the place of the
+    replaced effect in the returned list.
 
     Args:
         found: The search.
@@ -243,21 +245,23 @@ def _effect(
 
 
 def _more_is_missing(found: Search) -> bool:
-    """Whether the test finds further missing physics, or the effects explain too little on
-    recordings set aside.
+    """Whether the test finds further missing physics, or the effects explain too little of the
+    mismatch on recordings set aside.
     """
     return found.p_after <= RULES.level or little_unseen(found)
 
 
 def little_unseen(found: Search) -> bool:
-    """Whether the effects explain less on recordings set aside than the right effects would."""
+    """Whether the effects explain less of the mismatch on recordings set aside than the right
+    effects would (`nearly_complete`).
+    """
     share = found.unseen_share
     return share is not None and share < RULES.nearly_complete
 
 
 def _needing(final: Joint, k: int, rows: slice) -> float:
-    """Return the mean-square mismatch, over that of the noise, that the corrected model leaves in
-    some rows without the contribution of effect ``k``.
+    """Return the mean-square mismatch of the corrected model without the contribution of effect
+    ``k``, relative to that of the noise, in ``rows``.
     """
     effect, stack = final.effects[k], final.stack
     columns = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -268,16 +272,18 @@ def _needing(final: Joint, k: int, rows: slice) -> float:
 def confidence_of(
     taken: Round, quality: float, incomplete: bool, before: float, alone: bool = True
 ) -> float:
-    """Return the confidence in an effect, from its rivals, the share it explains, and whether more
-    is missing.
+    """Return the confidence in an effect, from its rivals, the share of the mismatch that is
+    explained, and whether further physics is missing.
 
     Args:
-        taken: The selection round with its rivals.
-        quality: Share of the mismatch beyond the noise that is explained in its main equation.
-        incomplete: Whether more physics is missing than the effects explain.
-        before: Mean-square mismatch of that equation over that of the noise, without the effect.
-        alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
-            error of that effect's regressors.
+        taken: Selection round of the effect, with its rivals.
+        quality: Share of the mismatch beyond the noise that is explained in the main equation of
+            the effect.
+        incomplete: Whether further physics is missing.
+        before: Mean-square mismatch of this equation without the effect, relative to that of the
+            noise.
+        alone: Whether the effect was selected first. For a later effect, a faint mismatch may be
+            due to an error of the regressors of the earlier effects.
     """
     over = [
         max(probability(r.preference), 1.0 - RULES.implausible_confidence if r.beyond else 0.0)
@@ -294,7 +300,7 @@ def confidence_of(
 
 
 def _why_not(rival: Contender) -> str:
-    """Return why a rival was rejected; empty if the rival was not rejected."""
+    """Return the reason why a rival is rejected; empty if the rival is not rejected."""
     if rival.preference >= RULES.rejected:
-        return f"its error is larger by {rival.preference:.1f} standard errors"
-    return f"it fits as well, but only with {rival.beyond}" if rival.beyond else ""
+        return f"the error with this rival is larger by {rival.preference:.1f} standard errors"
+    return f"this rival fits as well, but only with {rival.beyond}" if rival.beyond else ""

@@ -1,9 +1,9 @@
 """Tests whether an identified effect explains the remaining torque mismatch only with a different
 coefficient in each direction of motion.
 
-Every effect of the catalogue has one coefficient for both directions; for asymmetric friction this
-coefficient is half the difference of the directions. An effect that needs two coefficients is not
-the true cause, and the verdict is *outside the catalogue*.
+Every effect of the catalogue has one coefficient for both directions of motion; for asymmetric
+friction this coefficient is half the difference of the friction in the two directions. An effect
+that needs two coefficients is not the true cause, and the verdict is *outside the catalogue*.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from identification.diagnosis.score.significance import level
 
 
 def direction_dependent(joint: Joint) -> tuple[str, ...]:
-    """Return the effects that, with separate coefficients for the two directions, explain nearly
-    all of the remaining torque mismatch.
+    """Return the effects that, with separate coefficients for the two directions of motion, explain
+    nearly all of the remaining torque mismatch.
 
-    The result is empty if no more than noise remains.
+    The result is empty if the remaining mismatch is within the noise.
     """
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
@@ -33,7 +33,7 @@ def direction_dependent(joint: Joint) -> tuple[str, ...]:
 
 def _gains(joint: Joint) -> Iterator[tuple[str, float]]:
     """Yield the name of each effect in the torque equation, and the whitened squares that separate
-    coefficients for the directions would explain.
+    coefficients for the two directions of motion would explain in addition.
     """
     torque = next(e for e in joint.equations if e.name == "torque")
     ahead = torque.rows(lambda v: v.sense) > 0.0

@@ -1,4 +1,6 @@
-"""Reasons for which effects do not explain a mismatch, or for which a mismatch does not count."""
+"""Reasons why effects do not explain a mismatch, or why the verdict is *nothing missing* in spite
+of a mismatch.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Reason:
-    """Why the effects of a search do not explain the mismatch, or why it does not count.
+    """Reason why the effects of a search do not explain the mismatch, or why the verdict is
+    *nothing missing* in spite of a mismatch.
 
     Attributes:
         kind: Kind of the reason.
-        search: The search whose effects it concerns.
+        search: The search whose effects the reason concerns.
         effects: Names of the effects; empty if no effect was accepted.
         needed: Share of the mismatch beyond the noise that the effects must explain.
     """
@@ -43,11 +46,13 @@ class Reason:
 
 
 def reason_outside(found: Search, searched: Search) -> Reason | None:
-    """Return the first reason for which the effects do not explain the mismatch; None if they do.
+    """Return the first reason why the effects do not explain the mismatch, or None if they explain
+    it.
 
     Args:
         found: The search with its fits within their limits and the accepted effects.
-        searched: The search before effects were dropped. Both must explain enough.
+        searched: The search before effects were dropped. The effects before and after dropping must
+            explain enough of the mismatch.
     """
     names, before = _names(found), _names(searched)
     if not names:

@@ -30,10 +30,10 @@ def statement(
         verdict: The verdict.
         effects: Identified effects.
         main: Errors of the equation in which the mismatch is judged.
-        where: Where most of the mismatch is, if known.
-        p_value: That of the test whether physics is missing.
-        unseen: Effects that the recordings cannot show.
-        reason: Why a mismatch does not count, if there is a reason.
+        where: Location of the mismatch, or None if unknown.
+        p_value: p-value of the test whether physics is missing.
+        unseen: Names of effects that the recordings cannot show.
+        reason: Reason why the verdict is *nothing missing* in spite of a mismatch, or None.
     """
     error = (
         f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor "
@@ -50,7 +50,7 @@ def statement(
         if held
         else (main.baseline_rms, main.final_rms)
     )
-    recordings = "unseen recordings" if held else "the recordings it was fitted to"
+    recordings = "recordings set aside" if held else "the recordings it was fitted to"
     change = (
         f"{main.equation.capitalize()} error on {recordings} {before:.3g} -> {after:.3g} "
         f"{main.unit}; "
@@ -74,25 +74,25 @@ def statement(
 def unobservable_sentence(names: Sequence[str]) -> str:
     """Return the sentence that names effects that the recordings cannot show."""
     return (
-        f"these recordings cannot show {', '.join(title(n) for n in names)}, which the nominal "
-        f"parameters can explain completely"
+        f"these recordings cannot show {', '.join(title(n) for n in names)}, because a "
+        "change of the nominal parameters explains such an effect completely"
     )
 
 
 def warnings_of(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
-    """Return warnings on what the recordings cannot show, on missing recordings of role validate,
-    and on recordings without steady motion.
+    """Return warnings on effects that the recordings cannot show, on missing recordings with role
+    ``validate``, and on recordings without steady motion.
     """
     warnings = []
     if unseen:
         warnings.append(
-            f"{unobservable_sentence(unseen)}; an experiment that shows it: "
+            f"{unobservable_sentence(unseen)}; an experiment that would show this: "
             f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
         )
     if not dataset.part("validate"):
         warnings.append(
-            "no recording is set aside (role: validate), so all errors are those of the "
-            "fitted recordings"
+            "no recording is set aside (role: validate), so all errors are errors on the fitted "
+            "recordings"
         )
     for view in here:
         if not np.any(view.moving):

@@ -1,4 +1,4 @@
-"""Texts on what the effects leave unexplained."""
+"""Texts on the part of the mismatch that the effects do not explain."""
 
 from __future__ import annotations
 
@@ -26,18 +26,20 @@ _ENDS: Mapping[str, str] = {
     "remove": "the last effect that was removed again",
     DROPPED: "",
 }
-"""Steps by which a search ends without an effect, and how their effects are called."""
+"""Name of each step by which a search ends without an effect to the words for the effect of this
+step.
+"""
 
 
 def unexplained(
     found: Search, verdict: Verdict, reason: Reason | None, rng: np.random.Generator
 ) -> tuple[str, ...]:
-    """Return all texts on what the effects leave unexplained.
+    """Return all texts on the part of the mismatch that the effects do not explain.
 
     Args:
         found: The search.
-        verdict: Its verdict.
-        reason: Why the catalogue does not explain the mismatch; None for other verdicts.
+        verdict: Verdict on the search.
+        reason: Reason of a verdict *outside the catalogue*; None for other verdicts.
         rng: Random generator for the bands of the maps.
     """
     outside = () if reason is None else _reason_texts(reason, rng)
@@ -45,7 +47,7 @@ def unexplained(
 
 
 def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
-    """Return texts on why effects do not explain a mismatch outside the catalogue."""
+    """Return texts that state why effects do not explain a mismatch outside the catalogue."""
     titles = [title(n) for n in reason.effects]
     if reason.kind is Kind.NO_EFFECT:
         return _last_candidate(reason.search)
@@ -56,8 +58,8 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
         )
     if reason.kind is Kind.CANCELLING:
         return (
-            f"{titles[0]} and {titles[1]} would explain the mismatch only if each is at "
-            "least about twice their sum: they nearly cancel",
+            f"{titles[0]} and {titles[1]} would explain the mismatch only if they nearly cancel "
+            "each other, each being at least about twice their sum",
         )
     if reason.kind is Kind.INFEASIBLE:
         return (
@@ -70,32 +72,34 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
     words = "; and ".join(e.statement for e in effects_of(reason.search, rng))
     if reason.kind is Kind.REVERSALS:
         return (
-            f"{share:.0f} % of the mismatch beyond the noise would be explained, if {words}; but "
-            "the rest depends on the travel or time since each reversal, which these effects do "
-            "not",
+            f"{share:.0f} % of the mismatch beyond the noise would be explained if {words}; but "
+            "the remaining mismatch depends on the travel or time since the last reversal, and "
+            "these effects do not",
         )
     return (
-        f"the catalogue explains only {share:.0f} % of the mismatch beyond the noise (at "
-        f"least {100.0 * reason.needed:.0f} % are needed), if {words}",
+        f"effects of the catalogue explain only {share:.0f} % of the mismatch beyond the noise (a "
+        f"verdict needs at least {100.0 * reason.needed:.0f} %), if {words}",
     )
 
 
 def _between_samples(found: Search) -> tuple[str, ...]:
-    """Return the text on a mismatch of the voltage that voltages between the samples may cause."""
+    """Return the text on a mismatch of the voltage equation that voltages between the samples may
+    cause.
+    """
     voltage = next(e for e in found.baseline.equations if e.name == "voltage")
     rows = found.baseline.residual[found.baseline.stack.part("voltage")]
     rms = voltage.sigma * math.sqrt(float(np.mean(rows**2)))
     return (
         f"the voltage equation has a mismatch of {rms:.3g} V rms (noise floor {voltage.sigma:.3g} "
-        f"V), which does not count: the logged voltage changes from sample to sample, so that "
-        f"voltages between the samples, which are not logged, may cause about "
+        f"V), which is not attributed to an effect: the logged voltage changes from sample to "
+        f"sample, so that voltages between the samples, which are not logged, may cause about "
         f"{between_samples(voltage):.3g} V rms; log the mean voltage of each sample, and declare "
         "`average: true`",
     )
 
 
 def _last_candidate(found: Search) -> tuple[str, ...]:
-    """Return the text on why a search ended without an effect."""
+    """Return the text that states why a search ended without an effect."""
     last = next((s for s in reversed(found.steps) if s.action in _ENDS), None)
     if last is None:
         return ("no effect of the catalogue resembles the mismatch",)
@@ -105,16 +109,16 @@ def _last_candidate(found: Search) -> tuple[str, ...]:
 
 
 def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:
-    """Return texts on equations in which more than noise is left and no identified effect acts, and
-    on recordings set aside in which the effects explain too little.
+    """Return texts on equations with a mismatch beyond the noise in which no identified effect
+    appears, and on recordings set aside in which the effects explain too little.
     """
     if verdict not in (Verdict.NAMED, Verdict.AMBIGUOUS):
         return ()
     acting = equations_of_effects(found)
     of = {e.name: e for e in found.final.equations}
     unseen = (
-        f"on recordings set aside only {100.0 * (found.unseen_share or 0.0):.0f} % of the mismatch "
-        "beyond the noise is explained"
+        f"on recordings set aside the effects explain only "
+        f"{100.0 * (found.unseen_share or 0.0):.0f} % of the mismatch beyond the noise"
     )
     return (
         *((unseen,) if little_unseen(found) else ()),

@@ -1,5 +1,5 @@
-"""Finds effects that recordings cannot show because a common origin of their angles, or a common
-clock, was not recorded, or because the bench has no angle of this kind.
+"""Finds effects that recordings cannot show because their angles have no common origin, because
+they have no common clock, or because the bench has no angle with which the effect is periodic.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ LOCAL_EFFECTS = (
     "position_dependent_friction",
     "load_position_dependence",
 )
-"""Effects at a fixed angle, which recordings without a common origin of their angles cannot
-show.
+"""Effects at a fixed angle, which cannot be found if the angles of the recordings have no common
+origin.
 """
 
 OF_A_TURN = ("gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
-"""Effects periodic in the angle of the joint, which a carriage does not have."""
+"""Effects that are periodic in the angle of the joint, which a linear bench does not have."""
 OF_THE_MOTOR = ("cogging", "torque_ripple")
-"""Effects periodic in the angle of the motor, which a linear bench shows only if its gear ratio
-(rad/m) is known.
+"""Effects that are periodic in the angle of the motor, which can be found on a linear bench only if
+its gear ratio (rad/m) is known.
 """
 
 
@@ -45,20 +45,23 @@ def unrecorded_effects(
     if lacks_common_origin(views):
         names.update(LOCAL_EFFECTS)
         warnings.append(
-            "no angle was recorded, only speed: each recording counts its angle from its own first "
-            f"sample, so effects at a fixed angle ({_titles(LOCAL_EFFECTS)}) are not searched for, "
-            "and phases hold for one recording each"
+            "only speed was recorded, no angle: the angle of each recording is counted from its "
+            f"first sample, so that effects at a fixed angle ({_titles(LOCAL_EFFECTS)}) are not "
+            "searched for, and each recording has phases of its own"
         )
     if not one_clock(fitted):
         warnings.append(
-            "the recordings have no common clock, so each is assumed to start cold, with its "
-            "running time counted from its first sample; state start in the campaign file if known"
+            "the recordings have no common clock, so each recording is assumed to start cold, with "
+            "running time counted from its first sample; if the start times are known, state "
+            "`start` in the campaign file"
         )
     return frozenset(names), tuple(warnings)
 
 
 def _not_on(bench: Bench) -> tuple[str, ...]:
-    """Return effects that are periodic in an angle that the bench, as described, does not have."""
+    """Return the effects that are periodic in an angle that the bench, by its description, does not
+    have.
+    """
     if bench.motion != LINEAR:
         return ()
     return OF_A_TURN if bench.gear_ratio != 1.0 else (*OF_A_TURN, *OF_THE_MOTOR)

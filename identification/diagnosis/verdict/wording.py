@@ -1,10 +1,10 @@
 """Writes findings as plain sentences, with values and intervals in common engineering units.
 
-A sentence of the catalogue has parameters in braces. A colon is followed by the unit to print
-(``{gap_rad:deg}``; with ``abs`` before it, the magnitude is printed), or by two words of which the
-sign selects one (``{torque_Nm:?higher/lower}``). ``{recordings}`` is replaced by the recordings in
-which the effect shows, ``{channel}`` by the logged quantity from which the drive's torque is
-computed.
+A sentence of the catalogue has parameters in braces. A colon is followed by the unit of the printed
+value (``{gap_rad:deg}``; with ``abs`` before the unit, the magnitude is printed), or by two words
+of which the sign of the value selects one (``{torque_Nm:?higher/lower}``). ``{recordings}`` is
+replaced by the recordings in which the effect shows, ``{channel}`` by the logged quantity from
+which the drive's torque is computed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from identification.diagnosis.catalogue.entry import Entry, title
 from identification.diagnosis.result import Estimate
 
 COUNT = "1/turn"
-"""Unit that the sentence states itself."""
+"""Unit that the sentence of the catalogue states in words, so that it is not printed."""
 _DEG = math.degrees(1.0)
 _FACTORS: Mapping[tuple[str, str], float] = {
     ("rad", "deg"): _DEG,
@@ -49,8 +49,8 @@ def sentence(
 
     Args:
         entry: Row of the catalogue.
-        estimates: Parameter name to estimate; every name in the sentence is there.
-        recordings: Names of the recordings in which it shows.
+        estimates: Name of each parameter of the sentence to its estimate.
+        recordings: Names of the recordings in which the effect shows.
         channel: Logged quantity from which the drive's torque is computed.
 
     Raises:
@@ -74,9 +74,9 @@ def finding(
     recordings: Sequence[str] = (),
     channel: str = "current",
 ) -> str:
-    """Return the sentence with the effect's name and the assumption that the effect breaks.
+    """Return the sentence of an effect with the effect's name and the assumption that it violates.
 
-    Args: as in :func:`sentence`.
+    The arguments are those of :func:`sentence`.
 
     Raises:
         KeyError: The sentence names a parameter without an estimate.
@@ -90,7 +90,8 @@ def readable(estimate: Estimate, unit: str = "") -> str:
 
     Args:
         estimate: Estimate in its own unit.
-        unit: Unit to print; ignored if the estimate's unit cannot be converted to it.
+        unit: Unit of the printed value; ignored if the unit of the estimate cannot be converted to
+            this unit.
     """
     factor = _FACTORS.get((estimate.unit, unit))
     shown = unit if factor else estimate.unit
@@ -116,8 +117,8 @@ def _field(estimate: Estimate, form: str) -> str:
 
 
 def _places(width: float) -> int | None:
-    """Return the number of decimals that shows an interval of this width by one or two digits, or
-    None for sizes that need exponents.
+    """Return the number of decimals with which an interval of this width has one or two digits, or
+    None for values that need an exponent.
     """
     exponent = math.floor(math.log10(width))
     places = -exponent + (1 if width / 10.0**exponent < 3.0 else 0)

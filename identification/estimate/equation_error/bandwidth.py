@@ -12,22 +12,22 @@ from identification.prepare import default_bandwidth, prepare
 from identification.recording import Recording
 
 BANDWIDTH_STEP = 1.25
-"""Ratio of bandwidths that are tried one after another."""
+"""Ratio of successive bandwidths that are tried."""
 SHARE_OF_RATE = 1.0 / 6.0
-"""Greatest bandwidth that is tried, over the sampling rate."""
+"""Greatest bandwidth that is tried, relative to the sampling rate."""
 
 
 def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf) -> float:
-    """Return the least of the recordings' default bandwidths, Hz, or the least greater one at which
-    most stages have enough samples in motion.
+    """Return the least of the recordings' default bandwidths, Hz, or the least greater bandwidth at
+    which the greatest number of stages have enough samples in motion.
 
-    Motion that reverses faster than the filter's length leaves no sample in steady motion. A stage
-    that has no sample in motion at any bandwidth has no influence on the bandwidth of the other
-    stages.
+    If the time between two reversals is shorter than the filter, no filter window is without rest,
+    and no sample is in motion. A stage without a sample in motion at any bandwidth does not affect
+    the bandwidth of the other stages.
 
     Args:
-        recordings: At least one.
-        most_Hz: Limit of the default bandwidths.
+        recordings: At least one recording.
+        most_Hz: Upper limit of the default bandwidths, Hz.
     """
     least = min(most_Hz, *(default_bandwidth(r) for r in recordings))
     greatest = SHARE_OF_RATE / max(r.period for r in recordings)

@@ -24,9 +24,9 @@ def block_sandwich(
     """Return the sandwich covariance of the parameters ``names`` at ``values`` from all recordings
     jointly, clustered by blocks of time (M10).
 
-    A block is ten correlation times of the residual long and lies in one recording; there are at
-    least eight blocks. Model errors that differ between blocks therefore widen the interval (Liang
-    and Zeger, Biometrika 73 (1986) 13).
+    A block is ten correlation times of the residual long, or shorter so that there are at least
+    eight blocks, and lies in one recording. The covariance therefore includes model errors that
+    differ between blocks (Liang and Zeger, Biometrika 73 (1986) 13).
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)

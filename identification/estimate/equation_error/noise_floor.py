@@ -2,8 +2,7 @@
 command.
 
 Unmodelled physics causes the same error whenever a motion is repeated; noise does not repeat. The
-residuals e1 and e2 of two passes with equal inputs give e1 - e2, which has twice the variance of
-the noise.
+difference of the residuals of two passes with equal inputs has twice the variance of the noise.
 """
 
 from __future__ import annotations
@@ -22,15 +21,17 @@ from identification.signals import resample
 
 INPUTS = ("command", "feedforward", "load_force")
 SAME = 2e-3
-"""Greatest difference of two inputs that count as equal, relative to the range of the inputs."""
+"""Greatest difference of inputs that count as equal, as a share of the range of each input."""
 LEAST_CORRELATION = 0.95
 """Least autocorrelation of the command at a lag that counts as its period."""
 NEAR, ROWS = 0.05, 2000
-"""Range of the lags that are tried around the first lag of high autocorrelation, as a share of that
-lag, and number of samples that are compared at each lag.
+"""Range of the lags that are tried around the first lag of high autocorrelation, as a share of this
+first lag, and number of samples that are compared at each lag.
 """
 NEIGHBOURS = 0.02
-"""Inputs must be equal for this share of the period, or of a repeat, on either side of a sample."""
+"""Share of the period, or of the duration of a repeat, over which inputs must be equal before and
+after a sample.
+"""
 LEAST_SAMPLES = 100
 
 
@@ -59,7 +60,7 @@ def noise_floor(
 
     Args:
         prepared: Recordings at one bandwidth.
-        values: Parameters of a fit; the part of the fit's error that repeats cancels in the
+        values: Parameters of a fit; the repeating part of the fit's error cancels in the
             differences.
         alpha: Stribeck exponent.
     """
@@ -108,15 +109,15 @@ def command_period(recording: Recording) -> float | None:
     peak = float(np.max(correlation[away[0] :]))
     if peak < LEAST_CORRELATION:
         return None
-    # The autocorrelation has the same peak at multiples of the period; the first peak is the
-    # period.
+    # The autocorrelation has peaks of equal height at all multiples of the period; the first peak
+    # is the period.
     first = int(away[0] + np.argmax(correlation[away[0] :] > peak - 0.005))
     return _sharpened(series, first) * recording.period
 
 
 def _sharpened(series: Array, lag: int) -> int:
-    """Return the lag near ``lag`` at which the greatest part of the series repeats; the correlation
-    peak alone is biased if the series fades in and out.
+    """Return the lag near ``lag`` at which the greatest part of the series repeats; the lag of the
+    greatest autocorrelation would be biased if the series fades in and out.
     """
     reach = max(round(NEAR * lag), 1)
     lags = np.arange(max(lag - reach, 1), min(lag + reach, len(series) - 2) + 1)
@@ -142,8 +143,8 @@ def _same_rig(one: Recording, other: Recording) -> bool:
 def _difference(
     p: Prepared, q: Prepared, shift: float, residuals: Mapping[int, Array], span: float
 ) -> tuple[float, int]:
-    """Return the sum of (e_p(t) - e_q(t + shift))^2 over the moving samples with equal inputs, and
-    the number of these samples.
+    """Return the sum of (e_p(t) - e_q(t + shift))^2, with the residuals e_p and e_q of two
+    recordings, over the moving samples with equal inputs, and the number of these samples.
     """
     later = p.time + shift
     inside = (later >= q.time[0]) & (later <= q.time[-1])

@@ -17,8 +17,8 @@ from identification.prepare import Prepared
 from identification.recording import Model, RecordingError
 
 HIGHEST_SHARE = 1.0 / 3.0
-"""Greatest Stribeck speed that is tried, relative to the greatest recorded speed; above this speed
-the falling part cannot be distinguished from a line.
+"""Greatest Stribeck speed that is tried, relative to the greatest recorded speed; with a higher
+Stribeck speed the falling part cannot be distinguished from a straight line.
 """
 LEAST_MOTION = 40
 """Least number of moving samples, over all recordings of a stage, for a fit."""
@@ -27,8 +27,8 @@ LOWEST_SHARE = 1e-3
 
 
 def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
-    """Return the used samples of all recordings in one array, shape (n,); ``values`` has one array
-    per recording.
+    """Return the values at the used samples of all recordings in one array, shape (n,); ``values``
+    has one array per recording.
     """
     return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
 
@@ -63,25 +63,27 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
     if count < LEAST_MOTION:
         bandwidth, reversals = prepared[0].bandwidth_Hz, _reversals_per_s(prepared)
         remedy = (
-            f"the motion reverses {reversals:.3g} times per second, so that the joint rests within "
-            "nearly every window of the filter: add recordings with slower reversals, or choose a "
-            "greater bandwidth"
+            f"the motion reverses {reversals:.3g} times per second, so that nearly every window of "
+            "the filter contains rest; choose a greater bandwidth, or add recordings with fewer "
+            "reversals per second"
             if reversals > bandwidth
-            else "move the joint further or longer, or choose another bandwidth"
+            else "add recordings in which the joint moves longer or further"
         )
         raise RecordingError(
-            f"{names}: {count} samples are in motion and resolved at {bandwidth:.3g} Hz; at "
-            f"least {LEAST_MOTION} are needed: {remedy}"
+            f"{names}: at a bandwidth of {bandwidth:.3g} Hz, {count} samples are in motion; a fit "
+            f"needs at least {LEAST_MOTION} samples in motion: {remedy}"
         )
     if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
         raise RecordingError(
-            f"{names}: the drive's torque is zero in all samples with motion; check the column of "
-            "the torque"
+            f"{names}: the drive's torque is zero at all samples in motion; check which column is "
+            "declared as the torque"
         )
 
 
 def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return the falling Stribeck term, passed through the recording's filter, shape (n,)."""
+    """Return sgn(omega) exp(-|omega/omega_s|^alpha), passed through the recording's filter, shape
+    (n,).
+    """
     return p.filter(stribeck_shape(p.raw_velocity, omega_s, alpha))
 
 
@@ -96,8 +98,8 @@ def gear_sign(p: Prepared) -> Array:
 
 
 def gear_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return |pendulum torque| times the falling Stribeck term, passed through the recording's
-    filter, N m, shape (n,).
+    """Return |pendulum torque| sgn(omega) exp(-|omega/omega_s|^alpha), passed through the
+    recording's filter, N m, shape (n,).
     """
     return p.filter(p.raw_load * stribeck_shape(p.raw_velocity, omega_s, alpha))
 
@@ -134,18 +136,18 @@ def model_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> 
 class Stage:
     """One stage of the equation error: the names of its parameters, and its linear problem.
 
-    The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be
-    bounded by 0.
+    The rise dM = Ms - Mc (dmu = mu_s - mu_c) is a coefficient in place of the static level, so that
+    its lower bound can be 0.
 
     Attributes:
         name: ``unloaded`` or ``loaded``.
         coulomb: Mc or mu_c.
-        static: Ms or mu_s, or None if friction does not rise toward rest.
-        speed: omega_sf or omega_sL, or None if friction does not rise toward rest.
+        static: Ms or mu_s, or None if the model has no static friction above Coulomb friction.
+        speed: omega_sf or omega_sL, or None if the model has no Stribeck speed.
         others: Names of the remaining coefficients.
         prepared: Recordings of the stage.
         model: Declared terms, fixed values and alpha.
-        known: Parameters of the earlier stage, which stay fixed.
+        known: Parameters from the unloaded stage, which are fixed in the loaded stage.
     """
 
     name: str
@@ -159,10 +161,9 @@ class Stage:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the fitted coefficients in column order; ``rise`` is the static less the Coulomb
-        level.
+        """Names of the fitted coefficients in column order.
 
-        ``gear_rise`` is mu_gs less mu_gc.
+        ``rise`` is the static less the Coulomb level; ``gear_rise`` is mu_gs less mu_gc.
         """
         fixed = self.model.fixed
         names = [] if self.coulomb in fixed else [self.coulomb]
@@ -173,8 +174,8 @@ class Stage:
         """Return the least and greatest value of each coefficient in column order.
 
         Only the offset may be negative. The rise is at most the greatest recorded torque, because a
-        joint that moved has overcome its static friction. Without samples on the falling branch,
-        the data alone do not bound the rise.
+        joint that moved has overcome its static friction. Without this bound the rise would be
+        unbounded if no sample lies on the falling branch of friction.
         """
         low = np.array([-np.inf if name == "offset" else 0.0 for name in self.free])
         high = np.full(len(self.free), np.inf)
@@ -194,8 +195,8 @@ class Stage:
         return low, high
 
     def speed_range(self) -> tuple[float, float]:
-        """Return the least and the greatest Stribeck speed to try, rad/s; (1, 1) if the model has
-        no Stribeck speed.
+        """Return the least and the greatest Stribeck speed that are tried, rad/s; (1, 1) if the
+        model has no Stribeck speed.
         """
         if self.speed is None:
             return 1.0, 1.0
@@ -206,7 +207,7 @@ class Stage:
         return LOWEST_SHARE * top, HIGHEST_SHARE * top
 
     def design(self, omega_s: float) -> Design:
-        """Return the linear problem at one Stribeck speed."""
+        """Return the linear least-squares problem at one Stribeck speed."""
         alpha, fixed = self.model.alpha, self.model.fixed
         columns: list[list[Array]] = [[] for _ in self.free]
         targets: list[Array] = []
@@ -220,8 +221,8 @@ class Stage:
                 "J": p.acceleration,
                 "offset": np.ones(len(p.time)),
                 "rise": shape,
-                # If the static limit is fixed, a higher Coulomb level makes the rise smaller by the
-                # same amount.
+                # If the static level is fixed, a higher Coulomb level reduces the rise by as much
+                # as it is higher.
                 self.coulomb: sign - shape if self.static in fixed else sign,
             }
             if "mu_gc" in self.free:
@@ -268,18 +269,19 @@ class Stage:
 
 
 def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
-    """Return the unloaded stage (eq. 16) with the declared friction model: Mc, Ms, omega_sf,
-    sigma_2, J; mu_gc, mu_gs and the offset where declared.
+    """Return the unloaded stage (eq. 16) with the declared friction model. Its parameters are Mc,
+    Ms, omega_sf, sigma_2, J and, if declared, mu_gc, mu_gs and the offset.
 
     Raises:
-        RecordingError: The friction model depends on load, and no recording has a pendulum.
+        RecordingError: The friction model depends on a pendulum's torque, and no recording has a
+            pendulum.
     """
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
         raise RecordingError(
             f"the friction model {model.friction!r} depends on the torque of a pendulum, but no "
-            "unloaded recording with role fit has a pendulum; declare the pendulum under "
-            "`gravity`, or choose another `friction`"
+            "unloaded recording with role `fit` has a pendulum; declare the pendulum under "
+            "`gravity`"
         )
     gear = [
         {"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")

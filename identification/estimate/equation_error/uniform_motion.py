@@ -1,8 +1,8 @@
 """The conventional method: fits a Stribeck curve to the motor torque in uniform motion (eq. 14).
 
-The method needs motion at constant speed, but neither the inertia nor derivatives. Where the joint
-sticks and slips, the mean torque is not the friction at the mean speed. Stick-slip shows in the
-spread of the speed and not in the mean speed.
+The method needs motion at constant speed, but neither the inertia nor derivatives. If the joint
+sticks and slips, the mean torque is not the friction at the mean speed. Stick-slip is detected by
+the spread of the speed, because it does not change the mean speed.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LEAST_S = 0.4
 SETTLING_SHARE = 0.4
 """Share of each interval that is omitted at the start, while the joint accelerates."""
 SMOOTHING_S = 0.02
-"""Averaging time of the speed whose spread is computed; the average removes encoder steps, but no
-slips.
+"""Averaging time of the speed whose spread is computed, s; averaging removes the effect of encoder
+steps, but not slips.
 """
 UNIFORM = 0.2
 """Greatest spread of the speed, rms relative to the mean, that counts as uniform motion."""
-_SPEED_UNIT = 1e-9  # commanded speeds with a smaller difference, in rad per sample, are equal
-_LEAST_SPEEDS = 4  # number of parameters
-_DIGITS = 6  # digits of a speed in rad/s; speeds that agree in these digits are equal
+_SPEED_UNIT = 1e-9  # rad per sample: commanded speeds count as equal if they differ by less
+_LEAST_SPEEDS = 4  # distinct speeds, as many as a curve has parameters
+_DIGITS = 6  # decimals of a speed in rad/s; speeds count as equal if they agree in these decimals
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class UniformPoint:
         recording: Name of the recording.
         speed: Commanded speed with sign, rad/s.
         torque: Mean torque of the motor at the joint, N m.
-        spread: Rms deviation of the measured speed, relative to the commanded speed.
+        spread: Rms deviation of the measured speed from its mean, relative to the commanded speed.
         moment: Contact moment F_P L1, N m.
     """
 

@@ -1,4 +1,5 @@
-"""Variable projection (M9): search in the Stribeck speed, with linear least squares for all else.
+"""Variable projection (M9): a search in the Stribeck speed, with linear least squares for all other
+parameters.
 
 At a given Stribeck speed omega_s, each stage of the equation error is linear. With Ms = Mc + dM and
 bounds on the coefficients (only the offset may be below 0, and the rise is at most the greatest
@@ -19,7 +20,7 @@ from identification.numerics.arrays import Array
 from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 
 GRID = 40
-"""Number of trial Stribeck speeds before the bracketed search."""
+"""Number of Stribeck speeds that are tried before the bracketed search."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Solution:
         coefficients: Linear coefficients at this Stribeck speed, shape (p,).
         cost: Sum of squared residuals.
         evaluations: Number of least-squares solutions.
-        omega_history: Best omega_s after each evaluation, shape (e,).
+        omega_history: Best omega_s so far after each evaluation, shape (e,).
         coefficient_history: Coefficients at these Stribeck speeds, shape (e, p).
         cost_history: Costs at these Stribeck speeds, shape (e,).
     """

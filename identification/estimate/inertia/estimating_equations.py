@@ -1,12 +1,12 @@
-"""Solves the estimating equations: prediction errors are uncorrelated with the instruments (M27,
-M29).
+"""Solves the estimating equations, which state that the prediction errors are uncorrelated with the
+instruments (M27, M29).
 
 Least squares and maximum likelihood of the prediction errors give a biased inertia. The cause is
-the drive: its current loop carries noise of the current sensor to the true torque, and its velocity
-loop reacts to the resulting motion. The difference between measured and true torque is therefore
-correlated with the measured torque and with the true torque. The solution of the estimating
-equations is unbiased if the prediction errors have zero mean and the instruments of a segment do
-not contain the noise of that segment.
+the drive: the current loop transmits noise of the current sensor to the true torque, and the
+velocity loop reacts to the motion due to this noise. The difference between measured and true
+torque is therefore correlated with both torques. The solution of the estimating equations is
+unbiased if the prediction errors have zero mean and the instruments of a segment do not contain the
+noise of that segment.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ from identification.numerics.levenberg_marquardt import huber_weight
 SOLVED = 3.0
 """Chi-square below which the estimating equations count as solved (M29)."""
 ROUNDS = 6
-"""Greatest number of times that instruments, weights and derivatives are computed anew."""
+"""Greatest number of rounds; in each round instruments, weights and derivatives are computed
+anew.
+"""
 _LEVEL_ROUNDS = (0, 2)
 _CHORDS = 8
 _HALVINGS = 5
@@ -47,7 +49,7 @@ _CHORD_SETTLED = 0.02
 
 
 def solve(point: Point) -> Point:
-    """Return the solution of the estimating equations, starting from a point.
+    """Return the solution of the estimating equations, by a search that starts from ``point``.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
@@ -114,10 +116,10 @@ def equations_chi2(point: Point) -> float:
 def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Searched:
     """Fit the inertia by its estimating equation and all other parameters by likelihood, in turn.
 
-    Maximum likelihood is strongly biased in the inertia only. For the other parameters, maximum
-    likelihood is more precise than instruments that are means over a few segments, and the search
-    stays in its basin. The step of the inertia eliminates all other unknowns, so that their errors
-    have an effect of second order only (M30, M31).
+    Maximum likelihood is strongly biased in the inertia only. For all other parameters it is more
+    precise than estimating equations with instruments that are means over a few segments, and its
+    search stays in its basin. In the estimating equation of the inertia all other unknowns are
+    eliminated, so that errors of these unknowns have an effect of second order only (M30, M31).
 
     Args:
         point: Point at the end of the unloaded and loaded fits.
@@ -150,18 +152,21 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
         point, iterations = replace(point, vector=vector), iterations + 1
         if abs(there - here) < _SETTLED * deviation:
             break
-    # Variance inflation depends on the values, so it is computed anew at the end of the fit.
+    # Variance inflation depends on the parameters; therefore it is computed anew at the end of the
+    # fit.
     return Searched(_inflated(point, others).freeing(free), iterations)
 
 
 def _inflated(point: Point, others: tuple[int, ...]) -> Point:
-    """Return the point with these parameters free, and with the variance inflation for them."""
+    """Return the point with the parameters ``others`` free, and with the variance inflation for
+    these parameters.
+    """
     return replace(point.freeing(others), inflation=segment_inflation(point, others))
 
 
 def _inertia_step(point: Point) -> tuple[float, float]:
-    """Return the step in the logarithm of the inertia that solves the linearised equation, and the
-    standard deviation of the step.
+    """Return the step in the logarithm of the inertia that solves the linearised estimating
+    equation, and the standard deviation of the step.
     """
     held = point.weighted()
     x = point.origin()
@@ -179,7 +184,8 @@ def segment_inflation(point: Point, others: Sequence[int]) -> Array:
     """
     held = replace(point, inflation=np.ones(point.breakaways)).weighted()
     x = point.origin()
-    # The derivatives of all free parameters are computed, since the callers need them next.
+    # Derivatives with respect to all free parameters are computed, because the callers need them
+    # next.
     jacobian = held.jacobian(x, held.residuals(x))
     for j in reversed([j for j, k in enumerate(point.free) if k not in others]):
         jacobian = jacobian.without(j)

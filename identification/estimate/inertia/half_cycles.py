@@ -1,7 +1,7 @@
-"""Pairs each motion segment of a recording with its counterparts in the simulated replicates, and
-averages their sensitivities.
+"""Finds the segments of the simulated replicates that correspond to each motion segment of a
+recording (its counterparts), and averages the sensitivities of these counterparts.
 
-The averages serve as instrumental variables (M28) and for the Cramér-Rao bound. Breakaway times
+The averages are used as instrumental variables (M28) and for the Cramér-Rao bound. Breakaway times
 differ slightly between noise realisations; the curves are therefore shifted to a common breakaway
 time before they are averaged.
 """
@@ -26,11 +26,11 @@ class Replicate:
 
     Attributes:
         point: The simulated recordings, in the order of the real ones, at the simulated values.
-        sensitivities: Derivatives of the residuals at that point, for the free parameters of the
-            real experiment.
+        sensitivities: Derivatives of the residuals at the point with respect to the free parameters
+            of the real experiment.
         residuals: Prediction errors over their standard deviations, shape (r,).
-        noise: Number of the noise realisation; the realisation with reversed sign has the same
-            number.
+        noise: Number of the noise realisation; a realisation and its copy with reversed sign have
+            one number.
     """
 
     point: Point
@@ -39,8 +39,8 @@ class Replicate:
     noise: int
 
     def inflated(self) -> tuple[BlockArrow, Array]:
-        """Return sensitivities and residuals with variance inflation (M13), as the estimate uses
-        them.
+        """Return sensitivities and residuals with the variance inflation (M13) that is used for the
+        estimate.
         """
         share = 1.0 / self.point.inflation[self.point.owners]
         return self.sensitivities.scaled(share), self.residuals * share
@@ -70,7 +70,7 @@ class ReplicatedSegment:
         number: Number of the segment, over all recordings.
         rows: Rows of the segment's residuals.
         onset: Breakaway time, in samples after the segment's first sample.
-        curves: Counterparts of the segment, from the replicates that have one.
+        curves: Counterparts of the segment in the replicates; a replicate may have none.
     """
 
     number: int
@@ -118,8 +118,8 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment in the given direction that has most samples in common with
-    the segment of these bounds, or None if no segment has half of the samples in common.
+    """Return the curve of the segment that has the given direction and most samples in common with
+    the segment of these ``bounds``, or None if no segment has half of the samples in common.
     """
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:

@@ -1,4 +1,4 @@
-"""Makes the estimating equation of the inertia alone, with all other unknowns eliminated (M30-M32).
+"""Computes the estimating equation of the inertia, with all other unknowns eliminated (M30-M32).
 
 The instrument of the inertia is made orthogonal to the instruments of all other unknowns, so that
 errors of these unknowns have an effect of second order only.
@@ -23,12 +23,13 @@ from identification.numerics.levenberg_marquardt import huber_weight
 
 @dataclass(frozen=True)
 class Equation:
-    """The linearised equation of the inertia as contributions of the residuals.
+    """The linearised estimating equation of the inertia, as a sum of contributions of the
+    residuals.
 
     Attributes:
         influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
-        parts: Decrease due to each residual, directly and through its effect on other segments'
-            instruments, shape (r,).
+        parts: Decrease of the logarithm of the inertia due to each residual: directly, and by its
+            effect on the instruments of other segments, shape (r,).
     """
 
     influence: Array
@@ -45,8 +46,8 @@ def influence_on_inertia(
 
 
 def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the combination of instruments whose equation depends on the inertia only, with unit
-    slope in the logarithm of the inertia, shape (p + m,).
+    """Return the weights of the combination of instruments whose estimating equation depends on the
+    inertia only, and has unit slope in the logarithm of the inertia, shape (p + m,).
     """
     j = point.free.index(INERTIA)
     power = z.product()
@@ -59,7 +60,9 @@ def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array)
 
 
 def equation(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
-    """Return the inertia's equation for instruments that are independent of the residuals."""
+    """Return the estimating equation of the inertia with instruments that do not depend on the
+    residuals.
+    """
     influence = influence_on_inertia(point, z, jacobian, residual)
     return Equation(influence, influence * residual * huber_weight(residual, HUBER_THRESHOLD))
 
@@ -67,12 +70,12 @@ def equation(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array)
 def equation_of_half_cycles(
     point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array
 ) -> Equation:
-    """Return the inertia's equation for instruments from matching half cycles, a sum over pairs of
-    segments.
+    """Return the estimating equation of the inertia with instruments from matching half cycles; the
+    equation is a sum over pairs of segments.
 
-    Each segment adds two terms to the equation: one by its residuals, and one by its sensitivities,
-    because these are part of the instruments of other segments (Hoeffding, Annals of Mathematical
-    Statistics 19 (1948) 293).
+    Each segment adds two terms to the equation: one with its residuals, and one with its
+    sensitivities, because the sensitivities of a segment are part of the instruments of other
+    segments (Hoeffding, Annals of Mathematical Statistics 19 (1948) 293).
     """
     j = point.free.index(INERTIA)
     first = equation(point, z, jacobian, residual)
@@ -103,15 +106,15 @@ def combined_equation(
     residual: Array,
     replicates: Sequence[Replicate],
 ) -> Equation:
-    """Return the least-variance combination of the equations with instruments from half cycles and
-    from replicates (M32).
+    """Return the least-variance combination of two estimating equations of the inertia: with
+    instruments from matching half cycles, and with instruments from replicates (M32).
 
     Args:
         point: Point at which the sensitivities are computed.
         z: Instruments from matching half cycles.
         jacobian: d residuals / d x at the point.
         residual: Residuals at the point.
-        replicates: Replicates; empty to use half cycles alone.
+        replicates: Replicates; empty to use matching half cycles alone.
     """
     half_cycles = equation_of_half_cycles(point, z, jacobian, residual)
     if not replicates:

@@ -1,10 +1,11 @@
 """Computes the instruments of motion segments: sensitivities without the segment's own noise (M28).
 
-A segment's own sensitivities contain the noise of its measured torque, and so do its prediction
-errors, because the drive follows that noise within its bandwidth. The mean over matching half
-cycles, at the same time since breakaway, is nearly the same curve without that noise (Soderstrom
-and Stoica, Instrumental Variable Methods for System Identification, 1983, ch. 4). The mean over
-simulated replicates of the segment is also free of that noise.
+Both the sensitivities and the prediction errors of a segment contain the noise of the segment's
+measured torque, because the drive follows this noise within its bandwidth. The mean of the
+sensitivities of the matching half cycles, as a function of the time since breakaway, is nearly
+equal to the segment's sensitivities without the noise (Soderstrom and Stoica, Instrumental Variable
+Methods for System Identification, 1983, ch. 4). The mean over simulated replicates of the segment
+is free of the noise too.
 """
 
 from __future__ import annotations
@@ -32,16 +33,16 @@ from identification.numerics.block_arrow import BlockArrow
 _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
-"""Width of the smoothing as a standard deviation in samples: a share of the time since breakaway,
-less a constant, at most 2^7.
+"""Width of the smoothing, as the standard deviation of a Gaussian in samples: a share of the time
+since breakaway, less a constant, and at most 2^7.
 """
 _TRUNCATED = 4.0
-"""Number of standard deviations at which a Gaussian is truncated."""
+"""Number of standard deviations at which the smoothing Gaussian is truncated."""
 
 
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero for samples that no other matching segment
-    has.
+    """Return the instruments of every residual; zero at samples that lie in no other matching
+    segment.
 
     Args:
         point: Point at which the sensitivities are computed.
@@ -82,18 +83,18 @@ def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
 def replicate_instruments(
     point: Point, plain: BlockArrow, replicates: Sequence[Replicate]
 ) -> BlockArrow:
-    """Return the instruments of every residual from replicates; a residual whose segment is in no
-    replicate keeps its instrument in ``plain``.
+    """Return the instruments of every residual from replicates; a residual without a counterpart in
+    any replicate has its instrument from ``plain``.
 
-    Matching half cycles are few and differ slightly; a replicate is the same motion with other
-    noise. The mean over replicates is not smoothed, because the drive's response to steps of
-    command and encoder repeats exactly, and with a coarse encoder these samples contain most
-    information on the inertia.
+    Matching half cycles are few and differ slightly; a replicate is a simulation of the same motion
+    with other noise. The mean over replicates is not smoothed, because the drive's response to
+    steps of command and encoder is the same in all replicates, and with a coarse encoder the
+    samples of these responses contain most information on the inertia.
 
     Args:
         point: Point at which the sensitivities are computed.
         plain: Instruments from matching half cycles.
-        replicates: One or more.
+        replicates: One or more replicates.
     """
     parameters, own = plain.parameters.copy(), plain.own.copy()
     for segment in replicated_segments(point, replicates):
@@ -125,8 +126,8 @@ def _smoothed(curve: Array) -> Array:
     """Return the original curve and the curve smoothed by Gaussians of 2^0 to 2^7 samples, shape
     (9, n, p).
 
-    All these curves are computed with one Fourier transform, because the widest Gaussian has a
-    thousand taps.
+    All these curves are computed by Fourier transform, because the widest Gaussian has a thousand
+    taps.
     """
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)
@@ -140,8 +141,8 @@ def _smoothed(curve: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _responses(length: int) -> NDArray[np.complex128]:
-    """Return the frequency responses of the Gaussians over a circle of ``length`` samples, (8,
-    length // 2 + 1).
+    """Return the frequency responses of the Gaussians for a circular convolution of ``length``
+    samples, shape (8, length // 2 + 1).
     """
     place = np.arange(length)
     distance = np.minimum(place, length - place)

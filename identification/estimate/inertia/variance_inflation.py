@@ -1,12 +1,12 @@
-"""Variance inflation: gives segments with implausibly much information a lower weight (M13).
+"""Variance inflation (M13): reduces the weight of segments with implausibly much information.
 
-Where a joint almost stops, friction's falling branch amplifies noise, and the filter, linearised
-about its prediction, is overconfident. The segments of a recording are similar motions, so a
-segment with far more information than the others contains such a near stop (bounded influence:
-Hampel et al., Robust Statistics, 1986, ch. 6).
+If a joint almost stops, noise is amplified on the falling branch of friction, and the filter,
+linearised about its prediction, is overconfident. The segments of a recording are similar motions;
+therefore a segment with far more information than the others is taken to contain an instant at
+which the joint almost stopped (bounded influence: Hampel et al., Robust Statistics, 1986, ch. 6).
 
-The median is weighted by the number of samples, because a recording may have more short slips than
-half cycles where friction falls steeply with speed.
+The median information of the segments is weighted by their number of samples, because at speeds
+where friction falls steeply a recording may have more short slips than half cycles.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ _ROUNDING = 1e-12
 def inflation_factors(
     segments: Array, lengths: NDArray[np.int64], recordings: NDArray[np.int64], most: float
 ) -> Array:
-    """Return the factor on the standard deviations of each segment, shape (m,); 1 for most
-    segments.
+    """Return the factor on the standard deviations of each segment's residuals, shape (m,); for
+    most segments the factor is 1.
 
     Args:
         segments: Information of each segment on the parameters, breakaway times eliminated, shape
             (m, p, p).
         lengths: Number of samples of each segment, shape (m,).
         recordings: Number of each segment's recording, shape (m,).
-        most: Greatest information of a segment without inflation, relative to the median of its
-            recording's segments.
+        most: Greatest information of a segment without inflation, relative to the median of the
+            segments of its recording.
     """
     information = np.einsum("mkk->mk", segments)
     information = np.where(information > _ROUNDING * np.sum(information, axis=0), information, 0.0)
@@ -44,8 +44,8 @@ def inflation_factors(
 
 
 def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
-    """Return the ratio of each segment's information to that of the median segment, for the
-    parameter where this ratio is greatest, shape (m,).
+    """Return the ratio of each segment's information to the information of the median segment, for
+    the parameter with the greatest ratio, shape (m,).
 
     Args:
         information: Information of each segment on each parameter, shape (m, p).

@@ -1,5 +1,5 @@
-"""Acceptance tests of the likelihood's values: reject a fit whose parameters compensate unmodelled
-physics.
+"""Acceptance tests of the values refined by likelihood: they reject values that compensate
+unmodelled physics.
 
 The tests are stated in docs/method.md, section 12.
 """
@@ -25,14 +25,14 @@ def try_refinements(
 
     Args:
         attempt: Function that refines the values, with or without a correlated part of the noise;
-            the function returns a text if prediction errors do not apply.
-        error: Function of the values that returns the typical equation error.
+            it returns the reason as text if prediction errors do not apply.
+        error: Function of the values that returns the mean equation error over the recordings.
         values: Start values.
         limits: Limits of the tests.
 
     Returns:
-        The refinement, or None, and the reason for its rejection; the reason is empty if the
-        refinement is accepted.
+        The refinement, or None if prediction errors do not apply, and the reason for the rejection,
+        which is empty if the refinement is accepted.
     """
     refined = attempt(False)
     if isinstance(refined, str):
@@ -40,22 +40,21 @@ def try_refinements(
     before = error(values)
     fault = refusal(refined, before, error(refined.values), limits)
     if fault and refined.stopped:
-        return refined, f"{fault}; the search stopped at its greatest number of passes"
+        return refined, f"{fault}; the search stopped at its greatest number of filter runs"
     if fault and _coloured(refined, limits):
-        # The correlation may be noise of the sensor instead of unmodelled physics.
+        # The cause of the correlation may be noise of the current sensor, and not unmodelled
+        # physics.
         other = attempt(True)
         if not isinstance(other, str):
             also = refusal(other, before, error(other.values), limits)
             return (
-                (refined, f"{fault}; correlated torque noise does not explain it either: {also}")
-                if also
-                else (other, "")
+                (refined, f"{fault}; with correlated torque noise: {also}") if also else (other, "")
             )
     return refined, fault
 
 
 def _coloured(refined: Refined, limits: AcceptanceLimits) -> bool:
-    """Return whether innovations are correlated, or their torque noise exceeds the torque
+    """Return whether innovations are correlated, or imply a torque noise above the torque
     scatter.
     """
     return (
@@ -74,8 +73,8 @@ def refusal(
 
     Args:
         refined: The refinement.
-        before: Typical equation error of the start values.
-        after: Typical equation error of the refined values.
+        before: Mean equation error of the start values over the recordings.
+        after: Mean equation error of the refined values over the recordings.
         limits: Limits of the tests.
     """
     judged = (
@@ -89,32 +88,36 @@ def refusal(
         return "the search diverged to values that are not finite"
     if abs(refined.whiteness) > limits.whiteness:
         return (
-            f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, "
-            f"limit {limits.whiteness}), "
-            "so the parameters would absorb physics that the model lacks"
+            f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
+            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
+            "model lacks"
         )
     if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
         return (
-            f"prediction errors imply a torque noise of {refined.noise.torque:.3g}, but the "
-            f"torque scatter is {refined.torque_scatter:.3g} from sample to sample, so the "
-            f"parameters would absorb physics that the model lacks"
+            f"the torque noise by the prediction errors, {refined.noise.torque:.3g}, is greater "
+            f"than {limits.noise_ratio:g} times the torque scatter from sample to sample, "
+            f"{refined.torque_scatter:.3g}, so the parameters would compensate physics that the "
+            "model lacks"
         )
     if refined.repeating_share > limits.repeating_share:
         return (
-            f"{100.0 * refined.repeating_share:.0f} % of the correlated noise repeats with the "
-            f"motion (limit "
-            f"{100.0 * limits.repeating_share:.0f} %), so there is physics that the model lacks"
+            f"{100.0 * refined.repeating_share:.0f} % of the correlated noise repeats in matching "
+            f"half cycles (limit {100.0 * limits.repeating_share:.0f} %), so the recordings show "
+            "physics that the model lacks"
         )
     if refined.equations_chi2 > limits.chi2:
         return (
-            f"no start solves the estimating equations of the unloaded stage (chi-square "
-            f"{refined.equations_chi2:.3g})"
+            "no search of the unloaded fit solves the estimating equations (least chi-square "
+            f"{refined.equations_chi2:.3g}, limit {limits.chi2:g})"
         )
     if refined.likelihood_drop > limits.drop:
         return (
-            f"the loaded stage's search ends at a lower likelihood than its start (deviance "
-            f"{refined.likelihood_drop:+.0f})"
+            "the search of the loaded fit ends at a lower likelihood than it starts (change of "
+            f"the deviance {refined.likelihood_drop:+.0f}, limit {limits.drop:+g})"
         )
     if after > limits.error_ratio * before:
-        return f"the refined values raise the equation error from {before:.3g} to {after:.3g}"
+        return (
+            f"the refined values raise the equation error from {before:.3g} to {after:.3g}, that "
+            f"is, by more than a factor of {limits.error_ratio:g}"
+        )
     return ""

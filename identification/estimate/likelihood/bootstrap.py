@@ -1,9 +1,10 @@
 """Computes the spread of the estimates by a bootstrap: motion segments are drawn with replacement.
 
-The bootstrap assumes only that the errors of different segments are independent, so that it checks
-intervals that depend on a noise model (Efron and Tibshirani, An Introduction to the Bootstrap,
-1993, ch. 8). Each draw solves the estimating equations with every segment counted as often as it
-was drawn; weights, noise levels and the inertia's instrument stay those of the estimate.
+The bootstrap assumes only that the errors of different segments are independent. It therefore
+checks intervals that depend on a noise model (Efron and Tibshirani, An Introduction to the
+Bootstrap, 1993, ch. 8). Each draw solves the estimating equations with every segment counted as
+often as it was drawn; weights, noise levels and the instrument of the inertia are those of the
+estimate.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from identification.result import Resampled
 
 _ROUNDS = 6
 _SETTLED = 0.1
-"""Step, in standard deviations, below which a draw counts as solved."""
+"""Step, in standard deviations, below which the equations of a draw count as solved."""
 _LONGEST = 3.0
-"""Longest step of an iteration, in standard deviations."""
+"""Greatest step of an iteration, in standard deviations."""
 
 
 def bootstrap(
@@ -44,12 +45,13 @@ def bootstrap(
     Args:
         refined: The estimate.
         units: Parameter name to unit.
-        draws: Number of draws.
+        draws: Number of bootstrap draws.
         rng: Random generator for the draws.
-        progress: Called with the share done.
+        progress: Called with the share of the draws that is done.
 
     Returns:
-        One result per name; bounds are None if fewer than half of the draws were solved.
+        One result per parameter; its bounds are None if the equations of fewer than half of the
+        draws were solved.
     """
     joint = refined.joint
     equations = _Equations(joint, _deviations(refined))
@@ -81,7 +83,7 @@ def _counts(point: Point, rng: np.random.Generator) -> Array:
 
 
 def _deviations(refined: Refined) -> Array:
-    """Return the standard deviation of every free parameter, in the free vector's units, shape
+    """Return the standard deviation of every free parameter, in the units of the free vector, shape
     (p,).
     """
     by_place = dict(
@@ -94,8 +96,8 @@ def _deviations(refined: Refined) -> Array:
 
 
 class _Equations:
-    """Estimating equations around the estimate: those of least squares for all parameters but the
-    inertia, and the estimating equation of the inertia.
+    """Estimating equations near the estimate: the normal equations of least squares for all
+    parameters except the inertia, and the estimating equation of the inertia.
     """
 
     def __init__(self, point: Point, deviations: Array) -> None:
@@ -110,14 +112,14 @@ class _Equations:
         if self.inertia is not None:
             z = instruments(point, jacobian)
             self.influence = influence_on_inertia(point, z, jacobian, residual)
-        # The search may have ended at a small distance from the solution; draws are compared with
-        # the solution.
+        # The search may have ended at a small distance from the solution of these equations; draws
+        # are compared with this solution.
         self.rest = self.sums(residual, jacobian, np.ones(point.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
-        """Return the left sides of the equations and their derivatives, shape (x,) and (x, x), for
-        these counts of the segments.
+        """Return the left sides of the equations and their derivatives, shapes (x,) and (x, x),
+        with each segment counted ``counts`` times.
         """
         weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
         side = jacobian
@@ -128,8 +130,8 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves the equations for these counts, or None if the search
-        does not converge.
+        """Return the free vector that solves the equations with each segment counted ``counts``
+        times, or None if the search does not converge.
         """
         x = self.origin.copy()
         residual, jacobian = self.begun

@@ -1,9 +1,10 @@
 """Maximises the likelihood of long recordings in bounded memory, by passes over their pieces (M44).
 
-The objective is a sum over motion segments, which have only the parameters in common. For each
-piece the breakaway times are optimised with fixed parameters, and the piece is reduced to its
-normal equations. After each pass over all pieces the parameters take one Gauss-Newton step. The
-first piece of each recording, refined in memory, gives the start, the noise and the inertia.
+The deviance is a sum over motion segments, which have only the parameters in common. For each piece
+the breakaway times are optimised with fixed parameters, and the piece is reduced to its normal
+equations. After each pass over all pieces the parameters take one Gauss-Newton step. The first
+piece of each recording is a head. A refinement of the heads in memory gives the start values, the
+noise and the inertia.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from identification.recording import Model, Recording
 
 PASSES = 3
 SETTLED = 0.2
-"""Size of a step at which the passes end: rms over the parameters, in standard errors."""
+"""Size of a step below which the passes end: rms over the parameters, in standard errors."""
 
 
 def refine_pieces(
@@ -44,19 +45,20 @@ def refine_pieces(
     do not apply.
 
     Args:
-        heads: Pieces for the start values, one or more for each load condition.
+        heads: First pieces of recordings, for the start values, one or more for each load
+            condition.
         pieces: All pieces, including the heads.
         values: Equation-error values of all parameters.
         names: Parameters to fit.
         model: Declared terms and fixed values.
-        progress: Called with the number of passes done, over the greatest number of passes.
+        progress: Called with the ratio of the passes done to the greatest number of passes.
         correlated: Whether the torque noise has a correlated part.
     """
     start = refine_recordings(heads, values, names, model, correlated)
     if isinstance(start, str):
         return start
-    # Least squares give a biased inertia, because noise in the loop counts as motion; the inertia
-    # of the heads is kept.
+    # Least squares give a biased inertia, because noise in the drive's loop counts as excitation;
+    # therefore the inertia is that of the heads.
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
@@ -101,8 +103,8 @@ def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
 def _over_all(
     start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> Refined:
-    """Return the estimate of the first pieces, with values, covariance and innovations replaced by
-    those of all pieces.
+    """Return the estimate of the heads, with values, covariance and innovations replaced by those
+    of all pieces.
 
     Args:
         start: The estimate of the heads.
@@ -134,7 +136,7 @@ def _settled(
     begins: tuple[Array, ...] | None,
 ) -> Point | None:
     """Return a piece with optimised breakaway times, or None if prediction errors do not apply to
-    it.
+    the piece.
 
     Args:
         piece: The piece.
@@ -142,7 +144,7 @@ def _settled(
         free: Indices of the free parameters.
         model: Declared terms and fixed values.
         noise: Noise of torque and angle.
-        begins: Breakaway times of the previous pass; None in the first.
+        begins: Breakaway times of the previous pass, s; None in the first pass.
     """
     moving = motion(piece)
     if moving is None:
@@ -156,8 +158,8 @@ def _settled(
 def _covariances(
     found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters (the larger of inverse information and sandwich
-    covariance) and its Cramer-Rao bound.
+    """Return the covariance of the named parameters and its Cramer-Rao bound; the covariance is the
+    larger of the inverse information and the sandwich covariance.
     """
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])

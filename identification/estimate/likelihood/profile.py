@@ -1,16 +1,16 @@
-"""Computes the profile likelihood of each parameter: deviance over its value, with all other
-parameters optimised.
+"""Computes the profile likelihood of each parameter: the deviance as a function of the parameter's
+value, with all other parameters optimised.
 
 At each value of a parameter, all other parameters and all breakaway times are optimised. The
 estimate does not maximise a likelihood, because the inertia solves an estimating equation (M31).
 The profile therefore differs from an ordinary profile likelihood in two ways:
 
-- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared
-  estimating equation over its variance (a score test: Rao, Proceedings of the Cambridge
-  Philosophical Society 44 (1948) 50).
+- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with the inertia J, the Huber cost C,
+  and the square Q of the estimating equation of J over its variance (a score test: Rao, Proceedings
+  of the Cambridge Philosophical Society 44 (1948) 50).
 - The deviance is scaled so that its curvature agrees with the interval (Chandler and Bate,
-  Biometrika 94 (2007) 167). The profile shows what an interval does not: asymmetry, flat ends, a
-  second minimum.
+  Biometrika 94 (2007) 167). Unlike an interval, a profile shows asymmetry, flat ends and a second
+  minimum.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ REACH = (0.8, 1.6, 2.4, 3.2)
 LEVEL = float(2.0 * special.gammaincinv(0.5, CONFIDENCE))
 """Deviance at the ends of the 90 % range."""
 _GAIN = 0.003
-"""Drop of half the deviance by a step, below which no further step is taken."""
+"""Decrease of half the deviance in a step, below which no further step is taken."""
 _ROUNDS = 6
 _HALVINGS = 4
 _DEGREE = 4
@@ -47,7 +47,8 @@ _DEGREE = 4
 class _Criterion:
     """Half the deviance (M45) above its minimum at the inertia of the estimate.
 
-    ``curve`` is the part that depends only on the change of log J.
+    ``curve`` is the part of the criterion that depends only on the change of log J, with the
+    inertia J.
     """
 
     def __init__(self, point: Point) -> None:
@@ -71,8 +72,8 @@ class _Criterion:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
     def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
-        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and the
-        normal equations of the cost alone.
+        """Return the normal matrix and the gradient of the criterion, shape (p, p) and (p,), and
+        the normal equations of the Huber cost alone.
         """
         cost = self.held.jacobian(x, residual).eliminated(
             residual, huber_weight(residual, HUBER_THRESHOLD)
@@ -84,10 +85,10 @@ class _Criterion:
         return matrix, gradient, cost
 
     def descend(self, x: Array, along: Array) -> tuple[Array, Array, float]:
-        """Minimise from ``x`` with ``along`` @ parameters fixed; return the point, its residuals
-        and its value.
+        """Minimise the criterion from ``x``, with ``along`` @ parameters fixed; return the end
+        point, its residuals and its criterion.
 
-        Nothing is fixed if ``along`` is zero.
+        If ``along`` is zero, all parameters are free.
         """
         residual = self.held.residuals(x)
         value = self.value(x, residual)
@@ -153,10 +154,11 @@ def profiles(
 
 
 def crossings(values: Array, deviance: Array) -> tuple[float | None, float | None]:
-    """Return the values at which the deviance crosses :data:`LEVEL` on either side of its minimum,
-    or None on a side without a crossing.
+    """Return the values at which the deviance crosses :data:`LEVEL`, below and above its minimum;
+    None on a side without a crossing.
 
-    The root of the deviance is interpolated linearly, which is exact for a parabolic deviance.
+    The square root of the deviance is interpolated linearly, which is exact for a parabolic
+    deviance.
     """
     root, level = np.sqrt(np.maximum(deviance, 0.0)), LEVEL**0.5
     middle = int(np.argmin(deviance))
@@ -182,8 +184,8 @@ def _directions(point: Point, names: tuple[str, ...]) -> Array:
 
 
 def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return values of ``along`` @ parameters, in rising order, and the deviance at each value; the
-    search goes outwards from the estimate.
+    """Return values of ``along`` @ parameters, in rising order, and the deviance at each value,
+    computed from the estimate outwards.
 
     Args:
         criterion: Criterion around the estimate.
@@ -207,11 +209,11 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and the deviance Q at each step. In addition store the difference of
-    Q/2 and the least cost at each J in the criterion.
+    """Return steps of log J and the deviance Q at each step, and store the difference of Q/2 and
+    the least Huber cost at each J in the criterion.
 
-    The equation is the error of log J with the other parameters at the least-squares solution; its
-    slope is -1 if the model is linear.
+    The estimating equation is the error of log J with the other parameters at the least-squares
+    solution; its derivative with respect to log J is -1 if the model is linear.
     """
     held, x = criterion.held, criterion.x
     jacobian = held.jacobian(x, criterion.residual)
@@ -251,8 +253,8 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
 
 
 def _tangent(normal: Array, along: Array) -> Array:
-    """Return the change of the parameters per unit of ``along`` @ parameters, with the cost
-    minimised.
+    """Return the change of the parameters per unit of ``along`` @ parameters at which the cost is
+    least.
     """
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))

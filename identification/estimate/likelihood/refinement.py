@@ -1,4 +1,4 @@
-"""Makes the final estimate: by prediction errors if the acceptance tests pass, else by equation
+"""Computes the final estimate: by prediction errors if the acceptance tests pass, else by equation
 error.
 """
 
@@ -32,21 +32,22 @@ from identification.recording import Model, Recording
 from identification.result import Convergence, MeasuredNoise, Starts
 
 NEEDED = (
-    "prediction errors need even sampling, a quantised encoder, measured torque and two breakaways "
-    "from rest"
+    "prediction errors need even sampling, a quantised encoder, a measured torque or current, and "
+    "two breakaways from rest"
 )
 
 
 @dataclass(frozen=True)
 class Found:
-    """The estimate.
+    """The final estimate, with the steps that led to it.
 
     Attributes:
         values: Name to value.
         spread: Covariance of the fitted parameters.
-        floors: Half width at the Cramer-Rao bound, by name; empty without refinement.
+        floors: Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an
+            accepted refinement.
         taken: The refinement, if it is accepted.
-        starts: Search ends of the refinement, accepted or not.
+        starts: Search ends of the refinement, whether accepted or not.
         stages: Record of each search.
         warnings: Reason why the refinement was rejected.
     """
@@ -116,8 +117,8 @@ def refine(
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Subtract the bias (M36) and add its variance (M42); omit a correction that leads beyond the
-    range of the parameter.
+    """Subtract the bias (M36) and add its variance (M42); a correction that would lead beyond the
+    range of its parameter is omitted.
     """
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
     rises = all(
@@ -137,15 +138,15 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
 
 
 def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
-    """Solve the inertia's equation with instruments from half cycles and from replicates (M32); the
-    other parameters change with the inertia.
+    """Solve the estimating equation of the inertia with instruments from matching half cycles and
+    from replicates (M32); the other parameters change with the inertia.
 
     Floors are computed from the replicates.
 
-    The inertia's equation is solved at the bias-corrected values, because a replicate, too, is
-    evaluated with the other parameters at the values with which it was simulated. Errors of the
-    other parameters have an effect of second order, which is not negligible if these errors are
-    several standard deviations.
+    The equation is solved at the bias-corrected values of the other parameters, because in a
+    replicate the other parameters have the values with which it was simulated. Errors of the other
+    parameters have an effect of second order, which is not negligible if these errors are several
+    standard deviations.
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))
@@ -181,47 +182,49 @@ def refine_recordings(
         return "every parameter is fixed"
     if model.friction != NOMINAL:
         return (
-            f"prediction errors support {NOMINAL} friction only, and {model.friction} is declared"
+            f"prediction errors support only the friction model {NOMINAL}, but the model "
+            f"{model.friction} is declared"
         )
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
-        return "the equation error finds no rise of friction toward rest"
+        return "the equation error finds no static friction above Coulomb friction"
     motions = [motion(r) for r in recordings]
     found = [m for m in motions if m is not None]
     left_out = tuple(r.name for r, m in zip(recordings, motions, strict=True) if m is None)
     unloaded = [m for m in found if m.recording.stage == "unloaded"]
     loaded = [m for m in found if m.recording.stage == "loaded"]
     if not values["J"] > 0.0:
-        return "the equation error finds no inertia to start from"
+        return "the equation error finds no inertia above 0, with which a refinement could start"
     for condition, usable in (("unloaded", unloaded), ("loaded", loaded)):
         unusable = [r.name for r in recordings if r.stage == condition]
         if unusable and not usable:
-            return f"{NEEDED}, and {', '.join(unusable)} {_lack(unusable)} one of these"
+            return f"{NEEDED}; {', '.join(unusable)} {_lack(unusable)} one of these"
     if not unloaded:
-        return "there is no unloaded recording to start from"
+        return "a refinement by prediction errors needs an unloaded recording"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
-        # A rise toward rest that the bandwidth of the equation error hides may be visible in the
-        # breakaways.
+        # A static friction above Coulomb friction may be visible in the breakaways even if the
+        # equation error, at its bandwidth, does not show it.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
         refined = staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
     except np.linalg.LinAlgError:
         return (
-            "the search of the prediction error finds no solution: the recordings do not determine "
+            "the search by prediction errors finds no solution: the recordings do not determine "
             "the parameters, or the machine has physics that the model lacks"
         )
     return replace(refined, left_out=left_out)
 
 
 def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
-    """Return the warning that prediction errors do not use some recordings; empty if they use all
-    recordings.
+    """Return the warning that prediction errors do not use some recordings; empty if they use
+    all.
     """
     if not left_out:
         return ()
     names = ", ".join(left_out)
     return (
         f"{names}: used by the equation error only, for the start values; {NEEDED}, and "
-        f"{'it lacks' if len(left_out) == 1 else 'each lacks'} one of these",
+        f"{'this recording' if len(left_out) == 1 else 'each of these recordings'} lacks one of "
+        "these",
     )
 
 

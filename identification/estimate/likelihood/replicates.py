@@ -2,14 +2,14 @@
 (M33-M36).
 
 Just after a breakaway friction falls steeply with speed. The filter is linearised about its
-prediction and overestimates how much noise accelerates the start of the motion. In addition, the
-torque is not linear within the period of a breakaway. The maximum of the likelihood is therefore
-biased, most of all where static friction is high. A replicate is a simulation with the recorded
-commands and with the drive loop that was estimated from the recordings. The bias is the mean, over
-replicates, of one scoring step from the simulated values (parametric bootstrap; indirect inference:
-Gourieroux, Monfort and Renault, Journal of Applied Econometrics 8 (1993) S85). Each noise
-realisation is used twice, the second time with reversed sign, so that terms of odd order in the
-noise cancel.
+prediction, and overestimates the mean acceleration that noise causes at the start of a motion. In
+addition, the torque is not linear within the period of a breakaway. The maximum of the likelihood
+is therefore biased, most of all where static friction is high. A replicate is a simulation with the
+recorded commands and with the drive loop that was estimated from the recordings. The bias is the
+mean, over replicates, of the step of one iteration of Fisher scoring from the simulated values
+(parametric bootstrap; indirect inference: Gourieroux, Monfort and Renault, Journal of Applied
+Econometrics 8 (1993) S85). Each noise realisation is used twice, the second time with reversed
+sign, so that terms of odd order in the noise cancel.
 
 The sensitivities of replicates are also used as instruments, and products of the sensitivities of
 two replicates give the Cramer-Rao bound.
@@ -56,7 +56,7 @@ class Bias:
 
     Attributes:
         shifts: Bias of each parameter by name, SI.
-        variances: Variance of each bias by name, due to the finite number of replicates.
+        variances: Variance of each bias, due to the finite number of replicates, by name.
         replicates: The replicates.
     """
 
@@ -75,14 +75,15 @@ def likelihood_bias(
     """Return the bias of the maximum-likelihood estimate at a point (M35), without the bias of the
     inertia.
 
-    The result is None if the experiment cannot be simulated: the recordings do not show the drive
-    loop, a load is not a weight, or the filter diverges on the replicates.
+    The result is None if the experiment cannot be simulated, because the recordings do not
+    determine the drive loop or a load is not a weight, or if the filter diverges on the replicates.
 
     Args:
         joint: The estimate.
         names: Names of the fitted parameters.
         rng: The generator of the noise is spawned from ``rng``, whose stream does not advance.
-        settings: Number of noise series, and criteria for repeating or dropping them.
+        settings: Number of noise series, and criteria for repeating the simulation or dropping a
+            replicate.
         progress: Called with every pair of replicates.
     """
     loop = _loop(joint.motions, settings.headroom)
@@ -137,15 +138,15 @@ def logged_share(
     torque and not in the true torque (M34).
 
     The current loop of a drive follows the noise of its current sensor within the bandwidth of the
-    loop; this part of the noise moves the joint and is not in the log. Scatter of the logged torque
-    beyond the drive's response to this motion is measurement noise. Where the response is greater
-    than the noise, the function returns ``unseen``.
+    loop; this part of the noise moves the joint and is not in the log. The scatter of the logged
+    torque beyond the drive's response to this motion is measurement noise. If the response is
+    greater than the noise, the function returns ``unseen``.
 
     Args:
         joint: The estimate.
-        loop: The drive.
+        loop: The drive loop.
         rng: Random generator of the noise to which the simulated drive responds.
-        unseen: Share that is assumed where the recordings do not determine it.
+        unseen: Logged share that is assumed if the recordings do not determine it.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
@@ -164,8 +165,8 @@ def logged_share(
 
 @dataclass(frozen=True)
 class _Scored:
-    """A simulated replicate, and one scoring step of its likelihood from the parameter values with
-    which it was simulated.
+    """A simulated replicate, and the step of one iteration of Fisher scoring on its likelihood,
+    from the parameter values with which the replicate was simulated.
 
     Attributes:
         step: Scoring step, shape (p,).
@@ -190,7 +191,7 @@ def _pairs(
 
     Args:
         there: The experiment, at the simulated values.
-        loop: The drive.
+        loop: The drive loop.
         share: Logged share of the noise variance.
         noises: Seeds of the noise.
         farthest: Step, in standard deviations, above which a replicate is dropped.
@@ -205,12 +206,16 @@ def _pairs(
 
 
 def _even(pairs: Sequence[_Pair]) -> Array:
-    """Return each pair's mean step, in which odd terms of the noise cancel, shape (n, p)."""
+    """Return the mean scoring step of each pair, in which terms of odd order in the noise cancel,
+    shape (n, p).
+    """
     return np.array([0.5 * (one.step + other.step) for one, other in pairs])
 
 
 def _deviation(pairs: Sequence[_Pair]) -> Array:
-    """Return the median standard deviation of a step, shape (p,)."""
+    """Return the median, over the replicates, of the standard deviation of a scoring step, shape
+    (p,).
+    """
     return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
 
 
@@ -230,16 +235,16 @@ def _away(joint: Point, step: Array) -> Array:
 
 
 def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
-    """Return the change of the named parameters, in SI units, for a step that ends at the point,
-    shape (p,).
+    """Return the change of the named parameters, in SI units, for a step of the free parameters
+    that ends at the point, shape (p,).
     """
     before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.vector))
     return np.array([here[n] - before[n] for n in names])
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive loop. The result is None if the recordings do not determine the loop or
-    their loads cannot be simulated.
+    """Return the drive loop, or None if the recordings do not determine the loop or their loads
+    cannot be simulated.
     """
     recordings = [m.recording for m in motions]
     plain = all(not r.known_load and not r.hot_fire and "command" in r.channels for r in recordings)
@@ -274,12 +279,12 @@ def _step(
 
 
 def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
-    """Return the part of a scoring step (M23) that belongs to the parameters, with the inertia
-    fixed; the step is over parameters and breakaway times.
+    """Return the step of the parameters in one iteration of Fisher scoring (M23) over parameters
+    and breakaway times, with the inertia fixed.
 
     Args:
         point: Point of the replicate.
-        noise: Seed of its noise.
+        noise: Seed of the noise of the replicate.
         farthest: Step, in standard deviations, above which None is returned.
     """
     x, count = point.origin(), len(point.free)

@@ -1,7 +1,7 @@
 """Searches for the maximum of the likelihood of the loaded fit, from several starts.
 
-Parts: a grid of start points, least squares at raised noise levels, further searches from the
-neighbours of the best end, and a list of the basins found.
+A fit consists of a grid of start points, least squares at raised noise levels, further searches
+from neighbours of the best end, and a list of the basins that were found.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
 fewer levels the searches miss the best end.
 """
 MOST_PASSES = 4000
-"""Passes of the filter over the recordings after which a fit starts no further search and returns
-its best end. If the model is right, the unloaded and the loaded fit take some hundred passes each,
-and 3000 in the worst known case.
+"""Number of filter runs over the recordings (passes) after which a fit starts no further search and
+returns its best end. If the model is right, the unloaded and the loaded fit take some hundred
+passes each, and 3000 passes in the worst known case.
 """
 STARTS = 3
-"""Number of starts from which a search is run; more than one, because the likeliest point of the
-grid is not always in the right basin.
+"""Number of start points from which a search is run; more than one, because the likeliest point of
+the grid is not always in the basin of the true values.
 """
 _MISSED = 0.8
-"""Mean Huber cost of a residual above which the end of a search counts as outside any basin. The
-mean cost is 0.26 to 0.55 at true values, and 1.4 or more where a search fails to converge.
+"""Mean Huber cost of a residual above which a search counts as not converged. The mean cost is 0.26
+to 0.55 at true values, and 1.4 or more if a search does not converge.
 """
 _WIDE_STEP = 0.3
 """Relative step of a coordinate (a parameter, or its logarithm) for finite differences, used after
@@ -44,30 +44,30 @@ searches that failed to converge.
 _SEEKS = 3
 """Greatest number of alternations between a fit and a grid search of the breakaway times."""
 _LEAST_GAIN = 0.05
-"""Drop of the negative log likelihood by a step, below which a fit ends."""
+"""Decrease of the negative log likelihood in a step, below which a fit ends."""
 _LEAST_RESOLVED = 0.05
 _BESIDE = (
     ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
     ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
 )
-"""Neighbours of the best end of the loaded fit, far neighbours and then near ones, each as index of
-the parameter and factor on the parameter.
+"""Neighbours of the best end of the loaded fit, first far neighbours and then near neighbours, each
+as index of a parameter and factor on this parameter.
 """
 _ROUNDS = 2
-"""Greatest number of rounds of searches from far or near neighbours, each round from the best end
-so far; the second round follows only if the first finds a better end.
+"""Greatest number of rounds of searches from neighbours of the best end so far; a second round
+follows only if the first round finds a better end.
 """
 _APART = 0.1
 """Relative difference of the Stribeck speed, or of the rise, above which two ends are in different
 basins.
 """
 SAME_END = 1.0
-"""Difference in deviance up to which two search ends count as equal: half a standard error of one
-parameter.
+"""Difference in deviance up to which two search ends count as equal; it corresponds to a change of
+one parameter by one standard error.
 """
 _AS_LIKELY = 4.0
-"""Difference in deviance within which recordings do not decide between two ends: two standard
-errors.
+"""Difference in deviance up to which the recordings do not decide between two ends; it corresponds
+to a change of one parameter by two standard errors.
 """
 _SEVERAL = 2.0
 
@@ -88,7 +88,7 @@ class End:
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """Sort key; the better end has the lower rank."""
+        """Sort key; the better of two ends has the lower rank."""
         return self.unresolved, self.deviance
 
 
@@ -99,7 +99,7 @@ class LoadedFit:
     Attributes:
         point: The likeliest end.
         drop: Deviance of the likeliest end less the deviance of the likeliest start.
-        ends: Ends of all searches, in order.
+        ends: Ends of all searches, in the order of the searches.
     """
 
     point: Point
@@ -118,13 +118,13 @@ def spent(point: Point) -> bool:
 
 
 def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
-    """Search the loaded fit from the likeliest starts in turn, or from the point if there are no
-    starts.
+    """Search the loaded fit from the likeliest start points in turn, or from ``point`` if there are
+    no start points.
 
-    If a start is likelier than every end, because the raised noise level led out of its basin, one
-    more search runs from this start at the estimated noise level. Ends with a Stribeck speed below
-    the resolution of the samples count only if there are no others: at such a speed the rise
-    affects no prediction and fits noise.
+    If a start point is likelier than every end, because the search at a raised noise level left the
+    basin of the start point, one more search runs from this start point at the estimated noise
+    level. Ends with a Stribeck speed below the resolution of the samples are used only if there are
+    no other ends: below the resolution the rise affects no prediction and fits noise.
     """
     starts = list(starts) or [point]
     followed = starts[:STARTS]
@@ -141,7 +141,7 @@ def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
 
 
 def basins(fit: LoadedFit) -> list[Point]:
-    """Return the loaded fit's end, then the best ends of other basins, likeliest first.
+    """Return the end of the loaded fit, then the best end of each other basin, likeliest first.
 
     Ends with a Stribeck speed below the samples' resolution are omitted.
     """
@@ -153,8 +153,8 @@ def basins(fit: LoadedFit) -> list[Point]:
 
 
 def _apart(one: Point, other: Point) -> bool:
-    """Return whether two ends are in different basins, by Stribeck speed and rise of the load
-    friction.
+    """Return whether two ends are in different basins, that is, differ in the Stribeck speed or the
+    rise of the load friction.
     """
     places = [OMEGA_SL, LOAD_RISE]
     away = np.abs(one.vector[places] - other.vector[places])
@@ -162,21 +162,22 @@ def _apart(one: Point, other: Point) -> bool:
 
 
 def likeliest_together(starts: Sequence[Point]) -> Searched:
-    """Return the start of the joint fit whose search, with the inertia held, has the likeliest end.
+    """Return the start point of the joint fit whose search, with fixed inertia, has the likeliest
+    end.
 
     The searches of the loaded fit keep the system parameters fixed. Errors of the system parameters
-    can make a wrong basin likelier; a search of all parameters corrects this. Of equally likely
-    ends, an end with a several times larger Stribeck speed is preferred, because the likelihood is
-    flat where the Stribeck speed is below the resolution of the samples.
+    can make a wrong basin the likeliest; a search in all parameters corrects such an error. Of
+    equally likely ends, an end with a several times larger Stribeck speed is preferred, because the
+    likelihood is flat at Stribeck speeds below the resolution of the samples.
 
-    A search ends early if all steps that it may still take, each with the decrease of its last
-    step, would not reach the least cost of the searches before it.
+    A search ends early if the steps that it may still take, each with the decrease of the last
+    step, would not reach the least cost of the earlier searches.
 
     Args:
         starts: Starts of the joint fit, each from an end of the loaded fit.
 
     Returns:
-        The chosen start, not its end, and the iterations of all searches.
+        The chosen start point (not the end of its search), and the iterations of all searches.
     """
     ends, iterations, reached = [], 0, math.inf
     for start in starts:
@@ -196,24 +197,24 @@ def likeliest_together(starts: Sequence[Point]) -> Searched:
 
 
 def _cost(point: Point) -> float:
-    """Return the cost that a search by likelihood lowers; infinite if it is not finite."""
+    """Return the cost that a search by likelihood minimises; infinite if the cost is not finite."""
     cost = negative_log_likelihood(*point.predictions(point.origin()), HUBER_THRESHOLD)
     return cost if math.isfinite(cost) else math.inf
 
 
 def _missed(end: End) -> bool:
-    """Return whether an end explains the recordings far worse than their noise allows."""
+    """Return whether the residuals at an end are far greater than the noise of the recordings."""
     residual = end.point.weighted().residuals(end.point.origin())
     return bool(np.mean(huber(residual, HUBER_THRESHOLD)) > _MISSED)
 
 
 def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
-    """Search from the starts with finite differences over wide steps, until an end explains the
-    recordings; return the best end.
+    """Search from the start points with finite differences over wide steps, until the residuals at
+    an end agree with the noise; return the best end.
 
     Far from the true values the model in the filter may stick and slip in slow ramps. The
-    prediction errors then depend irregularly on the parameters: finite differences over small steps
-    give slopes a hundred times as large as those over wide steps, and no useful direction.
+    prediction errors then depend irregularly on the parameters: derivatives over small steps are a
+    hundred times as large as derivatives over wide steps, and give no useful search direction.
 
     Args:
         starts: Starts of the searches.
@@ -232,14 +233,14 @@ def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
 
 
 def _neighbours(best: End, ends: list[End]) -> End:
-    """Search again from neighbours of an end, with new breakaway times; return the likeliest end
-    found.
+    """Search again from neighbours of an end, with breakaway times computed anew; return the
+    likeliest of all ends.
 
     Parameters and breakaway times are coupled, so that a search may end where neither a change of
     parameters alone nor a change of breakaway times alone lowers the cost.
 
     Args:
-        best: The end.
+        best: The end whose neighbours are the start points.
         ends: List to which the ends of the searches are appended.
     """
     for beside in _BESIDE:
@@ -266,8 +267,8 @@ def _multiplied(begun: Point, place: int, factor: float) -> Point:
 
 
 def _ended_each(starts: Sequence[Point], tempering: Sequence[float]) -> list[End]:
-    """Search from several points of one fit, two at a time; return the ends in order, without those
-    of searches for which no passes are left after the searches before them.
+    """Search from several points of one fit, two at a time; return the ends in the order of the
+    points. Points for which the earlier searches left no passes are omitted.
     """
 
     def alone(start: Point) -> tuple[End, int]:
@@ -296,8 +297,9 @@ def _deviance(point: Point) -> float:
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed is
-    above a share of the speed that the joint gains within one period by the fall of load friction.
+    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed
+    exceeds a share of the speed that the joint gains within one sample period because load friction
+    falls.
     """
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))
@@ -308,12 +310,12 @@ def _resolved(point: Point) -> bool:
 def refine(
     point: Point, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP
 ) -> Searched:
-    """Search by least squares at decreasing noise levels, then by likelihood at the estimated
+    """Search by least squares at decreasing noise levels, then by likelihood at the estimated noise
     level.
 
     Least squares at noise levels above the estimated level lead the search into the basin of the
-    maximum. At the estimated level the likelihood is needed: the standard deviations depend on the
-    parameters, and least squares with constant weights miss the maximum of the likelihood.
+    maximum. At the estimated level the likelihood is maximised: the standard deviations depend on
+    the parameters, so that least squares with constant weights do not find the maximum.
 
     Args:
         point: Start of the search.
@@ -330,7 +332,7 @@ def refine(
 
 
 def _least_squares(point: Point, step: float) -> Searched:
-    """Search by least squares with the standard deviations of the start."""
+    """Search by least squares with the standard deviations at the start point."""
     held = point.weighted(step)
     found = levenberg.minimise(
         held.residuals,
@@ -347,7 +349,7 @@ def _likelihood(point: Point, reach: float = math.inf) -> Searched:
 
     Args:
         point: Start.
-        reach: Cost that the search should reach.
+        reach: Cost that another search reached; a search that would not reach this cost ends early.
     """
     iterations = 0
     for _ in range(_SEEKS):

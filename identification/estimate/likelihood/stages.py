@@ -1,12 +1,13 @@
-"""Makes the unloaded, loaded and joint fit of the prediction errors, started from the equation
-error.
+"""Computes the unloaded, loaded and joint fit by prediction errors, starting from the values of the
+equation error.
 
-The unknowns are the parameters and the breakaway time of each segment. The torque that is measured
-at the breakaway time ties this time to the static limit (M22). Least squares with fixed inertia
-lead into the right basin: the assumed torque noise is large at first and then lowered, because the
-cost is smoother if the filter gives the encoder more weight. At the estimated noise level the
-likelihood is maximised. The inertia follows from its estimating equation, because least squares and
-likelihood give a biased inertia (:mod:`identification.estimate.inertia.estimating_equations`).
+The unknowns are the parameters and the breakaway time of each segment. A breakaway time is bound to
+the static limit by the torque that is measured at this time (tie, M22). Least squares with fixed
+inertia lead into the basin of the true values: the assumed torque noise is large at first and is
+then reduced, because the cost is smoother if the filter gives the encoder more weight. At the
+estimated noise level the likelihood is maximised. The inertia follows from its estimating equation,
+because least squares and likelihood give a biased inertia
+(:mod:`identification.estimate.inertia.estimating_equations`).
 """
 
 from __future__ import annotations
@@ -66,24 +67,24 @@ class Refined:
         floor: Cramer-Rao bound of the covariance
             (:mod:`identification.estimate.uncertainty.cramer_rao`), shape (p, p).
         names: Names of the fitted parameters, in the order of the covariance.
-        innovation_rms: Rms of normalised innovations with variance inflation; 1 where the noise
-            model holds.
+        innovation_rms: Rms of normalised innovations with variance inflation; 1 if the noise model
+            is right.
         whiteness: Correlation of neighbouring innovations, with variance inflation.
         noise: Noise of torque and angle.
-        repeating_share: Share of the correlated noise that repeats with the motion (M26); zero
-            without correlated noise.
+        repeating_share: Share of the correlated noise that repeats in matching half cycles (M26);
+            zero without correlated noise.
         torque_scatter: Torque scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Number of segments.
         likelihood_drop: Deviance at the end of the loaded fit less the deviance at its likeliest
-            start; positive where least squares at a raised noise level left the basin and the
-            likelihood did not return to it.
+            start point; positive if least squares at a raised noise level left the basin of this
+            start point.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
         starts: Search ends of each search.
-        left_out: Names of recordings that prediction errors do not apply to.
-        stopped: Whether the unloaded or the loaded fit used up its passes of the filter.
+        left_out: Names of recordings to which prediction errors do not apply.
+        stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
     """
 
     values: Mapping[str, float]
@@ -107,7 +108,9 @@ class Refined:
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Return the indices of the parameters that are not fixed: system, load, and inertia."""
+    """Return the indices of the parameters that are not fixed: of the system load, of the working
+    load, and of the inertia.
+    """
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [
         k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed
@@ -130,8 +133,9 @@ def _first_point(
     """Return the start point of the unloaded fit: the values of the equation error, with the
     likeliest noise at these values.
     """
-    # Without load the equation error gives good start values; under load, friction falls too
-    # steeply with speed to be resolved after filtering.
+    # Without load the equation error gives good start values. Under load the start values of the
+    # grid are used, because load friction falls too steeply with speed to be resolved after
+    # filtering.
     first = Point.of(
         unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
     )
@@ -225,13 +229,14 @@ def _joint_fit(
     ends: Sequence[Point],
     model: Model,
 ) -> Searched:
-    """Fit all recordings jointly, from the likeliest end if there are several.
+    """Fit all recordings jointly; of several ends of the loaded fit, the likeliest is the start
+    point.
 
     Args:
         first: End of the unloaded fit.
-        motions: Unloaded recordings, then loaded ones.
+        motions: Unloaded recordings, then loaded recordings.
         free: Free parameters.
-        ends: Ends of the loaded fit; the end of the unloaded fit if nothing is loaded.
+        ends: Ends of the loaded fit, or the end of the unloaded fit if no recording is loaded.
         model: Declared terms and fixed values.
     """
     joint = Point.of(motions, first.vector, free, model, first.noise)
@@ -257,7 +262,7 @@ def innovation_statistics(residual: Array, breakaways: int) -> tuple[float, floa
     outliers clipped.
 
     Clipping limits the effect of a few short segments on which the filter diverges. Unmodelled
-    physics affects most segments, so that clipping does not hide it.
+    physics affects most segments; therefore clipping does not hide unmodelled physics.
 
     Args:
         residual: Innovations over their standard deviations, then ties, shape (r,).

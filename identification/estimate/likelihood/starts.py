@@ -16,11 +16,11 @@ _CLIP = 10.0
 
 
 def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[Point]:
-    """Return start points from a grid of static limits and Stribeck speeds, as far as these
-    parameters are free.
+    """Return start points from a grid of static limits and Stribeck speeds; a parameter that is not
+    free keeps its value.
 
-    The static limit is at or below the peak torque before visible motion, because motion becomes
-    visible with a delay.
+    The static limits of the grid are at or below the greatest torque before visible motion, because
+    motion becomes visible some time after the breakaway.
 
     Returns:
         A point for every Stribeck speed with its likeliest static limit, likeliest first.

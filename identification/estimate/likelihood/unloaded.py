@@ -15,20 +15,21 @@ from identification.filter.likelihood import Point
 from identification.model.parameters import INERTIA, MC, OMEGA_SF, SYSTEM_RISE
 
 _Free = tuple[Sequence[int], Sequence[int]]
-"""Free parameters: first those that least squares estimate, then the inertia; the second part is
-empty if the inertia is fixed.
+"""Indices of the free parameters in two parts: the parameters that least squares estimate, and the
+inertia; the second part is empty if the inertia is fixed.
 """
 _AGAIN = 2
-"""Greatest number of further solutions that start from the best end if no start leads to a
-solution; the first one without an improvement is the last.
+"""Greatest number of further attempts that start from the best end if no start point leads to a
+solution; no attempt follows one that brings no improvement.
 """
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 """Start values of the inertia, relative to the inertia of the equation error, which noise biases
 upward.
 """
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
-"""Further start values of the inertia, which are tried if no other start leads to a solution: in
-short, fast slips the equation error may give a fiftieth of the inertia.
+"""Further start values of the inertia, relative to the inertia of the equation error, which are
+tried if no other start point leads to a solution. In short, fast slips the equation error may give
+a fiftieth of the true inertia.
 """
 
 
@@ -48,11 +49,12 @@ class Solved:
 def solve_unloaded(
     begun: Point, system: Sequence[int], inertia: Sequence[int]
 ) -> tuple[Solved, tuple[float, ...]]:
-    """Solve the unloaded fit from one start after another, until the estimating equations are
+    """Solve the unloaded fit from one start point after another, until the estimating equations are
     solved.
 
-    Least squares with fixed inertia lead into the basin of that inertia, and the inertia of the
-    equation error may be wrong by half or more.
+    Several start values of the inertia are needed: least squares with fixed inertia lead into the
+    basin that belongs to this inertia, and the inertia of the equation error may be wrong by half
+    or more.
 
     Args:
         begun: Point at the equation error's values.
@@ -109,11 +111,11 @@ def _far(point: Point) -> Iterator[Point]:
 def _best_of(
     starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
 ) -> Solved | None:
-    """Try one start after another until the equations are solved; return the best end, which may be
-    ``best``.
+    """Try one start point after another until the estimating equations are solved; return the best
+    end, which may be ``best``.
 
     Args:
-        starts: Starts, tried in turn.
+        starts: Start points, tried in turn.
         free: Free parameters.
         best: The best end so far.
         found: List to which the chi-square of every attempt is appended.
@@ -141,7 +143,7 @@ def _solved_from(start: Point, free: _Free) -> Solved | None:
             point = solve(point)
         chi2 = equations_chi2(point) if point.free else 0.0
     except np.linalg.LinAlgError:
-        # Without a rise toward rest the Stribeck speed is undetermined; the equation error may find
-        # no rise in slips.
+        # If static and Coulomb friction are equal, the Stribeck speed is undetermined; from slips
+        # alone the equation error may find such values.
         return None
     return Solved(chi2, point) if math.isfinite(chi2) else None

@@ -1,9 +1,10 @@
 """Compares several optimisers on the paper's equation error with the default identification method.
 
-An optimiser fails if it ends more than 0.1 % above the least cost that any optimiser found: in a
-wrong basin, or before convergence. (Over the 2000 samples of a 20 s stage, 0.1 % is two standard
-errors of white noise.) The difference between the parameters of least cost and the true parameters
-is an error of the equation-error method, not of an optimiser.
+An optimiser fails if its final cost is more than 0.1 % above the least cost that any optimiser
+found; it then ended in a wrong basin, or before convergence. (For the 2000 samples of a stage of 20
+s, a cost 0.1 % above the least corresponds to two standard errors with white noise.) The difference
+between the parameters of least cost and the true parameters is an error of the equation-error
+method, not of an optimiser.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 
 COST_TOLERANCE = 1e-3
-"""Relative excess over the least cost above which a search counts as failed."""
+"""Relative excess of the final cost over the least cost, above which a search counts as failed."""
 DEFAULT = "default method"
 
 
@@ -34,11 +35,12 @@ class Contender:
     Attributes:
         name: Name of the estimator.
         runs: Number of seeds tried; a deterministic optimiser is run once.
-        failures: Number of runs that failed in either stage.
-        evaluations: Evaluations in both stages, median over the runs.
-        seconds: Time, median over the runs.
-        excess: Relative excess over the least cost in the worse stage, median over the runs; None
-            for the default method, which continues with prediction errors.
+        failures: Number of runs that failed in the unloaded or in the loaded stage.
+        evaluations: Evaluations of the cost in both stages, median over the runs.
+        seconds: Computing time, s, median over the runs.
+        excess: Relative excess of the final cost over the least cost, in the stage with the greater
+            excess, median over the runs; None for the default method, which continues with
+            prediction errors.
         values: Parameters of the run with the median error.
         error: Greatest relative difference from the default method among the parameters that the
             default method identifies, median over the runs.
@@ -84,7 +86,7 @@ def compare(
             the nine nominal parameters.
         default: Result of the default method on the dataset; the comparison uses its bandwidth, and
             its values as the reference.
-        seeds: Seeds; a stochastic optimiser is run once per seed.
+        seeds: Random seeds; a stochastic optimiser is run once per seed.
         truth: True parameters of a simulated bench; used only for the tables, after all runs.
         progress: Called with the name of the optimiser and the share of its runs done.
 
@@ -93,12 +95,13 @@ def compare(
 
     Raises:
         RecordingError: The model has fixed values or declared terms, which the comparison does not
-            support, or nothing moves.
+            support, or the joint does not move.
     """
     if dataset.model.fixed or dataset.model.terms:
         held = ", ".join((*dataset.model.fixed, *dataset.model.terms))
         raise RecordingError(
-            f"a comparison needs the nominal model; remove model.fixed and model.terms ({held})"
+            "a comparison of optimisers needs the nominal model; remove model.fixed and "
+            f"model.terms ({held})"
         )
     prepared = [prepare(r, default.fit.bandwidth_Hz) for r in dataset.part("fit")]
     stages = {s: [p for p in prepared if p.recording.stage == s] for s in ("unloaded", "loaded")}

@@ -35,4 +35,4 @@ OPTIMISERS: Mapping[str, Optimiser] = {
     "CMA-ES": cma_es,
     "multi-start least squares": multi_start,
 }
-"""The optimisers by name; the default method uses the first."""
+"""The optimisers by name; the default method uses the first of them."""

@@ -6,8 +6,8 @@ parameters fixed and searches x = [mu_c, mu_s, omega_sL, mu_2]. The fitness is s
 targets are 0.01 and 0.015 N m, and the population of 40 has at most 1000 generations (Sec. 4.2).
 
 This module defines three points that the paper does not state. Friction opposes motion, so eq. 13
-and 15 contain sgn(omega). Samples at rest are omitted, because friction and drive then obey an
-inequality and no equation. The search box follows from the size of the recorded signals
+and 15 contain sgn(omega). Samples at rest are omitted, because at rest friction and drive torque
+obey an inequality and not an equation. The search box follows from the size of the recorded signals
 (:func:`search_box`). The method computes no intervals.
 """
 
@@ -31,7 +31,7 @@ from identification.recording import Dataset, Model, RecordingError
 from identification.result import Convergence, Identification, Parameter
 
 TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
-"""Fitness at which the search stops early, N m (Sec. 4.2.1, 4.2.2)."""
+"""Fitness at which the search of each stage stops early, N m (Sec. 4.2.1, 4.2.2)."""
 POPULATION = 40
 GENERATIONS = 1000
 _AT_BOUND = 1e-3  # distance from a bound, relative to the width of the box
@@ -66,14 +66,15 @@ def identify_paper(
 
     Args:
         dataset: Recordings of one bench.
-        bandwidth_Hz: Bandwidth of the filter that all signals pass; None chooses the least of the
-            fitted recordings' default bandwidths.
+        bandwidth_Hz: Bandwidth of the filter that all signals pass, or None for the least of the
+            default bandwidths of the fitted recordings.
         rng: Source of all randomness.
-        progress: Called with the stage and the share of its generations done.
+        progress: Called with the stage and the share of the stage's generations that is done.
         generations: Greatest number of generations per stage.
 
     Raises:
-        RecordingError: There is no unloaded recording to fit, or nothing moves in a recording.
+        RecordingError: There is no unloaded recording to fit, or the joint does not move in a
+            recording.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
@@ -90,7 +91,7 @@ def identify_paper(
             continue
         if not chosen:
             raise RecordingError(
-                "no unloaded recording with role fit; the paper's method needs one (stage: "
+                "no unloaded recording has role fit; the paper's method needs at least one (stage: "
                 "unloaded)"
             )
         found, estimates, convergence = search.solve(stage, chosen, known)
@@ -122,20 +123,20 @@ def _left_out(model: Model) -> tuple[str, ...]:
     """
     if model.friction != NOMINAL:
         raise RecordingError(
-            f"the paper's method supports {NOMINAL} friction only; use the default method for "
-            f"{model.friction}"
+            f"the paper's method supports only the friction model {NOMINAL}; for the model "
+            f"{model.friction} use the default method"
         )
     if not model.terms:
         return ()
     return (
-        f"the paper's method has no term for {', '.join(model.terms)}; use the default method to "
-        f"fit it",
+        f"the paper's method does not fit the declared terms: {', '.join(model.terms)}; use the "
+        "default method",
     )
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Settings and search that both stages share."""
+    """Settings and search, the same for the unloaded and for the loaded stage."""
 
     dataset: Dataset
     generations: int
@@ -215,10 +216,11 @@ class _Search:
 def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the search box, which depends only on the size of the signals.
 
-    The upper bound of dry friction is twice the largest torque per load, because a breakaway may
-    lie between two samples. The upper bounds of viscous friction and inertia are the values that
-    explain this torque at the largest speed and acceleration. The Stribeck speed ranges from 1/500
-    of the largest speed to the largest speed.
+    The upper bound of dry friction is twice the largest torque (under load, the largest ratio of
+    torque to contact moment), because a breakaway may lie between two samples. The upper bounds of
+    viscous friction and inertia are the values that explain the largest torque at the largest speed
+    and at the largest acceleration. The Stribeck speed ranges from 1/500 of the largest speed to
+    the largest speed.
     """
     torque = float(np.max(np.abs(samples.torque / samples.load)))
     speed = float(np.max(np.abs(samples.velocity)))
@@ -237,11 +239,11 @@ def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[f
 def collect(
     stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float
 ) -> StageSamples:
-    """Return the equations of one stage; terms with the parameters of the earlier stage are
+    """Return the equations of one stage; in the loaded stage the terms of the system parameters are
     subtracted from the torque.
 
     Raises:
-        RecordingError: Too little motion, or no load where there should be one.
+        RecordingError: There is too little motion, or a loaded recording has no contact force.
     """
     require_motion(prepared)
     parts = []
@@ -260,8 +262,8 @@ def collect(
     if not np.all(samples.load > 0.0):
         names = ", ".join(p.recording.name for p in prepared)
         raise RecordingError(
-            f"{names}: loaded, but the contact force is not above 0 N in all samples; state "
-            "weight_mass"
+            f"{names}: these recordings are loaded, but the contact force is not above 0 N at all "
+            "samples; state weight_mass"
         )
     return samples
 
@@ -275,15 +277,13 @@ def _parameter(
     cost: float,
 ) -> Parameter:
     """Return one parameter; J is not identifiable if the torque of the inertia is smaller than the
-    misfit.
+    torque error of the fit.
     """
     inertial = value * float(np.linalg.norm(samples.acceleration))
     if name == "J" and inertial < cost:
         reason = (
             f"the torque of the inertia, {inertial:.3g} (norm over the samples), is below the "
-            "misfit of "
-            f"{cost:.3g}; "
-            "excite with higher acceleration"
+            f"torque error of the fit, {cost:.3g}; record a motion with higher acceleration"
         )
         return Parameter(name, unit, None, identifiable=False, reason=reason)
     low, high = bounds

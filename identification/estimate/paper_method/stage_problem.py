@@ -3,8 +3,8 @@ optimiser.
 
 All optimisers use the same samples, the same cost sqrt(sum e(k)^2), the same box and the
 coordinates of the paper: x = [Mc, Ms, omega_sf, sigma_2, J] without load, x = [mu_c, mu_s,
-omega_sL, mu_2] with load. The coordinates are scaled to the unit cube, so that a step is the same
-share of the box in each coordinate.
+omega_sL, mu_2] with load. The coordinates are scaled to the unit cube, so that equal steps are
+equal shares of the box in all coordinates.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class StageProblem:
     Args:
         stage: ``unloaded`` or ``loaded``.
         prepared: Recordings of the stage.
-        known: The system parameters, which stay fixed in the search of the loaded stage.
+        known: The system parameters, which are fixed in the search of the loaded stage.
         alpha: Stribeck exponent.
     """
 
@@ -75,8 +75,8 @@ class StageProblem:
         return np.asarray(s.torque - friction - (inertia[0] if inertia else 0.0) * s.acceleration)
 
     def design(self, omega_s: float) -> Design:
-        """Return the linear problem at one Stribeck speed, for variable projection; the rise
-        replaces the static level.
+        """Return the linear least-squares problem at one Stribeck speed, for variable projection;
+        the rise replaces the static level.
         """
         s = self.samples
         shape = s.load * stribeck_shape(s.velocity, omega_s, self._alpha)

@@ -1,9 +1,9 @@
 """Computes the norm of the torque error of eq. 15/16 for a whole population of candidates at once.
 
 At a given Stribeck speed the model is linear in all other parameters. The squared norm over all
-samples is therefore a combination of constant moments of the data and five sums over
-exp(-|omega/omega_s|^alpha). Only this exponential is evaluated for each candidate and sample; the
-rest is a matrix product.
+samples is therefore a combination of sums that do not depend on the candidate, and of five sums
+that contain exp(-|omega/omega_s|^alpha). Only this exponential is evaluated for each candidate and
+sample; all other operations are one matrix product.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.numerics.arrays import Array
 
-_CHUNK = 2048  # samples per block, so that a population's block stays in the cache
+_CHUNK = 2048  # samples per block, so that a population's block fits into the processor's cache
 _LOG_NEGLIGIBLE = -80.0  # exp(-80) is negligible against 1; below -708 it would be a denormal
 
 
@@ -21,11 +21,11 @@ class TorqueMisfit:
 
     Args:
         torque: Drive torque less known torques, N m, shape (n,).
-        velocity: w, rad/s, shape (n,); samples at rest must be omitted, because friction has no
-            equation at rest.
+        velocity: w, rad/s, shape (n,); samples at rest must be omitted, because at rest friction is
+            not a function of speed.
         acceleration: dw, rad/s^2, shape (n,).
-        load: Factor of the bracket, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m for
-            the working load (eq. 13).
+        load: Factor on the friction terms, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m
+            for the working load (eq. 13).
         alpha: Stribeck exponent.
     """
 
@@ -44,7 +44,8 @@ class TorqueMisfit:
     def norms(self, c: Array, s: Array, w_s: Array, v: Array, inertia: Array) -> Array:
         """Return the norm for every candidate; all arguments have shape (p,).
 
-        Cancellation between the moments limits the result to about 1e-8 of the norm of the torque.
+        Cancellation between the sums limits the accuracy of the result to about 1e-8 of the norm of
+        the torque.
 
         Args:
             c: Coulomb level (Mc or mu_c).

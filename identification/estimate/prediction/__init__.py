@@ -1,1 +1,1 @@
-"""Fits friction models to the simulated angle, over a horizon or a whole recording."""
+"""Fits friction models by the error of the predicted angle, over a horizon or a whole recording."""

@@ -1,4 +1,4 @@
-"""Compares the motor constants after a fit to the predicted angle with the declared constants
+"""Compares the motor constants that a fit of the predicted angle gives with the declared constants
 (M51).
 """
 
@@ -34,7 +34,7 @@ class Constant:
         prior: Relative standard deviation of the declared value, or None for a derived constant.
         value: Fitted value.
         low: Lower end of the 90 % interval of the fitted value.
-        high: Upper end of this interval.
+        high: Upper end of the 90 % interval of the fitted value.
         moved: Whether the interval excludes the declared value.
     """
 
@@ -60,8 +60,8 @@ class Constant:
 def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[Constant, ...]:
     """Return the motor constants of a fit in which they were free.
 
-    The interval is the wider of two: the interval from the curvature of cost and priors at the
-    minimum, and the interval from the fits to drawn recordings.
+    The interval is the wider of two intervals: from the curvature of cost and priors at the
+    minimum, and from the fits to drawn recordings.
 
     Args:
         pieces: The fitted pieces of recordings.

@@ -24,8 +24,8 @@ from identification.recording import Model, Recording
 CONSTANTS = ("torque_constant", "resistance")
 LATENESS = "lateness"
 RELATIVE_STD = 0.3
-"""Relative standard deviation of a motor constant, unless the campaign states one. The causes are
-warm windings, the tolerance of magnets, and torque losses in gears.
+"""Relative standard deviation of a motor constant, unless the campaign states one. Motor constants
+deviate because of warm windings, tolerances of magnets, and torque losses in gears.
 """
 _FASTEST_SHARE, _SLOWEST_SHARE = 1.0 / 3.0, 1e-3
 _LATEST = 5.0
@@ -65,8 +65,8 @@ class Point:
 
     Attributes:
         values: Friction and inertia by name, SI.
-        motor: Ratios of the motor constants to the declared ones.
-        lateness: Time by which a logged command acts late, s.
+        motor: Ratios of the motor constants to the declared motor constants.
+        lateness: Delay with which a logged command acts, s.
     """
 
     values: Mapping[str, float]
@@ -107,8 +107,8 @@ class Coordinates:
         (p,).
         """
         share = drive_share(self.rung)
-        # At rest the motor balances the external load, so that |external - motor|, which the teeth
-        # carry, is twice the external load.
+        # At rest the motor torque balances the external torque, so that the transmitted load
+        # |external torque - motor torque| is twice the external torque.
         carried = 1.0 + share
         coulomb, gear = values.get("Mc", 0.0), values.get("mu_gc", 0.0)
         x = {
@@ -168,7 +168,7 @@ def coordinates(
         rung: Name of the rung.
         model: Declared model.
         pieces: Pieces of recordings that are predicted.
-        scales: Sizes of the problem.
+        scales: Sizes of the signals.
         free: Whether the motor constants are free, within their priors.
     """
     t, w = scales.torque, scales.speed

@@ -16,22 +16,22 @@ from identification.numerics.levenberg_marquardt import Minimum, huber_weight
 from identification.numerics.spread import correlation_samples
 
 QUADRATIC = 0.2
-"""Error up to which the cost is quadratic, relative to the median absolute error of the start.
-Beyond this error the cost is linear, so that a recording that no friction model explains has a
-limited influence.
+"""Angle error up to which the cost is quadratic, relative to the median absolute error at the start
+of the search. Beyond it the cost is linear, so that a recording that no friction model explains has
+a limited influence.
 """
 TOLERANCE, MOST_STEPS = 1e-3, 40
-"""Drop of the cost by a step, as a share of the cost, below which a search ends, and greatest
+"""Decrease of the cost in a step, as a share of the cost, below which a search ends; and greatest
 number of steps.
 """
 COARSE_TOLERANCE, COARSE_STEPS = 0.02, 12
-"""The same two limits for the search from each of several starts; only the best end is searched
-further.
+"""Tolerance and greatest number of steps of the first search from each of several start points;
+only the best of these searches is continued.
 """
 FOLDS = 3
 _RIDGE = 1e-3
-"""Damping of the step to a draw; the damping suppresses the step along directions that hardly
-change the angle.
+"""Damping of the step from the fit to a drawn set of recordings; the damping suppresses changes of
+the parameters that hardly change the angle.
 """
 
 
@@ -43,9 +43,9 @@ class LoopFit:
         coordinates: Coordinates of the search.
         x: Coordinates, shape (p,).
         cost: Sum of the costs of data and priors.
-        ends: Cost at the end of the search from each start.
-        threshold: Error up to which the cost is quadratic, rad.
-        unit: Error that counts as one standard deviation of an independent observation, rad.
+        ends: Cost at the end of the search from each start point.
+        threshold: Angle error up to which the cost is quadratic, rad.
+        unit: Angle error that counts as one standard deviation of an independent observation, rad.
     """
 
     coordinates: Coordinates
@@ -72,7 +72,7 @@ def absolute_error(found: Sequence[Array]) -> float:
 
 
 def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence[Array]) -> LoopFit:
-    """Search from several starts, and continue the search from the best end.
+    """Search from several start points, and continue the search from the best end.
 
     Args:
         pieces: Pieces of recordings that are predicted.
@@ -88,8 +88,8 @@ def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence
     coarse = (COARSE_TOLERANCE, COARSE_STEPS)
     ends = [_searched(pieces, replace(begun, x=x), coarse) for x in starts]
     best = ends[int(np.argmin([e.cost for e in ends]))]
-    # The threshold and the weight of the priors are computed from the errors of the end, not of the
-    # start.
+    # The threshold and the weight of the priors are computed from the errors at the end of a
+    # search, not at its start.
     left = errors(pieces, coordinates.point(best.x), alpha)
     threshold = QUADRATIC * float(np.median(np.abs(np.concatenate(left))))
     again = LoopFit(coordinates, best.x, math.inf, (), threshold, unit_of(left, threshold))
@@ -106,12 +106,12 @@ def refit(pieces: Sequence[Piece], found: LoopFit) -> LoopFit:
 
 
 def unit_of(found: Sequence[Array], threshold: float) -> float:
-    """Return the error that counts as one standard deviation of an independent observation, rad
-    (M51).
+    """Return the angle error that counts as one standard deviation of an independent observation,
+    rad (M51).
 
     The Huber cost, divided by threshold times mean absolute error, is the negative log likelihood
-    of errors with a Laplace distribution. The errors of one simulation are correlated in time, so
-    that this cost is divided by the number of samples over which they are correlated.
+    of errors with a Laplace distribution. The errors of one simulation are correlated in time;
+    therefore the cost is also divided by the correlation time in samples.
     """
     scale = absolute_error(found)
     return math.sqrt(max(threshold * scale * persistence(found), 1e-300))
@@ -126,7 +126,7 @@ def persistence(found: Sequence[Array]) -> float:
 
 
 def pulls(pieces: Sequence[Piece], found: LoopFit) -> tuple[Array, Array]:
-    """Return normal matrices and gradients of the recordings at the end of a fit, without priors:
+    """Return normal matrix and gradient of each recording at the end of a fit, without priors,
     shapes (m, p, p) and (m, p).
     """
     c = found.coordinates
@@ -150,7 +150,7 @@ def drawn(found: LoopFit, normals: Array, gradients: Array, counts: Array) -> Ar
         found: The fit to all recordings.
         normals: Normal matrix of each recording, shape (m, p, p).
         gradients: Gradient of each recording, shape (m, p).
-        counts: How often each recording was drawn, shape (m,).
+        counts: Number of times that each recording was drawn, shape (m,).
     """
     c = found.coordinates
     prior = np.array([1.0 / c.prior[n] ** 2 if n in c.prior else 0.0 for n in c.names])
@@ -193,8 +193,8 @@ def _errors(pieces: Sequence[Piece], c: Coordinates, x: Array) -> Array:
 
 
 def _slope(pieces: Sequence[Piece], c: Coordinates, x: Array, here: Array) -> Array:
-    """Return the finite differences of the errors, shape (n, p); at an upper bound the step is
-    negative.
+    """Return the derivatives of the errors by finite differences, shape (n, p); at an upper bound
+    the step is negative.
     """
     slope = np.empty((len(here), len(x)))
     for k, (step, high) in enumerate(zip(c.steps(), c.box.high, strict=True)):

@@ -1,9 +1,9 @@
-"""Divides recordings into pieces; the angle of each is predicted from a measured state (M49).
+"""Divides recordings into pieces, and predicts the angle of each piece from a measured state (M49).
 
-In a position loop the controller keeps the simulated angle near the command, so that the whole
-recording is one piece. With a measured voltage or torque as the only input, the prediction drifts.
-The pieces then have about the length between two reversals of the motion, and each piece starts
-from the measured angle and velocity.
+If the controller of the position loop is known, it keeps the simulated angle near the command, and
+the whole recording is one piece. With a measured voltage or torque as the only input, the
+prediction drifts; therefore a piece then has about the length between two reversals of the motion,
+and starts from the measured angle and velocity.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class Piece:
         inputs: Inputs of the simulation, shape (n,).
         angle: Measured angle, rad, shape (n,); the first value is the initial state.
         velocity: Initial velocity, rad/s.
-        volts: Whether ``inputs.added`` is the motor voltage; only read without a controller.
+        volts: Whether ``inputs.added`` is the motor voltage; has no effect if there is a
+            controller.
     """
 
     recording: Recording
@@ -78,7 +79,7 @@ class Piece:
         Args:
             values: Parameters by name, SI.
             motor: Motor constants.
-            lateness: Time by which a logged command acts late, s.
+            lateness: Delay with which a logged command acts, s.
             alpha: Stribeck exponent.
         """
         bench = motor.bench(self.recording.bench)
@@ -109,11 +110,11 @@ def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
 
     Args:
         prepared: The recording; without a controller its velocity gives the initial states.
-        horizon: Length of a piece, s, or None for the whole recording in a known loop, else
-            :func:`open_horizon`.
+        horizon: Length of a piece, s. With None, the piece is the whole recording if the controller
+            is known; otherwise the length is :func:`open_horizon`.
 
     Raises:
-        RecordingError: The recording has no angle, or nothing drives its simulation.
+        RecordingError: The recording has no angle, or no input for a simulation.
     """
     recording = prepared.recording
     angle = joint_angle(recording)
@@ -156,7 +157,9 @@ def open_horizon(prepared: Prepared) -> float:
 
 
 def _ends(time: Array, horizon: float) -> Sequence[int]:
-    """Return the first sample of each piece, and the total number of samples at the end."""
+    """Return the index of the first sample of each piece, followed by the total number of
+    samples.
+    """
     whole = float(time[-1] - time[0])
     count = 1 if not math.isfinite(horizon) else max(round(whole / horizon), 1)
     count = max(min(count, len(time) // LEAST_SAMPLES), 1)
@@ -165,8 +168,8 @@ def _ends(time: Array, horizon: float) -> Sequence[int]:
 
 
 def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
-    """Return the measured torque or voltage of the drive as inputs, and whether it is a voltage, or
-    NaN where the drive is off.
+    """Return the measured torque or voltage of the drive as inputs, NaN while the power stage is
+    off, and whether the input is a voltage.
 
     Raises:
         RecordingError: No torque, current or voltage channel.
@@ -182,8 +185,8 @@ def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
             added = np.where(channels["enabled"] < 0.5, np.nan, added)
     else:
         raise RecordingError(
-            f"{recording.name}: a simulation has no input; it needs a torque, current or voltage "
-            "channel, or a `command` and its `controller`"
+            f"{recording.name}: the recording has no input for a simulation; add a torque, "
+            "current or voltage channel, or a `command` channel and the `controller` section"
         )
     angle = joint_angle(recording)
     still, ones = np.zeros(len(time)), np.ones(len(time))

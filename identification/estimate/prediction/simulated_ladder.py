@@ -37,12 +37,12 @@ from identification.prepare import Prepared, joint_angle, prepare
 from identification.recording import Dataset, Recording
 
 ONE_SIDED = 1.645
-"""Number of standard errors by which a cross-validated error must exceed the least error to count
-as greater.
+"""Number of standard errors by which a cross-validated error must exceed the least cross-validated
+error to count as greater.
 """
 STARTS = (0.08, 0.2)
-"""Further Stribeck speeds from which a search starts, relative to the greatest speed. Stick-slip
-makes the cost irregular, so that there are minima with narrow falling parts.
+"""Further start values of the Stribeck speed, relative to the greatest speed. Several start values
+are needed, because stick-slip makes the cost irregular, with local minima at low Stribeck speeds.
 """
 
 
@@ -56,18 +56,18 @@ class SimulatedRung:
         alpha: Stribeck exponent.
         fitted: Parameters by name, SI; ``lateness`` of the command, s.
         train: Mean absolute angle error on the fitted recordings, rad (m).
-        crossed: Cross-validated error: the same error on each third of the fitted recordings,
-            predicted with a fit to the other two thirds. NaN for a single recording; then no rung
-            is chosen.
-        scored: The same error on the recordings for validation, or None if there are none.
+        crossed: Cross-validated error: mean absolute angle error on each third of the fitted
+            recordings, predicted with a fit to the other two thirds, rad (m). NaN for a single
+            recording; then no rung is chosen.
+        scored: Mean absolute angle error on the recordings with role ``validate``, rad (m), or None
+            without such recordings.
         constants: Motor constants and their changes; empty if they were fixed.
         horizon_s: Longest prediction, s.
         best: Share of the draws in which this fit has the least error on the scored recordings.
-        chosen: Whether the fit has the least cross-validated error among the fits with the same
-            ``free``.
-        tied: Whether the cross-validated error exceeds the least one by no more than the
-            uncertainty of the difference.
-        ends: Cost at the end of each start.
+        chosen: Whether the fit has the least cross-validated error of all fits of equal ``free``.
+        tied: Whether the cross-validated error exceeds the least cross-validated error by no more
+            than the uncertainty of the difference.
+        ends: Cost at the end of the search from each start point.
     """
 
     friction: str
@@ -101,11 +101,11 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Case:
-    """One fit with its draws: coordinates of each draw, and its errors on fitted and on scored
-    recordings.
+    """One fit with its bootstrap draws: coordinates of each draw, and errors on fitted and on
+    scored recordings.
 
     ``crossed`` contains the sum of absolute errors and the number of samples of each fitted
-    recording, predicted with a fit to other recordings, shape (m, 2).
+    recording, which is predicted with a fit to other recordings, shape (m, 2).
     """
 
     found: LoopFit
@@ -134,10 +134,10 @@ def climb_simulated(
         progress: Called with the name of the step and the share done.
 
     Returns:
-        One record for each fit. The list is empty unless each recording is unloaded, has an angle
-        and, in addition, either a declared controller and a ``command`` channel, or a measured
-        motor voltage and neither torque nor current; with either of these, the equation error
-        suffices.
+        One record for each fit. The list is empty unless each recording is unloaded and has an
+        angle and, in addition, either a declared controller and a ``command`` channel, or a motor
+        voltage without torque and current. For recordings with torque or current the equation error
+        is sufficient.
 
     Raises:
         RecordingError: A recording cannot be simulated, or cannot be fitted.
@@ -163,8 +163,8 @@ def climb_simulated(
 
 
 def predictable(recording: Recording) -> bool:
-    """Return whether a fit to the predicted angle is useful for a recording: the control loop is
-    known, or the motor voltage alone was measured.
+    """Return whether a fit of the predicted angle is useful for a recording: the control loop is
+    known, or a motor voltage but neither torque nor current was measured.
     """
     channels, bench = recording.channels, recording.bench
     if joint_angle(recording) is None or recording.stage == "loaded":
@@ -222,8 +222,8 @@ def _starts(
     free: bool,
     ends: Mapping[tuple[str, bool], LoopFit],
 ) -> list[Array]:
-    """Return the start points of a search: the equation error at several Stribeck speeds, and the
-    ends of the simpler models that this model contains.
+    """Return the start points of a search: solutions of the equation error at several Stribeck
+    speeds, and the search ends of the simpler models that are special cases of this model.
     """
     values = problem.values["stribeck_load_dependent" if bears_load(axes.rung) else "stribeck"]
     starts = [axes.start(values)]
@@ -271,8 +271,8 @@ def _case(problem: _Problem, axes: Coordinates, starts: Sequence[Array]) -> _Cas
 
 
 def _crossed(problem: _Problem, found: LoopFit) -> Array:
-    """Return the errors on each fitted recording, predicted with a fit to the other folds, shape
-    (m, 2).
+    """Return sum of absolute errors and number of samples of each fitted recording, which is
+    predicted with a fit to the other folds, shape (m, 2).
     """
     sums: list[Array] = []
     for names in _folds([p.recording for p in problem.fitted]):
@@ -285,8 +285,8 @@ def _crossed(problem: _Problem, found: LoopFit) -> Array:
 
 
 def _folds(recordings: Sequence[Recording]) -> Iterator[set[str]]:
-    """Yield the names of the recordings in each fold; recordings under one load are in one fold if
-    there are enough loads.
+    """Yield the names of the recordings in each fold of the cross-validation; recordings with one
+    load are in one fold if there are enough different loads.
     """
     loads = {
         r.name: (
@@ -354,8 +354,8 @@ def _crossed_error(sums: Array) -> float:
 
 
 def _tied(sums: Array, least: Array) -> bool:
-    """Return whether the errors exceed the least errors by no more than 1.645 standard errors of
-    the paired differences over recordings.
+    """Return whether the sum of the errors exceeds that of the best model by no more than 1.645
+    standard errors, which are computed from the differences for each recording.
     """
     apart = sums[:, 0] / sums[:, 1] - least[:, 0] / least[:, 1]
     if not np.all(np.isfinite(apart)):

@@ -26,11 +26,13 @@ from identification.numerics.levenberg_marquardt import huber_weight
 from identification.numerics.two_threads import each
 
 _PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
-"""Weight of the prior of the scatter, in segments, without and with replicates (M41)."""
+"""Weight of the prior of the scatter (M41), as a number of segments: without and with
+replicates.
+"""
 _FARTHEST = 1.0
-"""Change of a logarithm above which a parameter is not changed together with the inertia. Such a
-parameter is not identifiable, for example a Stribeck speed below all sampled speeds, and the
-linearisation is invalid.
+"""Change of the logarithm of a parameter above which the parameter is not changed together with the
+inertia: the linearisation is invalid, because the parameter is not identifiable (for example a
+Stribeck speed below all sampled speeds).
 """
 
 
@@ -42,8 +44,8 @@ class Covariances:
     Attributes:
         achieved: Covariance with the inertia at the solution of its estimating equation.
         floor: Cramer-Rao bound.
-        step: Step of the free parameters to this solution, in which the other parameters change
-            with the inertia, shape (p,).
+        step: Step of the free parameters to the solution of this equation; the other parameters
+            change with the inertia, shape (p,).
     """
 
     achieved: Array
@@ -52,12 +54,12 @@ class Covariances:
 
 
 def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covariances:
-    """Return the achieved covariance of the free parameters and its floor at a point.
+    """Return the achieved covariance of the free parameters and its Cramer-Rao bound at a point.
 
     The variance of the inertia is that of its estimating equation; the other parameters change with
     the inertia (M39). The standard deviation of each parameter is scaled by the scatter of its
     scores from segment to segment (M40, M41, and Liang and Zeger, Biometrika 73 (1986) 13); the
-    scaling never lowers the variance of the inertia.
+    scaling never reduces the variance of the inertia.
 
     Args:
         point: Point at the estimate.
@@ -101,10 +103,10 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 def _replicate_bounds(
     point: Point, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
-    """Return the bound with and without variance inflation, shape (p, p) each, or None if the
-    replicates determine no bound.
+    """Return the Cramer-Rao bound with and without variance inflation, shape (p, p) each, or None
+    if the information from the replicates is singular.
 
-    Variance inflation is a choice of the estimator and not part of the floor (M38).
+    The floor (M38) is the bound without variance inflation, which is a choice of the estimator.
     """
     if not replicates:
         return None
@@ -140,8 +142,8 @@ def _spread(
     """Return the ratio of the standard deviation of the scores between segments to the standard
     deviation by the noise model, shape (p,) (M41).
 
-    A recording has few segments, so that the ratio is moved toward its mean over replicates, or
-    toward one if there are no replicates. The ratio may be below one, because the drive's loop
+    A recording has few segments; therefore the ratio is combined with its mean over replicates, or
+    with one if there are no replicates. The ratio may be below one, because the drive's loop
     compensates part of the current noise within a segment.
 
     Args:
@@ -158,15 +160,16 @@ def _spread(
 
 
 def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
-    """Return each parameter's ratio of clustered to plain variance and the effective number of
-    segments, shape (p,) each (M40).
+    """Return for each parameter the ratio of the variance of its estimate from the scatter of the
+    segments' scores to the variance by the noise model, and the effective number of segments, shape
+    (p,) each (M40).
 
-    The mean of the scores is subtracted, so that a distance from the least-squares estimate does
-    not count as scatter.
+    The mean of the scores is subtracted, so that a distance of the point from the least-squares
+    estimate does not count as scatter.
     """
     weight = huber_weight(residual, HUBER_THRESHOLD)
     normal, scale = equilibrated(jacobian.product(weight))
-    # A segment may contain no information on its breakaway time.
+    # The information of a segment on its breakaway time may be zero.
     inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
     influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
     plain = jacobian.by_block(np.ones(len(residual)), influence**2)
@@ -181,8 +184,8 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
 def named_covariances(
     found: Covariances, joint: Point, names: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Return the achieved covariance and the floor in the order of ``names``, with static limits in
-    place of rises, shape (p, p).
+    """Return the achieved covariance and its Cramer-Rao bound in the order of ``names``, with
+    static levels in place of rises, shape (p, p) each.
     """
     order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)
@@ -194,7 +197,7 @@ def named_covariances(
 
 def rise_to_static(names: Sequence[str]) -> Array:
     """Return the matrix of the transformation from (Coulomb level, rise) to (Coulomb level, static
-    limit), shape (p, p).
+    level), shape (p, p).
     """
     turn = np.eye(len(names))
     for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):

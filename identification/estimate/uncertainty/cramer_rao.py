@@ -1,16 +1,16 @@
 """Computes the Cramer-Rao bound of an experiment: the least variance of any unbiased estimate (M37,
 M38).
 
-The bound holds for a measured current that is a given input, because the drive loop is unknown, for
-a quantised encoder, and for unknown breakaway times. The Fisher information is computed from the
-mean of the prediction errors: products of sensitivities over standard deviations, summed over
+The bound holds for a quantised encoder, for unknown breakaway times, and for a measured current
+that is a given input, because the drive loop is unknown. The Fisher information is computed from
+the mean of the prediction errors: products of sensitivities over standard deviations, summed over
 samples (Ljung, System Identification, 2nd ed., 7.4), with the breakaway times eliminated.
 
 The sensitivities of a segment contain the current noise, whose square would count as excitation.
 With replicates, products of sensitivities from two different noise realisations are used. Without
-replicates, the sensitivities are averaged over matching half cycles. More half cycles reduce the
-noise in the averaged sensitivities, but the average loses the differences between half cycles; this
-bound is therefore up to a quarter too high.
+replicates, the sensitivities are averaged over matching half cycles. This average reduces the
+noise, but loses the differences between half cycles; without replicates the bound is therefore up
+to a quarter too high.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def matching_means(jacobian: BlockArrow, others: BlockArrow, counts: Array) -> B
     Args:
         jacobian: Sensitivities of each segment, r rows.
         others: Mean over the other matching half cycles.
-        counts: Number of matching half cycles of each row, including itself, shape (r,).
+        counts: Number of matching half cycles of the segment of each row, including the segment
+            itself, shape (r,).
     """
     return jacobian.mixed(1.0 / counts, others)
 
@@ -70,8 +71,8 @@ def replicate_information(
 
     Args:
         point: Point at which the sensitivities are computed.
-        matching: Sensitivities from matching half cycles without inflation, for ties and for
-            samples covered by fewer than two noise realisations.
+        matching: Sensitivities from matching half cycles without variance inflation, for ties and
+            for samples for which there are fewer than two noise realisations.
         replicates: Replicates with at least two noise realisations.
     """
     count = len(point.free)

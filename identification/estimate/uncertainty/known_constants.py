@@ -1,10 +1,11 @@
-"""Adds the uncertainty of known constants, such as the torque constant, to that of the estimates.
+"""Adds the uncertainty of known constants, such as the torque constant, to the uncertainty of the
+estimates.
 
 The fit takes torque constant, gear ratio, weights and similar constants as exact. Each uncertain
 constant is raised and lowered by its standard deviation, and the equation error is solved for the
 raised and for the lowered value. Half the difference of the two solutions, d, is the effect of one
 standard deviation to first order; d d' is added to the covariance of the estimates. The errors of
-the constants count as independent of each other and of the noise.
+the constants are taken as independent of each other and of the noise.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def shifts_of_constants(active: Sequence[Prepared], solve: Solve) -> tuple[Known
         solve: Function that solves the equation error of the recordings.
 
     Raises:
-        RecordingError: The fit fails with a constant at the end of its uncertainty.
+        RecordingError: The fit fails with a constant raised or lowered by its standard deviation.
     """
     found = []
     for constant in uncertain_constants([p.recording for p in active]):

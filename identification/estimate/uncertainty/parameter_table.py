@@ -1,5 +1,5 @@
-"""Makes the parameter table with values, intervals and reasons for withheld values (M43), and
-computes the fit errors.
+"""Computes the parameter table with values, intervals and reasons for withheld values (M43), and
+the fit errors.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ LEAST_RISE = 1e-3
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
-    """Return the unit of each parameter by name; torques are in A where no torque constant is
-    known.
+    """Return the unit of each parameter by name; torques are in A if the torque constant is
+    unknown.
     """
     recording = prepared[0].recording
     amperes = torque_unit(recording) == "A"
@@ -77,9 +77,9 @@ def fit_of(
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
     """Return the geometric mean over the recordings of their rms torque errors, N m or N.
 
-    The error level of a recording is unknown and differs between recordings: a recording that is
-    too fast for the bandwidth has an error many times that of the others. In the geometric mean
-    each recording has the same weight, independent of its length.
+    The size of the error differs between recordings: a recording whose motion is too fast for the
+    bandwidth has an error many times that of other recordings. In the geometric mean all recordings
+    have equal weight, whatever their length and error.
     """
     errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
     return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))
@@ -123,8 +123,8 @@ def parameter_table(
     model: Model,
     floors: Mapping[str, float],
 ) -> dict[str, Parameter]:
-    """Return every parameter with its interval and, if known, its floor, or with the reason why it
-    has no interval.
+    """Return every parameter with its interval and, if known, its floor; a parameter without
+    interval has a reason.
     """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
@@ -136,7 +136,7 @@ def parameter_table(
         value = values[name]
         if name in model.fixed:
             table[name] = Parameter(
-                name, units[name], value, value, value, reason="fixed by the campaign, not fitted"
+                name, units[name], value, value, value, reason="fixed in the campaign, not fitted"
             )
         elif name not in spread.names:
             table[name] = Parameter(
@@ -173,22 +173,23 @@ def _judge_rise(
     *,
     keep_speed: bool,
 ) -> None:
-    """Withhold the static friction, and the Stribeck speed unless another rise determines it, if
-    the rise is not significant.
+    """If the rise is not significant, withhold the static level, and also the Stribeck speed unless
+    another rise determines it.
     """
     coulomb, static, speed = names
     rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
     if not _rise_is_seen(names, values, spread):
         unit = "" if table[static].unit == "1" else f" {table[static].unit}"
         reason = (
-            f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not significant in "
-            "these recordings"
+            f"the rise from Coulomb to static friction, {rise:.2g} +- {half:.2g}{unit}, is not "
+            "significant in these recordings"
         )
         withheld = (static,) if keep_speed else (static, speed)
         for name in (n for n in withheld if n in spread.names and table[n].identifiable):
             table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
     elif table[speed].at_bound and table[static].identifiable:
-        reason = f"it is the friction at the end of the falling part, and {table[speed].reason}"
+        reason = f"{static} is the friction at the slow end of the falling part, and for {speed} "
+        reason += f"{table[speed].reason}"
         table[static] = Parameter(
             static, table[static].unit, None, identifiable=False, reason=reason
         )
@@ -197,8 +198,8 @@ def _judge_rise(
 def _absent(name: str) -> str:
     coulomb, static, _ = next(names for names in STRIBECK_TERMS if name in names[1:])
     return (
-        f"friction does not rise toward rest in these recordings: {static} would fall to "
-        f"{coulomb}, its bound"
+        f"static friction does not exceed Coulomb friction in these recordings: {static} would "
+        f"fall to {coulomb}, its lower bound"
     )
 
 
@@ -249,11 +250,11 @@ def _why(
     """Return the reason why a parameter is not identifiable."""
     if at_bound and name in ("omega_sf", "omega_sL"):
         return (
-            f"the search ends at its bound of {value:.3g} {unit}: the recordings do not show the "
-            "falling part of friction"
+            f"the search ends at the bound of this parameter, {value:.3g} {unit}: the recordings "
+            "do not show the falling part of friction"
         )
     if at_bound:
-        return "the best fit would be below 0, which is the bound of the value"
+        return "the best fit would have a value below 0, which is the lower bound"
     suffix = "" if unit == "1" else f" {unit}"
     interval = (
         f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide for "
@@ -266,5 +267,5 @@ def _why(
             if np.any(p.used)
         )
         torque = max(float(np.std(p.torque[p.used])) for p in prepared if np.any(p.used))
-        return f"J domega/dt is {100.0 * inertia / torque:.2g} % of the torque: {interval}"
+        return f"J domega/dt is only {100.0 * inertia / torque:.2g} % of the torque, and {interval}"
     return interval

@@ -2,8 +2,9 @@
 
 A prior p with standard deviation s is one more row (value - p)/s of the least squares. With the
 covariance C of the estimate x, and the likelihood approximated to second order, the joint optimum
-is the update x + C H' (H C H' + S)^-1 (p - H x), its covariance C - C H' (H C H' + S)^-1 H C, where
-H picks the parameters with a prior and S holds their variances.
+is x + C H' (H C H' + S)^-1 (p - H x), and its covariance is C - C H' (H C H' + S)^-1 H C. The
+matrix H selects the parameters with a prior, and the diagonal of S contains the variances of the
+priors.
 """
 
 from __future__ import annotations
@@ -19,19 +20,20 @@ from identification.numerics.spread import Spread
 from identification.result import Prior
 
 CONTRADICTS = 2.6
-"""Difference between prior and recordings, in standard deviations, above which a warning states
-that they disagree; by chance one difference in a hundred is greater.
+"""Difference between the prior and the estimate from the recordings, in standard deviations, above
+which a warning is given; by chance one difference in a hundred is greater.
 """
 _UNKNOWN = 1e8
 """Standard deviation that is assumed for a parameter that the recordings do not determine, relative
-to that of the prior.
+to the standard deviation of the prior.
 """
 
 
 def with_priors(
     values: Mapping[str, float], spread: Spread, known: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], Spread, tuple[Prior, ...], tuple[str, ...]]:
-    """Return values and covariance with the priors, the effect of each prior, and warnings.
+    """Return values and covariance after combination with the priors, the effect of each prior, and
+    warnings.
 
     Args:
         values: Estimates without priors, by name.
@@ -40,7 +42,7 @@ def with_priors(
     """
     names = [n for n in known if n in spread.names]
     warnings = [
-        f"the prior of {name} has no effect: the recordings do not show this part of friction"
+        f"the prior of {name} has no effect: the fit found no friction of this kind"
         for name in known
         if name not in names
     ]
@@ -53,7 +55,7 @@ def with_priors(
     sum_ = covariance[np.ix_(at, at)] + np.diag(deviations**2)
     gain = np.linalg.solve(sum_, covariance[at]).T
     after = before + gain @ (wanted - before[at])
-    # This form of the covariance keeps its precision where a prior alone determines a parameter.
+    # This form of the covariance keeps its precision if only a prior determines a parameter.
     rest = np.eye(len(before))
     rest[:, at] -= gain
     left = rest @ covariance @ rest.T + gain @ np.diag(deviations**2) @ gain.T
@@ -69,19 +71,20 @@ def with_priors(
         if apart > CONTRADICTS:
             warnings.append(
                 f"the prior of {n}, {value:.4g} +- {deviation:.2g}, and the recordings, "
-                f"{values[n]:.4g} +- {alone:.2g}, are {apart:.1f} standard deviations apart: one "
-                f"of them is wrong, and the values lie between"
+                f"{values[n]:.4g} +- {alone:.2g}, are {apart:.1f} standard deviations apart: the "
+                "prior or the estimate from the recordings is wrong, and the stated value is "
+                "between the two"
             )
         used.append(Prior(n, value, deviation, values[n], alone, found[n], math.sqrt(left[k, k])))
-    # A variance that is not finite stays so if the parameter has no prior.
+    # An infinite or undefined variance is kept if the parameter has no prior.
     kept = np.where(np.isfinite(spread.covariance), left, spread.covariance)
     kept[np.ix_(at, at)] = left[np.ix_(at, at)]
     return found, replace(spread, covariance=kept), tuple(used), tuple(warnings)
 
 
 def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarray:
-    """Return the covariance in which undetermined parameters have a large variance and no
-    correlation with the others.
+    """Return the covariance with a large variance of parameters that the recordings do not
+    determine, and without correlation of these parameters with others.
     """
     made = np.array(covariance, dtype=np.float64)
     for k in np.flatnonzero(~np.isfinite(np.diag(covariance))):
@@ -100,7 +103,7 @@ def _within(values: dict[str, float], names: Sequence[str]) -> tuple[dict[str, f
             found[static] = found[coulomb]
     beyond = [n for n in names if found[n] != values[n]]
     words = (
-        "the priors lead beyond the limits of {}, which is set to its limit: the priors contradict "
-        "the recordings"
+        "{} is set to the limit of its range, because the combination with the priors is beyond "
+        "this limit: the priors contradict the recordings"
     )
     return found, [words.format(n) for n in beyond]

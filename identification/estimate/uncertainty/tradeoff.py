@@ -1,7 +1,7 @@
-"""Describes correlated parameters of an estimate as text, with their determined combinations.
+"""Describes correlated parameters of an estimate as text.
 
-The text lists each strongly correlated pair with the combination of the two that the recordings
-determine, and the least determined combination of all parameters.
+The text lists each strongly correlated pair of parameters with the combination of the two that the
+recordings determine, and the least determined combination of all parameters.
 """
 
 from __future__ import annotations
@@ -16,18 +16,17 @@ from identification.numerics.spread import Spread
 from identification.result import Tradeoff
 
 TRADE_OFF = 0.9
-"""Correlation from which two parameters count as a trade-off."""
+"""Least correlation, as a magnitude, at which two parameters count as a trade-off."""
 _SHOWN = 0.3
-"""Least share of a parameter in a combination for the parameter to be listed, relative to the
-greatest share.
+"""A parameter is listed in a combination if its share is at least this part of the greatest share.
 """
 
 _AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
-"""Pairs (a, b) whose sum a + b omega is friction at a speed (eq. 9 and 13 beyond the Stribeck
-speed).
+"""Pairs (a, b) whose sum a + b omega is the friction at a speed omega well above the Stribeck speed
+(eq. 9 and 13).
 """
 _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
-"""Pairs (a, b) whose sum a + b F_P L1 is friction under a contact moment (eq. 15)."""
+"""Pairs (a, b) whose sum a + b F_P L1 is the friction under a contact moment F_P L1 (eq. 15)."""
 
 
 def tradeoffs(
@@ -49,14 +48,14 @@ def tradeoffs(
             if abs(rho) >= TRADE_OFF:
                 second = names[k]
                 pinned = _pinned(first, second, spread, values, units)
-                words = f"{first} and {second} trade off (correlation {rho:+.3f}): {pinned}"
+                words = f"{first} and {second} are correlated (correlation {rho:+.3f}): {pinned}"
                 found.append(Tradeoff((first, second), rho, words))
     return tuple(sorted(found, key=lambda pair: -abs(pair.correlation)))
 
 
 def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
-    """Return a text with the least determined combination of relative changes; empty if nothing was
-    fitted.
+    """Return a text with the least determined combination of relative changes of the parameters;
+    empty if no parameter was fitted.
 
     The least determined combination is the eigenvector of the relative covariance with the greatest
     eigenvalue.

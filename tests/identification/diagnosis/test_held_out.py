@@ -144,7 +144,7 @@ def test_what_is_there_pays_and_what_is_not_does_not(set_aside: bool) -> None:
     assert found.final.effects[0].coefficients[0] == pytest.approx(0.5, rel=0.1)
     (words,) = dropped_effects(found)
     assert "standard errors" in words
-    assert ("set aside" if set_aside else "predicted from the others") in words
+    assert ("set aside" if set_aside else "predicted from the other parts") in words
 
 
 def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:

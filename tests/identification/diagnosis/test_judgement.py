@@ -150,7 +150,9 @@ def test_what_explains_little_of_recordings_set_aside_is_not_sure(
     (effect,) = effects_of(search, np.random.default_rng(0))
     assert effect.confidence == pytest.approx(confidence, abs=0.01)
     texts = unexplained_equations(search, Verdict.NAMED)
-    assert any("set aside only 20 %" in text for text in texts) is (share == 0.2)
+    assert any("set aside the effects explain only 20 %" in text for text in texts) is (
+        share == 0.2
+    )
 
 
 @pytest.mark.parametrize("hysteretic", [True, False])
@@ -175,9 +177,9 @@ def test_a_dropped_effect_that_was_not_allowed_gives_the_reason() -> None:
     judged = verdict_of(search, np.random.default_rng(0), before)
     assert judged.verdict is Verdict.OUTSIDE_CATALOGUE
     (text,) = texts_of(judged)
-    assert text.startswith("the catalogue explains only")
+    assert text.startswith("effects of the catalogue explain only")
     assert "cogging" in text
-    assert "at least 70 % are needed" in text
+    assert "needs at least 70 %" in text
 
 
 def test_a_search_without_effects_says_why_its_best_candidate_was_not_accepted() -> None:
@@ -197,7 +199,7 @@ def test_a_search_without_effects_says_why_its_best_candidate_was_not_accepted()
         (Kind.ONE_DIRECTION, (NAME,), "a different size in each direction of motion"),
         (Kind.CANCELLING, (NAME, "cogging"), "asymmetric Coulomb and cogging would explain"),
         (Kind.INFEASIBLE, (NAME,), "asymmetric Coulomb would explain the mismatch only with"),
-        (Kind.TOO_LITTLE, (NAME,), "at least 70 % are needed"),
+        (Kind.TOO_LITTLE, (NAME,), "needs at least 70 %"),
         (Kind.REVERSALS, (NAME,), "since each reversal"),
     ],
 )

@@ -263,7 +263,7 @@ def test_recordings_of_speed_alone_share_no_origin_of_their_angles() -> None:
     assert [e.name for e in found.effects] == ["cogging"]
     assert found.effects[0].parameters["per_motor_turn"].value == 7.0
     assert found.effects[0].parameters["torque_Nm"].value == pytest.approx(1.5, rel=0.1)
-    assert any("counts its angle from its own first" in w for w in found.warnings)
+    assert any("is counted from its first sample" in w for w in found.warnings)
 
 
 def only_speed(recording: Recording) -> Recording:
