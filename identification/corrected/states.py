@@ -26,7 +26,8 @@ def lagged(series: Array, time: Array, time_s: float) -> Array:
 
 
 def advanced(series: Array, time: Array, time_s: float) -> Array:
-    """Return the series shifted to earlier times by ``time_s``, with its end values held, shape (n,).
+    """Return the series shifted to earlier times by ``time_s``, with its end values held, shape
+    (n,).
 
     Between two samples the series is the cubic through the four nearest samples; in the first and
     in the last interval it is a straight line.

@@ -35,8 +35,9 @@ def gear_mesh_ripple(
     phase_rad: float,
     with_torque: float = 1.0,
 ) -> Array:
-    """Periodic error of the gear mesh: A sin(n theta + p); the torque is in
-    :func:`identification.corrected.motor.gear_mesh_ripple_drive`."""
+    """Periodic error of the gear mesh: A sin(n theta + p); its torque ripple is computed in
+    :func:`identification.corrected.motor.gear_mesh_ripple_drive`.
+    """
     return np.asarray(amplitude_rad * np.sin(per_turn * s["angle"] + phase_rad))
 
 

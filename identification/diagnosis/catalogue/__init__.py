@@ -1,4 +1,6 @@
-"""The catalogue in words, one module per group; a new effect needs an entry, a term and tests."""
+"""The catalogue in words, one module per group of effects; a new effect needs an entry, a term and
+tests.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from identification.diagnosis.catalogue.transmission import TRANSMISSION
 MOTION: Mapping[str, Entry] = {
     e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)
 }
-"""Effects that appear in motion; effects of the gas generator have a model of their own
-(:mod:`identification.model`).
+"""Effects of machine and sensors; effects of the gas generator are computed by another model
+(:mod:`identification.model.gas_kernel`).
 """
 ENTRIES: Mapping[str, Entry] = {**MOTION, **{e.name: e for e in GAS}}
 """Name to entry, in the order of the catalogue."""

@@ -1,4 +1,4 @@
-"""Catalogue entries of effects of springs, stops and unbalance on the joint, and of the lever with
+"""Catalogue entries of springs, stops and unbalance on the joint, and of effects of the lever with
 its weights (eq. 12 to 17, Fig. 10).
 """
 
@@ -16,7 +16,8 @@ DEVICE: tuple[Entry, ...] = (
         assumption="the implied assumption that the joint is balanced and nothing but friction "
         "loads it (eq. 1)",
         shows_in="torque",
-        coordinate="angle: a sine over a whole turn, the same in motion, at rest and both ways",
+        coordinate="angle: a sine with one period per joint turn, the same in motion, at rest and "
+        "in both directions",
         parameters=(Quantity("torque_Nm", "N m", 0.0, 50.0), Quantity("zero_rad", "rad", -pi, pi)),
         look_alikes=(
             "return_spring",
@@ -25,9 +26,9 @@ DEVICE: tuple[Entry, ...] = (
             "encoder_eccentricity",
         ),
         experiment=(
-            "The widest travel the stops allow, slowly both ways: gravity bends as a sine, a "
-            "spring stays "
-            "straight, an offset is flat."
+            "Slow motion over the widest travel that the stops allow, in both directions: over the "
+            "angle, the torque of gravity is a sine, that of a spring a straight line, and "
+            "that of an offset constant."
         ),
         sentence=(
             "a weight out of balance pulls with up to {torque_Nm:N m}, and hangs straight down at "
@@ -40,17 +41,17 @@ DEVICE: tuple[Entry, ...] = (
         equation="J domega/dt = i Km I - M_f - M_L - k (theta - theta_0)",
         assumption="the implied assumption that nothing but friction loads the joint (eq. 1)",
         shows_in="torque",
-        coordinate="angle: a straight line over the travel, the same in motion, at rest and both "
-        "ways",
+        coordinate="angle: a straight line over the travel, the same in motion, at rest and in "
+        "both directions",
         parameters=(
             Quantity("stiffness_Nm_rad", "N m/rad", 0.0, 200.0),
             Quantity("rest_rad", "rad", -pi, pi),
         ),
         look_alikes=("gravity_imbalance", "end_stop", "current_offset", "asymmetric_coulomb"),
         experiment=(
-            "The widest travel the stops allow, slowly both ways: gravity bends as a sine, a "
-            "spring stays "
-            "straight, an offset is flat."
+            "Slow motion over the widest travel that the stops allow, in both directions: over the "
+            "angle, the torque of gravity is a sine, that of a spring a straight line, and "
+            "that of an offset constant."
         ),
         sentence="a spring of {stiffness_Nm_rad:N m/deg} pulls the joint toward {rest_rad:deg}",
     ),
@@ -61,7 +62,8 @@ DEVICE: tuple[Entry, ...] = (
         "before it",
         assumption="the implied assumption that the travel is free",
         shows_in="torque",
-        coordinate="angle: nothing up to one angle, then steep, pushing back both ways",
+        coordinate="angle: zero up to one angle, then a steep torque toward the free travel, in "
+        "both directions of motion",
         parameters=(
             Quantity("angle_rad", "rad", -pi, pi),
             Quantity("stiffness_Nm_rad", "N m/rad", 1.0, 1e5),
@@ -69,9 +71,8 @@ DEVICE: tuple[Entry, ...] = (
         ),
         look_alikes=("return_spring", "position_dependent_friction", "gravity_imbalance"),
         experiment=(
-            "Slow approaches to the suspected angle from inside, in steps of a degree, both ways: "
-            "a stop pushes "
-            "back at rest too, friction does not."
+            "Slow approaches to the suspected angle from the free travel, in steps of a degree, in "
+            "both directions: a stop pushes back at rest too, friction does not."
         ),
         sentence=(
             "an elastic stop of {stiffness_Nm_rad:N m/deg} begins at {angle_rad:deg}"
@@ -84,7 +85,7 @@ DEVICE: tuple[Entry, ...] = (
         equation="M_L = L1 F_ref (F_P / F_ref)^p mu(omega), F_ref = 3000 N, p != 1",
         assumption="assumption A2, and eq. 12: load friction is proportional to the contact force",
         shows_in="torque",
-        coordinate="load: bends with the weight, nothing without load",
+        coordinate="load: a curve over the weight that is not a straight line, zero without load",
         parameters=(Quantity("exponent", "", 0.3, 2.0),),
         look_alikes=(
             "torque_saturation",
@@ -93,9 +94,8 @@ DEVICE: tuple[Entry, ...] = (
             "lever_pivot_friction",
         ),
         experiment=(
-            "Three weights or more, the heaviest at least four times the lightest, at one speed "
-            "both ways; and "
-            "the same current without load by acceleration."
+            "At least three weights, the heaviest at least four times the lightest, at one speed "
+            "in both directions; and accelerations without load that need the same current."
         ),
         sentence="load friction grows with the contact force to the power {exponent:}, where the "
         "nominal model has 1",
@@ -106,12 +106,13 @@ DEVICE: tuple[Entry, ...] = (
         equation="F_P -> F_P (1 + s theta)",
         assumption="assumptions A1 and A3: impact at one point, one touch spot",
         shows_in="torque",
-        coordinate="angle: load friction changes along the travel, nothing without load",
+        coordinate="angle: load friction changes over the travel, zero without load",
         parameters=(Quantity("slope_per_rad", "1/rad", -2.0, 2.0),),
         look_alikes=("position_dependent_friction", "load_exponent", "gravity_imbalance"),
         experiment=(
-            "Slow passes over the whole travel both ways, unloaded and under two weights: "
-            "friction of the load grows with the weight, friction of the bearing does not."
+            "Slow passes over the whole travel in both directions, without load and under two "
+            "weights: friction of the load grows with the weight, friction of the bearing does "
+            "not."
         ),
         sentence="the contact force changes by {slope_per_rad:%/deg} of travel",
     ),
@@ -121,11 +122,11 @@ DEVICE: tuple[Entry, ...] = (
         equation="F'_P = (L3/L4) m g with m other than the recording's label (eq. 17)",
         assumption="the implied assumption that the weight has the mass on its label",
         shows_in="torque",
-        coordinate="load: the load friction of one recording is wrong by one factor; the other "
-        "recordings fit",
+        coordinate="load: in one recording the load friction is wrong by a constant factor; all "
+        "other recordings fit",
         parameters=(Quantity("mass_kg", "kg", 0.0, 200.0),),
         look_alikes=("load_exponent", "load_swing", "coulomb_drift"),
-        experiment="Weigh the load on the lever and repeat this recording; the other recordings "
+        experiment="Weigh the load on the lever and repeat this recording; all other recordings "
         "remain valid.",
         sentence="the weight in {recordings} is {mass_kg:kg}, which differs from its label",
     ),
@@ -135,8 +136,8 @@ DEVICE: tuple[Entry, ...] = (
         equation="F_P -> F_P (1 + f cos(2 pi nu t) exp(-t / T)), t since the recording's start",
         assumption="the implied assumption that the weight hangs still",
         shows_in="torque",
-        coordinate="time: load friction swings at one frequency and dies away from the "
-        "recording's start",
+        coordinate="time: load friction oscillates at one frequency, with an amplitude that decays "
+        "from the start of the recording",
         parameters=(
             Quantity("fraction", "", 0.0, 0.9),
             Quantity("frequency_Hz", "Hz", 0.1, 10.0),
@@ -144,8 +145,8 @@ DEVICE: tuple[Entry, ...] = (
         ),
         look_alikes=("wrong_weight", "load_position_dependence", "torque_ripple"),
         experiment=(
-            "One constant slow speed under load, started at once after hanging the weight and "
-            "again after a minute's wait: in the second recording a swing has decayed."
+            "One constant slow speed under load, started immediately after the weight was hung, "
+            "and again after a minute: in the second recording the swing has decayed."
         ),
         sentence=(
             "the hung weight swings: the contact force by {fraction:%} at {frequency_Hz:Hz}, "
@@ -160,13 +161,12 @@ DEVICE: tuple[Entry, ...] = (
         assumption="the implied assumption that the lever's weight adds friction and no inertia "
         "(eq. 15)",
         shows_in="torque",
-        coordinate="load: in phase with the acceleration, growing with the weight",
+        coordinate="load: in phase with the acceleration, and proportional to the weight",
         parameters=(Quantity("inertia_kgm2", "kg m^2", 0.0, 5.0),),
         look_alikes=("compliance", "current_loop_lag", "load_exponent"),
         experiment=(
-            "One amplitude at two frequencies under two weights: torque that grows with the "
-            "square of the "
-            "frequency and with the weight is inertia."
+            "Sines of one amplitude and two frequencies under two weights: a torque that grows "
+            "with the square of the frequency and with the weight is due to inertia."
         ),
         sentence="each 30.6 kg hung on the lever adds {inertia_kgm2:kg m^2} of inertia",
     ),
@@ -176,12 +176,13 @@ DEVICE: tuple[Entry, ...] = (
         equation="M_L -> M_L + d sgn(omega) where the lever is hung, whatever the mass",
         assumption="assumption A3: load friction arises at one touch spot alone (eq. 12)",
         shows_in="torque",
-        coordinate="load: a step between no weight and any weight, against the motion both ways",
+        coordinate="load: a step between no weight and any weight, against the motion in both "
+        "directions",
         parameters=(Quantity("torque_Nm", "N m", 0.0, 20.0),),
         look_alikes=("load_exponent", "wrong_weight", "coulomb_drift"),
         experiment=(
-            "Two very different weights and the lever without weight: the line of friction over "
-            "mass meets zero mass at the friction of the pivot."
+            "Two very different weights, and the lever without weight: the straight line of "
+            "friction over mass, extended to zero mass, gives the friction of the pivot."
         ),
         sentence="the lever's own pivot adds {torque_Nm:N m} of friction, the same for every "
         "weight",
@@ -193,13 +194,13 @@ DEVICE: tuple[Entry, ...] = (
         assumption="the implied assumption that system friction does not depend on the load "
         "torque (eq. 9)",
         shows_in="torque",
-        coordinate="load: grows with the load's torque, against the motion both ways",
+        coordinate="load: proportional to the torque of the load, against the motion in both "
+        "directions",
         parameters=(Quantity("coefficient", "", 0.0, 1.0),),
         look_alikes=("transmission_efficiency", "torque_saturation", "position_dependent_friction"),
         experiment=(
-            "The same slow motion under two loads and with none, raising and lowering: friction "
-            "that grows with "
-            "the load is the same both ways, a gear's loss is not."
+            "One slow motion under two loads and without load, raising and lowering: friction that "
+            "grows with the load is the same in both directions, the loss of a gear is not."
         ),
         sentence="friction grows by {coefficient:%} of the load's torque",
     ),

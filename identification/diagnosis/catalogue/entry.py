@@ -1,5 +1,5 @@
-"""Record of one effect in the catalogue: equation, violated assumption, where it shows, and the
-experiment that distinguishes it from similar effects.
+"""Record of one effect in the catalogue: equation, violated assumption, where the effect shows, and
+the experiment that distinguishes the effect from similar effects.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 @dataclass(frozen=True)
 class Quantity:
-    """A parameter of an effect: SI unit and plausible range."""
+    """A parameter of an effect, with its SI unit and its plausible range."""
 
     name: str
     unit: str
@@ -30,14 +30,14 @@ class Entry:
         name: Stable name.
         group: motor, transmission, friction, device, sensing or gas generator.
         equation: Governing equation.
-        assumption: Assumption of the paper that it violates.
-        shows_in: Equation in which it shows: ``torque``, ``transmission``, ``voltage``,
+        assumption: Assumption of the paper that the effect violates.
+        shows_in: Equation in which the effect shows: ``torque``, ``transmission``, ``voltage``,
             ``breakaway`` or ``pressure``.
-        coordinate: Coordinate or regime where it shows.
+        coordinate: Coordinate over which the effect shows, a colon, and how the effect shows.
         parameters: Parameters with units and plausible ranges.
         look_alikes: Names of the most similar effects.
-        experiment: Experiment that distinguishes it from these.
-        sentence: The finding, with parameters in braces.
+        experiment: Experiment that distinguishes the effect from these.
+        sentence: Sentence that states the effect, with parameters in braces.
     """
 
     name: str

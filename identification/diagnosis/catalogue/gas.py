@@ -7,10 +7,11 @@ from __future__ import annotations
 from identification.diagnosis.catalogue.entry import Entry, Quantity
 
 _ALIKE = (
-    "Steps of the valve between its least and its greatest throat, early and late in the burn, "
-    "and a second burn at another level: at rest area, temperature and burning area look alike; "
-    "in the transients a wider throat is quicker and a colder gas slower; and the effect of a "
-    "deposit follows time, that of the grain the burnt length."
+    "Steps of the valve between its least and its greatest throat area, early and late in the "
+    "burn, and a second burn at another pressure: with the valve at rest, changes of throat area, "
+    "temperature and burning area have equal effects; in transients the pressure changes faster "
+    "with a wider throat and more slowly with a colder gas; and the effect of a deposit depends on "
+    "time, that of the grain on the burnt length."
 )
 
 GAS: tuple[Entry, ...] = (
@@ -20,8 +21,8 @@ GAS: tuple[Entry, ...] = (
         equation="m_g = p_g A_t(theta; d - 2 h, D - 2 h) / C_r, dh/dt = k",
         assumption="the implied assumption of eq. 3 and Fig. 3 that the throat keeps its diameters",
         shows_in="pressure",
-        coordinate="time: the pressure climbs through the burn at every angle, most where the "
-        "throat is least",
+        coordinate="time: the pressure rises during the burn at every angle, most where the throat "
+        "is narrowest",
         parameters=(Quantity("rate_m_s", "m/s", 0.0, 2e-4),),
         look_alikes=("burning_area_change", "heat_loss", "leakage"),
         experiment=_ALIKE,
@@ -33,7 +34,7 @@ GAS: tuple[Entry, ...] = (
         equation="A_b = (pi D_P^2/4) (1 + t w)^2, w = integral of r dt",
         assumption="assumption G1: end burning, the burning area constant (eq. 2)",
         shows_in="pressure",
-        coordinate="web burnt: the pressure drifts with the burnt length, by the same share at "
+        coordinate="web burnt: the pressure changes with the burnt length, by the same share at "
         "every angle",
         parameters=(Quantity("taper_per_m", "1/m", -2.0, 2.0),),
         look_alikes=("throat_deposition", "heat_loss", "erosive_burning"),
@@ -48,16 +49,15 @@ GAS: tuple[Entry, ...] = (
         "leaves the surface",
         assumption="assumption G5: the burning rate depends on pressure alone (eq. 2)",
         shows_in="pressure",
-        coordinate="throat area: more pressure than eq. 2 gives at wide throats, at once as the "
-        "valve opens",
+        coordinate="throat area: at wide throats more pressure than eq. 2 gives, immediately when "
+        "the valve opens",
         parameters=(Quantity("coefficient_s_m", "s/m", 0.0, 0.5),),
         look_alikes=("leakage", "heat_loss", "burning_area_change"),
         experiment=(
-            "Steps over the whole range of throats, with pauses at five or more: erosion bends "
-            "the steady pressure up "
-            "toward wide throats, a leak bends it down toward narrow ones; a wrong exponent "
-            "leaves it straight in "
-            "logarithms."
+            "Steps over the whole range of throat areas, with pauses at five or more areas. In a "
+            "logarithmic plot of the steady pressure over the throat area, erosion bends the "
+            "line upward at wide throats, a leak bends the line downward at narrow throats, "
+            "and with a wrong exponent the line stays straight."
         ),
         sentence="the burning rate grows by {coefficient_s_m:%/(m/s)} of gas speed along the "
         "surface",
@@ -69,14 +69,14 @@ GAS: tuple[Entry, ...] = (
         "gamma/(gamma - 1) R_g T_g",
         assumption="assumption G4: the gas temperature remains unchanged (eq. 5, 6)",
         shows_in="pressure",
-        coordinate="time: too little pressure at first, less as the walls warm; most where little "
-        "is burnt",
+        coordinate="time: too little pressure at first, with a difference that falls as the walls "
+        "warm, and is greatest where little propellant burns",
         parameters=(Quantity("heat_flow_W", "W", 0.0, 1e6), Quantity("time_s", "s", 0.2, 200.0)),
         look_alikes=("throat_deposition", "burning_area_change", "leakage"),
         experiment=(
-            "A second burn soon after the first, its walls still warm: the heat loss to the "
-            "walls has ended, effects of deposits and grain remain. In one burn, steps early "
-            "and late."
+            "A second burn soon after the first, while the walls are still warm: there is no heat "
+            "loss to the walls, but effects of deposits and grain remain. If there is only one "
+            "burn: steps early and late in the burn."
         ),
         sentence="cold walls take {heat_flow_W:kW} from the gas at first, and warm in {time_s:s}",
     ),
@@ -86,15 +86,14 @@ GAS: tuple[Entry, ...] = (
         equation="m_g = p_g (A_t + A_l) / C_r",
         assumption="the implied assumption of eq. 3 that all gas leaves through the valve's throat",
         shows_in="pressure",
-        coordinate="throat area: too little pressure, which changes faster, where the throat is "
-        "least",
+        coordinate="throat area: where the throat is narrowest, the pressure is too low and "
+        "changes faster",
         parameters=(Quantity("area_m2", "m^2", 0.0, 2e-4),),
         look_alikes=("erosive_burning", "throat_deposition", "heat_loss"),
         experiment=(
-            "Pauses at five throats or more between the least and the greatest: a leak is the "
-            "same area at each, so "
-            "that its share is greatest at the least. A cold chamber under test pressure shows it "
-            "too."
+            "Pauses at five or more throat areas between the least and the greatest: the area of a "
+            "leak is constant, so that its share is greatest at the least throat area. A "
+            "pressure test of the cold chamber shows a leak too."
         ),
         sentence="gas leaks beside the throat through {area_m2:mm^2}",
     ),

@@ -17,16 +17,14 @@ SENSING: tuple[Entry, ...] = (
         ),
         assumption="the implied assumption that all channels are sampled at the same instant",
         shows_in="torque",
-        coordinate="frequency: grows with the rate of change of the current, at any load and "
-        "either way",
+        coordinate="frequency: proportional to the rate of change of the current, at any load and "
+        "in both directions",
         parameters=(Quantity("time_s", "s", -0.05, 0.05),),
         look_alikes=("current_loop_lag", "friction_memory", "transport_delay"),
         experiment=(
-            "Fast unloaded sines of two frequencies, command and current on one clock, beside "
-            "slow loaded ramps: "
-            "a lag rounds the torque and turns its phase less than in proportion to frequency, a "
-            "skew shifts it "
-            "whole."
+            "Fast sines of two frequencies without load, with command and current on one clock, "
+            "and slow ramps under load: a lag attenuates the torque, and its phase grows less "
+            "than in proportion to the frequency; a time skew is a pure delay."
         ),
         sentence=(
             "the {channel} is sampled {time_s:abs ms} {time_s:?before/after} the angles that carry "
@@ -39,13 +37,14 @@ SENSING: tuple[Entry, ...] = (
         equation="theta_logged(t) = theta(t - T), phi_logged(t) = phi(t)",
         assumption="the implied assumption that both angles are sampled at the same instant",
         shows_in="transmission",
-        coordinate="speed: the angles of motor and joint differ in proportion to it, equal at rest",
+        coordinate="speed: the difference of the angles of motor and joint is proportional to the "
+        "speed, and zero at rest",
         parameters=(Quantity("time_s", "s", 0.0, 0.1),),
         look_alikes=("backlash", "compliance", "time_skew"),
         experiment=(
-            "Torque slowly through zero at two loads and two speeds: a gap has a width fixed in "
-            "angle, a twist is "
-            "proportional to torque, a delay to speed."
+            "Torque that passes slowly through zero, at two loads and two speeds: a gap has a "
+            "fixed width in angle; the effect of a twist is proportional to the torque, that "
+            "of a delay to the speed."
         ),
         sentence="the joint's encoder reports the angle of the joint {time_s:ms} ago",
     ),
@@ -60,9 +59,9 @@ SENSING: tuple[Entry, ...] = (
         parameters=(Quantity("current_A", "A", -5.0, 5.0),),
         look_alikes=("asymmetric_coulomb", "gravity_imbalance", "current_drift"),
         experiment=(
-            "The logged current with the power stage off; holding at rest after approaches from "
-            "either side; full "
-            "turns: an offset stays in all of them."
+            "The logged current with the power stage off, while holding at rest after approaches "
+            "from either side, and during full turns: an offset is the same in all these "
+            "cases."
         ),
         sentence="the current reads {current_A:abs mA} too {current_A:?high/low}",
     ),
@@ -73,15 +72,14 @@ SENSING: tuple[Entry, ...] = (
         "was taken before it",
         assumption="the implied assumption that the current's zero does not change",
         shows_in="torque",
-        coordinate="time: one torque that grows from a recording's start, the same both ways and "
-        "at rest",
+        coordinate="time: a torque that grows from the start of each recording, the same in both "
+        "directions and at rest",
         parameters=(Quantity("rate_A_s", "A/s", -0.1, 0.1),),
         look_alikes=("coulomb_drift", "viscous_thermal_drift", "current_offset", "winding_heating"),
         experiment=(
-            "The logged current with the power stage off before and after a long recording; slow "
-            "motion both ways "
-            "in between: a drift of the zero keeps its sign, one of friction turns with the "
-            "direction."
+            "The logged current with the power stage off before and after a long recording, with "
+            "slow motion in both directions between: a drift of the zero keeps its sign, a "
+            "drift of friction changes its sign with the direction."
         ),
         sentence="the current's zero {rate_A_s:?rises/falls} by {rate_A_s:abs mA/min} within a "
         "recording",
@@ -92,16 +90,17 @@ SENSING: tuple[Entry, ...] = (
         equation="theta_logged = theta + A sin(theta + p)",
         assumption="the implied assumption that the joint's encoder is centred on its shaft",
         shows_in="transmission",
-        coordinate="angle: once per joint turn, the same both ways and at any speed and load",
+        coordinate="angle: one period per joint turn, the same in both directions and at any speed "
+        "and load",
         parameters=(
             Quantity("amplitude_rad", "rad", 0.0, 0.1),
             Quantity("phase_rad", "rad", -pi, pi),
         ),
         look_alikes=("gear_mesh_ripple", "compliance", "gravity_imbalance"),
         experiment=(
-            "The widest travel, slowly both ways, then again with the encoder turned on its "
-            "shaft: an eccentric "
-            "seat moves its phase, a gear or a load does not."
+            "Slow motion over the widest travel in both directions, repeated after the encoder was "
+            "turned on its shaft: this changes the phase of an eccentricity of the encoder, "
+            "but not the phase of an error of the gear or of a load."
         ),
         sentence=(
             "the joint's encoder sits off centre and reads up to {amplitude_rad:deg} wrong, once "
@@ -115,12 +114,13 @@ SENSING: tuple[Entry, ...] = (
         equation="theta_logged = theta + a for t > t_0, in one recording and those after it",
         assumption="the implied assumption that the joint's encoder is fixed to its shaft",
         shows_in="transmission",
-        coordinate="time: one step of the angle between motor and joint, which remains",
+        coordinate="time: one lasting step of the difference of motor and joint angle",
         parameters=(Quantity("angle_rad", "rad", -1.0, 1.0), Quantity("at_s", "s", 0.0, 1e5)),
         look_alikes=("backlash", "coupling_hysteresis"),
         experiment=(
-            "The start position approached again from the same side after the recording: after "
-            "a slip the reading differs, after the crossing of a gap it is the same."
+            "The start position approached from the same side before and after the recording: "
+            "after a slip the readings of the joint encoder differ, after the crossing of a "
+            "gap they are equal."
         ),
         sentence=(
             "the joint's encoder slipped on its shaft by {angle_rad:deg}, {at_s:s} into "

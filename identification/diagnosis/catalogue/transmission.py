@@ -1,5 +1,5 @@
-"""Catalogue entries of effects between motor and joint: theta other than phi / i, and joint torque
-other than i times the motor's.
+"""Catalogue entries of effects between motor and joint: a joint angle theta other than phi / i, and
+a joint torque other than i times the motor torque.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ TRANSMISSION: tuple[Entry, ...] = (
         "sgn(M)",
         assumption="assumption A5: no mechanical clearance, theta = i theta_r",
         shows_in="transmission",
-        coordinate="travel since reversal: a step of fixed width in angle at each reversal of "
-        "torque",
+        coordinate="travel since reversal: a step of fixed size of the angle difference at each "
+        "reversal of torque",
         parameters=(Quantity("gap_rad", "rad", 0.0, 0.1),),
         look_alikes=("compliance", "coupling_hysteresis", "transport_delay", "presliding"),
         experiment=(
-            "Torque slowly through zero at two loads and two speeds: a gap has a width fixed in "
-            "angle, a twist is "
-            "proportional to torque, a delay to speed."
+            "Torque that passes slowly through zero, at two loads and two speeds: a gap has a "
+            "fixed width in angle; the effect of a twist is proportional to the torque, that "
+            "of a delay to the speed."
         ),
         sentence="the shaft turns {gap_rad:deg} before the valve follows each reversal of torque",
     ),
@@ -33,14 +33,14 @@ TRANSMISSION: tuple[Entry, ...] = (
         equation="phi / i - theta = M / k",
         assumption="assumption A4: no deformation",
         shows_in="transmission",
-        coordinate="load: the angles of motor and joint differ in proportion to the torque "
-        "between them",
+        coordinate="load: the difference of the angles of motor and joint is proportional to the "
+        "torque between them",
         parameters=(Quantity("stiffness_Nm_rad", "N m/rad", 50.0, 1e6),),
         look_alikes=("backlash", "coupling_hysteresis", "transport_delay"),
         experiment=(
-            "Torque slowly through zero at two loads and two speeds: a gap has a width fixed in "
-            "angle, a twist is "
-            "proportional to torque, a delay to speed."
+            "Torque that passes slowly through zero, at two loads and two speeds: a gap has a "
+            "fixed width in angle; the effect of a twist is proportional to the torque, that "
+            "of a delay to the speed."
         ),
         sentence="the shaft twists in proportion to its torque, with a stiffness of "
         "{stiffness_Nm_rad:N m/deg}",
@@ -52,8 +52,8 @@ TRANSMISSION: tuple[Entry, ...] = (
         "with_torque = 1)",
         assumption="assumption A5: theta = i theta_r with one constant ratio i",
         shows_in="transmission",
-        coordinate="angle: periodic in the joint's angle, the same both ways and at any speed and "
-        "load",
+        coordinate="angle: periodic in the joint's angle, the same in both directions and at any "
+        "speed and load",
         parameters=(
             Quantity("amplitude_rad", "rad", 0.0, 0.05),
             Quantity("per_turn", "1/turn", 5.0, 2000.0),
@@ -62,10 +62,9 @@ TRANSMISSION: tuple[Entry, ...] = (
         ),
         look_alikes=("encoder_eccentricity", "cogging", "torque_ripple"),
         experiment=(
-            "Slow turns over the whole travel: a count of periods per joint turn above one is the "
-            "gear's, one per "
-            "turn the encoder's seat; turning the encoder on its shaft moves the phase of the "
-            "latter only."
+            "Slow turns over the whole travel: an error with more than one period per joint turn "
+            "is due to the gear, an error with one period to the seat of the encoder. Turning "
+            "the encoder on its shaft changes the phase of the latter only."
         ),
         sentence=(
             "the gear's ratio varies: the angles of motor and joint differ by up to "
@@ -81,7 +80,7 @@ TRANSMISSION: tuple[Entry, ...] = (
         assumption="the implied assumption that the gear transmits torque without loss in either "
         "direction of power",
         shows_in="torque",
-        coordinate="direction: follows the sign of the power through the gear, in proportion to "
+        coordinate="direction: has the sign of the power through the gear, and is proportional to "
         "the torque",
         parameters=(Quantity("efficiency", "", 0.4, 1.0),),
         look_alikes=("asymmetric_coulomb", "load_dependent_friction", "torque_saturation"),
@@ -101,17 +100,17 @@ TRANSMISSION: tuple[Entry, ...] = (
         "M drags along",
         assumption="assumption A4: no deformation; and a deformed part springs back without loss",
         shows_in="transmission",
-        coordinate="travel since reversal: loops of the deflection over torque, alike at any speed",
+        coordinate="travel since reversal: loops of the deflection over the torque, the same at "
+        "any speed",
         parameters=(
             Quantity("torque_Nm", "N m", 0.01, 100.0),
             Quantity("deflection_rad", "rad", 0.0, 0.05),
         ),
         look_alikes=("backlash", "compliance", "presliding"),
         experiment=(
-            "Loops of torque of growing size around zero and around a bias, without motion of the "
-            "joint: "
-            "hysteresis nests its loops at any bias, a gap shows at zero torque only, a spring "
-            "not at all."
+            "Loops of torque of growing size around zero and around a constant torque, without "
+            "motion of the joint: with hysteresis, loops of deflection over torque appear at "
+            "any constant torque, with a gap at zero torque only, with a spring never."
         ),
         sentence=(
             "the coupling lags behind its torque by a loop of {deflection_rad:deg} that closes "

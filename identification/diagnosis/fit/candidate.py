@@ -1,4 +1,4 @@
-"""An effect at trial parameters, scored against the mismatch that is left."""
+"""An effect at trial parameters, with its score on the remaining mismatch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NO_WEIGHTS = np.zeros((0, 0, 0))
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one set of nonlinear parameters, scored against the stack.
+    """One effect at one set of nonlinear parameters, with its score on the residual of a stack.
 
     Attributes:
         name: Name of the effect, or of a generic family.

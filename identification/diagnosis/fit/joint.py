@@ -31,7 +31,7 @@ from identification.recording import Array, RecordingError
 ROUNDS = 12
 """Greatest number of Gauss-Newton rounds of one joint fit."""
 LARGEST_STEP = 0.3
-"""Greatest change of a nonlinear parameter in one round, relative to the width of its search."""
+"""Greatest change of a nonlinear parameter in one round, relative to half its search width."""
 CONVERGED = 1e-4
 """Relative change of the cost below which the fit ends."""
 CLOSING_STEPS, CLOSING_EXCESS = 3, 0.02

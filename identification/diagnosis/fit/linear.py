@@ -16,7 +16,7 @@ from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 
 SCALE_FACTOR = 4.0
-"""Factor that is the width of the search of a parameter with a logarithmic scale."""
+"""Factor that is the half width of the search of a parameter with a logarithmic scale."""
 DERIVATIVE_STEP = 1e-3
 """Step of numerical derivatives with respect to a nonlinear parameter, relative to the width of its
 search.
@@ -38,13 +38,13 @@ class Added:
 
 def size_entries(effect: Added) -> Mapping[int, float]:
     """Return the indices of the nonlinear parameters that determine the effect's size, each with
-    the width of its search; empty for an effect with free coefficients.
+    the half width of its search; empty for an effect with free coefficients.
     """
     return effect.term.refine if effect.term.size is not None else {}
 
 
 def moved_parameters(shape: Shape, index: int, reach: float, share: float) -> Shape:
-    """Return nonlinear parameters with one of them changed by a share of the width of its
+    """Return nonlinear parameters with one of them changed by a share of the half width of its
     search.
     """
     entry = (
@@ -98,7 +98,7 @@ class Solution:
         speed_step: Step of all nominal parameters, with the Stribeck speeds free to first order;
             only the steps of the Stribeck speeds are used.
         shapes: Step of the nonlinear parameters that determine an effect's size, relative to the
-            widths of their search.
+            half widths of their search.
         effects: Effects with coefficients.
         residual: Whitened residual with the Stribeck speeds free to first order.
         cost: Sum of whitened squares with fixed Stribeck speeds, by which points are compared: the

@@ -1,5 +1,5 @@
-"""Computes the regressors of effects that eq. 10 to 13 and 17 omit (lever, weight, valve), and of
-effects of sampling times.
+"""Computes the regressors of effects of lever, weight and valve, which eq. 10 to 13 and 17 omit,
+and of effects of sampling times.
 """
 
 from __future__ import annotations
@@ -35,32 +35,33 @@ from identification.signals import central_difference
 
 REFERENCE_FORCE_N = 3000.0
 REFERENCE_MASS_KG = 30.6
-"""Case 2 of the paper, the reference of load exponent and load inertia."""
+"""Mass of case 2 of the paper, the reference for load exponent and load inertia."""
 EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
 UPPER, LOWER, BOTH = 1.0, -1.0, 0.0
-"""End of the travel with a stop."""
+"""End of the travel at which the joint meets a stop."""
 STOPS = 10
 """Number of trial stops on either side, in the outer half of the travel."""
 ONE_PHASE = 0.0
 """Last nonlinear parameter of a swing whose phase and size are the same at the start of each
-recording; otherwise the number of recordings, each with its own.
+recording; if each recording has its own phase and size, this parameter is the number of recordings.
 """
 SKEWS_S: tuple[Shape, ...] = tuple(
     (side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0)
 )
 WITH_VOLTAGE = (1.0,)
-"""Last nonlinear parameter of a time skew for which the voltage is sampled together with the
-current.
+"""Last nonlinear parameter of a time skew if the voltage is sampled together with the current.
 """
 SWINGS_HZ = tuple(float(f) for f in np.arange(0.3, 3.01, 0.04))
 SWING_DECAY_S = 8.0
 ROUNDING = 1e-6
-"""Size of a swing over that of the greatest, below which it is a rounding error."""
+"""Size of the swing in a recording, relative to the greatest swing, below which it counts as a
+rounding error.
+"""
 
 
 @recent
 def _load(view: View, nominal: Nominal) -> Array:
-    """Return the working load's friction, eq. 13, with its sign, N m."""
+    """Return the working load (eq. 13) with its sign, N m."""
     return np.asarray(view.sense * view.moment * nominal.coefficient(view))
 
 
@@ -126,7 +127,7 @@ def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
     sizes = [
         polar(float(sine), float(cosine))[0] for sine, cosine in zip(c[::2], c[1::2], strict=True)
     ]
-    # Recordings without load have columns of zeros and coefficients of rounding errors.
+    # For recordings without load the columns are zero, and the coefficients are rounding errors.
     least = ROUNDING * max(sizes)
     return {
         "fraction": float(np.median([size for size in sizes if size > least] or [0.0])),
@@ -186,7 +187,9 @@ def _has_weight(view: View) -> bool:
 
 
 def _is_borne(view: View) -> bool:
-    """Whether the joint bears the torque of a known load, turning or steady."""
+    """Whether a known load that turns with the joint, or a known constant torque, acts on the
+    joint.
+    """
     return _has_weight(view) or view.recording.steady_torque != 0.0
 
 
@@ -213,8 +216,8 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _skews(context: Context) -> list[Shape]:
-    """Return trial skews of the current alone and, if a voltage is known, of current and voltage
-    together, in which case the angles are delayed.
+    """Return trial time skews of the current alone and, if a voltage is known, of current and
+    voltage together, for which the angles are delayed.
     """
     alone = [(*shape, 0.0) for shape in SKEWS_S]
     if all(v.voltage is None for v in context.views):

@@ -25,11 +25,13 @@ from identification.diagnosis.terms.term import (
 from identification.recording import Array
 
 AT_START_S = 0.02
-"""Duration over which a line is fitted to the torque for the initial presliding force."""
+"""Duration over which a straight line is fitted to the torque to determine the presliding force at
+the start, s.
+"""
 ALPHAS = (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5)
 SAME_FALL = (0.6, 0.1)
-"""Shares of its rise to which friction has fallen where two exponents agree; the right share
-depends on the speeds of the recordings.
+"""Shares of the rise that remain at the speed at which the friction with a trial exponent equals
+the nominal friction. The right share depends on the speeds of the recordings.
 """
 LEVEL_OR_SPEED = (0.0, 1.0)
 """Quantity that lags: the level of friction (0), or the speed on which this level depends (1)."""
@@ -44,7 +46,7 @@ STEADY_S = 1e6
 WARM_UPS_S: tuple[Shape, ...] = tuple((t,) for t in (20.0, 60.0, 150.0, 400.0))
 PATCH_CENTRES = 12
 PATCH_WIDTHS = (0.02, 0.05, 0.12)
-"""Standard width of a worn patch over the travel."""
+"""Trial widths (standard deviations) of a worn patch, relative to the travel."""
 
 
 def _stribeck_shape(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -72,8 +74,8 @@ def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
 
 def _exponents(context: Context) -> list[Shape]:
     """Return trial exponents, each with a ratio of the trial to the nominal Stribeck speed. With
-    this ratio the trial and the nominal friction have fallen by the same share of the rise at one
-    speed.
+    this ratio trial and nominal friction are equal at the speed at which a share :data:`SAME_FALL`
+    of the rise remains.
     """
     usual = context.nominal.alpha
     return [
@@ -110,7 +112,7 @@ def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
         if of_speed
         else first_order_lag(level, view.step, time_s)
     )
-    if nominal.presliding_stiffness:  # the lag is then in the presliding deflection
+    if nominal.presliding_stiffness:  # the presliding deflection then has the lag
         start = _initial_friction(view, nominal)
         late, level = (
             dahl(view.angle, each, nominal.presliding_stiffness, start) for each in (late, level)
@@ -148,10 +150,10 @@ def _initial_friction(view: View, nominal: Nominal) -> float:
     """Return the friction that balances the drive's torque at rest at the start of a recording, N
     m.
 
-    A resting joint is held by its presliding stiffness, with up to its static friction in either
-    direction; no recording shows this initial friction. The friction at the start is therefore
-    taken from the measured torque. The contribution of the initial friction decays with the first
-    slip, so that the initial friction cannot account for any other mismatch.
+    The presliding stiffness of a resting joint may hold any friction up to the static friction in
+    either direction, which depends on the motion before the recording. The friction at the start is
+    therefore computed from the measured torque. Its contribution decays with the first slip, so
+    that an error of the friction at the start cannot explain any other mismatch.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]
@@ -169,15 +171,15 @@ def _patches(context: Context) -> list[Shape]:
     return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
 
 
-# Friction added during a rest vanishes after a short slide: it appears at breakaway, not in steady
-# motion.
+# The friction that is added during a rest vanishes after a short travel: it appears at the
+# breakaway and not in steady motion.
 def _dwell(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(view.sense * (1.0 - np.exp(-_last_rest(view) / shape[0])))
 
 
 def _last_rest(view: View) -> Array:
-    """Return the duration of the rest before each sample, s, including the sample that ends the
-    rest.
+    """Return the duration of the last rest at each sample, s; the sample that ends a rest has the
+    duration of this rest.
     """
     return np.asarray(np.maximum(view.rest_time, np.roll(view.rest_time, 1)))
 
@@ -191,8 +193,8 @@ def _coulomb_drift(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _left_of_the_start(view: View, shape: Shape) -> Array:
-    """Return the remaining share of a state that was 1 at the start of the running time, shape
-    (m,).
+    """Return the remaining share of a state that decays from 1 at the start of the running time,
+    shape (m,).
     """
     return np.asarray(np.exp(-view.run_time / shape[0]))
 

@@ -1,4 +1,4 @@
-"""Computes the regressors of errors of the joint's encoder that its angle alone shows."""
+"""Computes the regressors of those errors of the joint encoder that show in the angle alone."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """Delayed samples in recordings whose voltage was not measured, but computed from the samples by
 the control law.
 
-A voltage that the control law gives, U = U_s clip(kp (command - angle)), is computed from the
-recorded angle, so that it has the delay of the angle and needs no shift. But the command in such a
-voltage is on the host's clock: for an angle delayed by tau, the motor's voltage was U_s clip(kp
-(command(t - tau) - angle)), and the error of the recorded voltage is about U_s kp tau dcommand/dt.
-A shift of the whole voltage would correct only the rate of the tracking error, which is several
-times less than the rate of the command.
+A voltage that is computed by the control law, U = U_s clip(kp (command - angle)), contains the
+recorded angle, so that it has the delay of the angle and needs no shift. But the command in this
+voltage is not delayed: for an angle delayed by tau, the motor's voltage was U_s clip(kp (command(t
+- tau) - angle)), and the error of the recorded voltage is about U_s kp tau dcommand/dt. A shift of
+the whole voltage would correct this voltage only by tau times the rate of the tracking error, which
+is several times less than the rate of the command.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from identification.prepare import drive_torque
 from identification.recording import Array, Recording
 
 AS_COMPUTED = 1e-3
-"""Greatest difference of a voltage from that of the control law, over the greatest voltage, at
-which it counts as computed.
+"""Greatest difference of a recorded voltage from the voltage of the control law, relative to the
+greatest voltage, at which the recorded voltage counts as computed.
 """
 NEEDED = ("command", "angle", "voltage", "supply_voltage")
 MEASURED = ("torque", "current")
 
 
 def voltage_is_computed(recording: Recording) -> bool:
-    """Whether a recording's torque comes from a voltage that was computed from its samples by the
-    control law.
+    """Whether the torque of a recording is computed from a voltage that was itself computed from
+    the samples by the control law.
     """
     channels, loop = recording.channels, recording.controller
     if (
@@ -51,8 +51,8 @@ def voltage_is_computed(recording: Recording) -> bool:
 
 
 def command_delay_error(view: View, late_s: float) -> Array:
-    """Return the error of the torque because its command is not delayed like its angle, N m, shape
-    (m,).
+    """Return the error of the torque because the command in its voltage is not delayed like the
+    angle, N m, shape (m,).
     """
     recording = view.recording
     volts = np.where(np.isfinite(recording.channels["voltage"]), _law(recording, late_s), np.nan)
@@ -62,11 +62,11 @@ def command_delay_error(view: View, late_s: float) -> Array:
 
 
 def delayed_view(view: View, late_s: float) -> View:
-    """Return a view whose motion is delayed like the torque's samples, for effects that depend on
-    the angle.
+    """Return a view whose motion is delayed like the samples of the torque, for effects that depend
+    on the angle.
 
-    The view is not delayed if the torque comes from a computed voltage. The last result is cached,
-    since most trial parameters use the same delay.
+    The view is not delayed if the torque is computed from a computed voltage. The last result is
+    cached, because most trial parameters use one delay.
     """
     known = view.behind.get(late_s)
     if known is None:

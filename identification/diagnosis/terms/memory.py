@@ -1,4 +1,4 @@
-"""Compiled regressors with a state: lag, Dahl friction, play, heating, delay."""
+"""Compiled functions with a state for regressors: lag, Dahl friction, play, heating, delay."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from identification.numerics.compiled import compiled
 from identification.recording import Array
 
 SAME_STEP = 1e-6
-"""Relative difference of two time steps that counts as rounding."""
+"""Relative difference of two time steps up to which it counts as a rounding error."""
 
 
 @compiled
@@ -16,7 +16,8 @@ def first_order_lag(series: Array, step: float, time_constant: float) -> Array:
     """Return the series after a first-order lag, in steady state at the start, linear between
     samples, shape (m,).
 
-    With a zero-order hold the lag would be half a step shorter than the time constant.
+    The input is linear between samples, because with a zero-order hold the lag would be too short
+    by half a step.
     """
     out = np.empty_like(series)
     state = series[0]
@@ -51,11 +52,12 @@ def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Ar
 
 @compiled
 def play(angle: Array, gap: float, start: float = 0.0) -> Array:
-    """Return the lead of a gap's driving side over its driven side, within +- gap/2, shape (m,).
+    """Return the lead of the driving side of a gap over its driven side, within +- gap/2, shape
+    (m,).
 
-    Friction holds the driven side at rest until a flank drives it. Applied to torque instead of
-    angle, the lead is the force of one Maxwell-slip element. ``start`` is the lead at the first
-    sample.
+    Friction holds the driven side at rest until a flank of the gap drives it. If the input is a
+    torque in place of an angle, the lead is the force of one Maxwell-slip element. ``start`` is the
+    lead at the first sample.
     """
     out = np.empty_like(angle)
     half = 0.5 * gap
@@ -65,7 +67,7 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
         lead += angle[k] - angle[k - 1]
         if (
             lead > half
-        ):  # branches are predicted; min and max would each wait for the previous value
+        ):  # the processor predicts branches; min and max would each wait for the previous value
             lead = half
         elif lead < -half:
             lead = -half
@@ -92,16 +94,17 @@ def first_swing(series: Array, width: float) -> int:
 def falling_play(
     angle: Array, speed: Array, step: float, gap: float, pull: Array, hold: Array, start: float
 ) -> Array:
-    """Return the lead of :func:`play` if a weight may move the driven side through the open gap,
-    shape (m,).
+    """Return the lead as in :func:`play`, but with a weight that may move the driven side through
+    the open gap, shape (m,).
 
     Args:
         angle: Angle of the driving side, rad.
-        speed: Speed of the driving side, rad/s; also the driven side's while a flank drives it.
+        speed: Speed of the driving side, rad/s; the driven side has this speed while a flank drives
+            it.
         step: Time step, s.
         gap: Width of the gap, rad.
-        pull: Torque of the weight on the driven side, over its inertia, rad/s^2.
-        hold: Friction torque of the driven side, over its inertia, rad/s^2.
+        pull: Torque of the weight on the driven side over the inertia of this side, rad/s^2.
+        hold: Friction torque of the driven side over the inertia of this side, rad/s^2.
         start: Lead at the first sample, rad.
     """
     out = np.empty_like(angle)
@@ -122,16 +125,16 @@ def falling_play(
 
 @compiled
 def temperature_rise(loss: Array, run_time: Array, time_constant: float) -> Array:
-    """Return the heating of a first-order thermal body, shape (2, m): temperature rise per thermal
-    resistance, W, and the remainder of an initial 1 K.
+    """Return the heating of a first-order thermal body, shape (2, m): temperature rise over thermal
+    resistance, W, and the remainder of an initial temperature rise of 1 K.
     """
     out = np.empty((2, len(loss)))
     rise, left = 0.0, 1.0
     out[0, 0], out[1, 0] = rise, left
     step = kept = 0.0
     for k in range(1, len(loss)):
-        # Steps of an even grid differ only by rounding, and an exponential for each would be most
-        # of the work.
+        # Steps of an even grid differ only by rounding errors, and an exponential for each step
+        # would take most of the computing time.
         if abs(run_time[k] - run_time[k - 1] - step) > SAME_STEP * step:
             step = run_time[k] - run_time[k - 1]
             kept = np.exp(-step / time_constant)

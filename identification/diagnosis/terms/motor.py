@@ -1,8 +1,8 @@
-"""Computes the regressors of effects of motor and supply on the drive's torque or voltage that eq.
-1 omits.
+"""Computes the regressors of effects of motor and supply on the drive's torque or voltage, which
+eq. 1 omits.
 
-Regressors that depend on the torque use the nominal model's torque. The measured torque is on the
-other side of the equation and would explain everything.
+Regressors that depend on the torque use the torque of the nominal model. The measured torque is the
+quantity to be explained, and as a regressor would explain every mismatch.
 """
 
 from __future__ import annotations
@@ -44,24 +44,24 @@ from identification.recording import Array
 from identification.signals import central_difference
 
 COPPER_PER_K = 0.00393
-"""Temperature coefficient of a copper winding's resistance."""
+"""Temperature coefficient of the resistance of a copper winding, 1/K."""
 MAGNET_PER_K = 0.001
 """Relative loss of the torque constant with temperature, 1/K (ferrite to neodymium: 0.001 to
 0.002).
 """
 CYCLES_PER_TURN: tuple[Shape, ...] = tuple((float(n),) for n in range(1, 49))
 LEAST_GAIN = 0.5
-"""Least ratio of a rippling motor's torque to its mean torque at this current."""
+"""Least ratio of the torque of a motor with ripple to its mean torque at the same current."""
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
-"""Trial knees of a saturating torque constant, over the greatest current."""
+"""Trial knee currents of a torque that saturates, relative to the greatest current."""
 TANH_OR_RATIONAL = (0.0, 1.0)
 """Laws of saturation: a hyperbolic tangent (0), or a rational function (1)."""
 WITH_MAGNETS = (1.0, 0.0)
-"""Whether the magnets heat with the winding (1), or only the winding does (0)."""
+"""Whether the magnets heat with the winding (1), or only the winding heats (0)."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
 KEPT = 64
-"""Cache size of temperature rises by recording and time constant, which a fit changes less often
-than the nominal values.
+"""Number of cached temperature rises; they depend on recording and time constant, which a fit
+changes less often than the nominal values.
 """
 ZEROED_S = (0.0, 2.0)
 """Limits of the time from the zeroing of the current sensor to the start of a recording, s, during
@@ -73,19 +73,21 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return _by_origin(view, shape, -sine_cosine(shape[0], view.motor))
 
 
-# The torque of the current is the required torque divided by one plus the ripple. Without the
-# identified ripple in the divisor its square remains, which is a hundredth for a ripple of 12 %.
+# The torque of the mean torque constant is the required torque divided by one plus the ripple. If
+# the divisor does not contain the ripple identified so far, the square of the ripple remains, which
+# is a hundredth for a ripple of 12 %.
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
     return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
 
 
 def _gain(view: View, nominal: Nominal) -> Array:
-    """Return the ratio of the motor's torque to its mean torque at this current, by the ripple
+    """Return the ratio of the motor's torque to its mean torque at the same current, by the ripple
     identified so far.
 
-    The ratio is 1 if each recording has its own origin: in a validation recording the phase is
-    unknown, and constants that depend on the torque divided by this ratio would be wrong there.
+    The ratio is 1 if each recording has its own origin of angles: in a validation recording the
+    phase is then unknown, and regressors that contain the torque divided by this ratio would be
+    wrong.
     """
     if not nominal.ripple or len(nominal.ripple[0]) > 1:
         return np.ones(len(view.time))
@@ -101,7 +103,7 @@ def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
     if len(shape) == 1:
         return wave
     out = np.zeros((2 * round(shape[1]), wave.shape[1]))
-    if 2 * view.index < len(out):  # the phase in a recording that is not fitted is unknown
+    if 2 * view.index < len(out):  # in a recording that is not fitted the phase is unknown
         out[2 * view.index : 2 * view.index + 2] = wave
     return out
 
@@ -117,18 +119,17 @@ def _waves(context: Context) -> Sequence[Shape]:
 
 def _cycles(context: Context) -> Sequence[Shape]:
     """Return the trial parameters of :func:`_waves` except one cycle per turn of the joint, because
-    a wave of one cycle per turn is an imbalance of weight.
+    such a wave is the torque of a weight that turns with the joint.
     """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
 
 
 def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
-    """Return the torque of that part of the current which exceeds the current needed without
-    saturation.
+    """Return the torque, without saturation, of the additional current that saturation requires.
 
-    The torque is Km I_k tanh(I / I_k), or (rational) Km I / (1 + (I / I_k)^2), which cannot exceed
-    half of Km I_k.
+    With saturation the torque is Km I_k tanh(I / I_k), or (rational) Km I / (1 + (I / I_k)^2),
+    which cannot exceed half of Km I_k.
     """
     knee, rational = shape
     gain = torque_per_ampere(view)
@@ -158,7 +159,7 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
 def _loss(view: View) -> Array:
     """Return the heat loss of the winding, W: electrical less mechanical power, I (U - Ke omega).
 
-    R I^2 is used only if there is no voltage: it omits the rise of R, some per cent in a warm
+    Without a voltage, the loss is R I^2, which omits the rise of R, some per cent in a warm
     winding.
     """
     assert view.current is not None
@@ -172,27 +173,28 @@ def _loss(view: View) -> Array:
 
 @recent
 def _rises(view: View, time_constant: float) -> Array:
-    """Return the winding's temperature rise per K/W, and the remainder of an initial 1 K, shape (2,
-    m).
+    """Return the winding's temperature rise over thermal resistance, W, and the remainder of an
+    initial temperature rise of 1 K, shape (2, m).
     """
     return temperature_rise(_loss(view), view.run_time, time_constant)
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
-    """Return the regressors of :func:`_rises`, with one for the initial temperature of each
-    recording, shape (1 + recordings, m).
+    """Return the regressors of :func:`_rises`, with one regressor for the initial temperature of
+    each recording, shape (1 + recordings, m).
     """
     return np.concatenate([rises[:1], of_each_recording(view, round(shape[1]), rises[1:])])
 
 
 def _warmth(view: View, magnet: float) -> Array:
-    """Return the voltage due to a winding that is 1 K warmer, V; with ``magnet`` 1 the magnets are
-    1 K warmer too.
+    """Return the change of the voltage if the winding is 1 K warmer, V; with ``magnet`` 1 the
+    magnets are 1 K warmer too.
     """
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
     warmer = COPPER_PER_K * resistance * view.current
-    # Torque and back-EMF have the same flux and fall with it.
+    # Torque and back-EMF are both proportional to the flux of the magnets, which falls with
+    # temperature.
     weaker = (
         magnet * MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
     )
@@ -232,7 +234,7 @@ def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
 
 
 def _drift(view: View, shape: Shape) -> Array:
-    """Return the time since the current sensor was zeroed, before the recording, s."""
+    """Return the time since the zero of the current sensor was taken, before the recording, s."""
     return np.asarray(view.time - view.time[0] + shape[0])
 
 

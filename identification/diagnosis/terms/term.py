@@ -1,5 +1,5 @@
-"""Definition of an effect for the search: regressors at the full rate at trial parameters, and
-conversion of fitted values to the effect's parameters.
+"""Definition of an effect for the search: regressors at the full sample rate for given trial
+parameters, and conversion of fitted values to the parameters of the catalogue.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from identification.recording import Array
 Shape = tuple[float, ...]
 """Values of an effect's nonlinear parameters."""
 Columns = Callable[[View, Nominal, Shape], Array]
-"""Regressors of one recording at the full rate, shape (k, m), at nominal values and nonlinear
-parameters.
+"""Function of a view, nominal values and nonlinear parameters that returns the regressors of one
+recording at the full sample rate, shape (k, m).
 """
 NO_SHAPE: tuple[Shape, ...] = ((),)
 EXACT, CLOSE, ROUGH = 1e-5, 1e-4, 1e-3
-"""Shape error of a regressor: squares that its error leaves to other effects, over the squares that
-it explains.
+"""Classes of the error of a regressor: gain that other effects have because of this error, over the
+gain of the effect itself.
 
-The classes are from 16 draws of each effect. In the first, other effects then explained at most 1
-to 13 millionths of the strongest draw's squares, or nothing above 1 % of the noise; in the second
-up to 15, or more in one draw only; in the third more.
+The class of an effect was determined by simulation of 16 random benches. In the class ``EXACT``,
+other effects had at most 1 to 13 millionths of the gain of the effect in its strongest draw, or
+nothing above 1 % of the noise; in ``CLOSE`` up to 15 millionths, or more in one draw only; in
+``ROUGH`` more.
 """
 
 
@@ -41,7 +42,9 @@ class Context:
 
 
 Reader = Callable[[Array, Shape, Context], Mapping[str, float]]
-"""(coefficients, shape, context) to the catalogue's parameters."""
+"""Function of coefficients, nonlinear parameters and context that returns the parameters of the
+catalogue.
+"""
 
 
 @dataclass(frozen=True)
@@ -50,33 +53,32 @@ class Term:
 
     Attributes:
         name: Stable name of the catalogue.
-        columns: Equation to regressors; the effect does not appear in other equations.
-        read: (coefficients, nonlinear parameters, context) to the catalogue's parameters.
+        columns: Name of each equation in which the effect appears to its regressors.
+        read: Function of coefficients, nonlinear parameters and context that returns the parameters
+            of the catalogue.
         shapes: Trial values of the nonlinear parameters; empty if these recordings cannot show the
             effect.
-        refine: Index of each continuous nonlinear parameter to its search range around the trial; 0
-            for scales, which are searched within a factor.
-        forms: Index of a nonlinear parameter that selects the form of the effect, to its values,
-            the usual form first.
+        refine: Index of each continuous nonlinear parameter to the half width of its search around
+            the trial value; 0 for a parameter that is searched within a factor.
+        forms: Index of a nonlinear parameter that selects the form of the effect to the values of
+            this parameter, the usual form first.
         positive: Indices of coefficients that must be positive to be physical.
-        follows: Whether the regressors depend on the nominal values, so that they change during a
-            fit.
-        varies: Equations whose regressors change with the nominal values while the coefficients do
-            not.
+        follows: Whether the regressors depend on the nominal values, and so change during a fit.
+        varies: Names of the equations whose regressors change with the nominal values although the
+            coefficients do not change.
         limits: Index of a nonlinear parameter to its least and greatest physical value.
-        place: Index of the nonlinear parameter that is the only recording with the effect, if there
-            is one.
-        start: Equation to the regressor of an unknown state at the start of a recording, whose
-            coefficient each recording has to itself; fitted where a recording set aside is
-            predicted.
+        place: Index of the nonlinear parameter that is the number of the only recording with the
+            effect; None for an effect that occurs in all recordings.
+        start: Name of an equation to the regressor of an unknown state at the start of a recording;
+            its coefficient is different in each recording, and is fitted also to recordings set
+            aside.
         begin: Function from nominal values and trial parameters to the start values of a joint fit.
-        shape_error: Squares that the regressor's error leaves to others, over the squares that it
-            explains; :data:`EXACT` if the regressor is exact, known from clock, angle, motion or
-            torque.
-        at_angle: Whether its torque depends on angle, which must then be delayed like the torque's
-            samples.
-        size: Fixed coefficient of a regressor whose nonlinear parameters determine its size; else
-            None.
+        shape_error: Class of the error of the regressor; :data:`EXACT` if the regressor is computed
+            exactly from time, angle, motion or torque.
+        at_angle: Whether the torque of the effect depends on the angle, which must then be delayed
+            like the samples of the torque.
+        size: Fixed coefficient of a regressor whose size is determined by nonlinear parameters;
+            None otherwise.
     """
 
     name: str
@@ -117,13 +119,13 @@ def in_motion(columns: Columns) -> dict[str, Columns]:
 
 
 def one(name: str) -> Reader:
-    """Return a reader of a single coefficient."""
+    """Return a function that reads a single coefficient as the parameter ``name``."""
     return lambda coefficients, _shape, _context: {name: float(coefficients[0])}
 
 
 def shaped(name: str, index: int = 0) -> Reader:
-    """Return a function that reads a nonlinear parameter, for effects whose size this parameter
-    determines.
+    """Return a function that reads a nonlinear parameter as the parameter ``name``, for effects
+    whose size is determined by this nonlinear parameter.
     """
     return lambda _coefficients, shape, _context: {name: shape[index]}
 
@@ -155,7 +157,7 @@ def of_each_recording(view: View, count: int, series: Array) -> Array:
     """Return regressors with separate coefficients for each of ``count`` recordings, shape (count
     k, m), from the regressors of one recording, shape (k, m).
 
-    A recording that is not fitted has none.
+    For a recording that is not fitted, all these regressors are zero.
     """
     out = np.zeros((count, *series.shape))
     if view.index < count:

@@ -1,4 +1,4 @@
-"""Computes the regressors of effects between motor and valve: violations of assumption 5 that two
+"""Computes the regressors of effects between motor and valve: violations of assumption 5, which two
 encoders show, and power loss of the gear.
 """
 
@@ -35,37 +35,39 @@ TEETH: tuple[Shape, ...] = tuple((float(n), WITH_TORQUE[0]) for n in range(5, 20
 GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 TWIST_COUNTS = (0.0, 2.0)
-"""Range of a stiff shaft's twist under the greatest torque, in counts of the joint encoder."""
+"""Search range of the twist of a stiff shaft under the greatest torque, in counts of the joint
+encoder.
+"""
 LOOP_SHARES = (0.05, 0.15, 0.4)
-"""Trial torques that close a hysteresis loop, over the greatest torque."""
+"""Trial torques that close a hysteresis loop, relative to the greatest torque."""
 LEAST_JOINT_SHARE = 0.1
-"""Least share of the inertia on the joint's side."""
+"""Least share of the joint's side in the total inertia."""
 LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
-"""Start value of the rotor's share of the inertia, which is unknown and fitted."""
+"""Start value of the rotor's share of the total inertia, which is unknown and fitted."""
 FIRST_SAMPLES = 20
-"""Number of first samples whose encoder readings determine the initial position in a gap or
-loop.
+"""Number of samples at the start of a recording whose encoder readings determine the initial
+position in a gap or a hysteresis loop.
 """
 
 
 class Gap(NamedTuple):
-    """Nonlinear parameters of a gap: its width, rad, the compliance of the shaft, and the inertia
-    of the rotor.
+    """Nonlinear parameters of a gap: width, rad, compliance of the shaft, and inertia of the
+    rotor.
     """
 
     width: float
     counts: float
-    """Twist of the shaft under the greatest torque, in counts."""
+    """Twist of the shaft under the greatest torque, in counts of the joint encoder."""
     per_torque: float
-    """Twist of one count, rad/(N m)."""
+    """Compliance with which the shaft twists by one count under the greatest torque, rad/(N m)."""
     rotor: float
     """Inertia of the rotor at the joint, kg m^2."""
 
 
 class Loop(NamedTuple):
-    """Nonlinear parameters of a coupling's hysteresis loop: closing torque, N m, and deflection,
-    rad; the other parameters are those of :class:`Gap`.
+    """Nonlinear parameters of a coupling's hysteresis loop: closing torque, N m, deflection, rad,
+    and shaft and rotor as in :class:`Gap`.
     """
 
     torque: float
@@ -83,8 +85,8 @@ def coupling_torque(view: View, rotor: float) -> Array:
     """Return the torque through the coupling, N m, for a rotor of this inertia at the joint, kg
     m^2.
 
-    While a loop is crossed the rotor moves alone and its acceleration requires most of the drive's
-    torque.
+    While a hysteresis loop is crossed, the rotor moves alone, and its acceleration requires most of
+    the drive's torque.
     """
     out = rotor * view.rotor_acceleration
     return np.asarray(np.subtract(view.transmitted, out, out=out))
@@ -94,8 +96,8 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
     """Return the regressors of a shaft's elastic twist: drive torque, and torques of rotor inertia,
     shaft damping, and the rotor's dry and viscous friction.
 
-    Of these torques only the drive torque is known; with a soft shaft the effect of the others is
-    up to a hundred times the encoders' noise.
+    Of these torques only the drive torque is known. With a soft shaft the effect of all other
+    torques is up to a hundred times the noise of the encoders.
     """
     torque, speed = view.transmitted, view.motor_speed / view.recording.bench.gear_ratio
     damping = -central_difference(torque, view.step)
@@ -113,7 +115,7 @@ def count_of_twist(views: Sequence[View]) -> float:
     """Return the compliance with which a shaft twists by one count of the joint encoder at the
     greatest torque, rad/(N m).
 
-    Even a stiff shaft twists toward the driving flank, and its twist adds to a narrow gap.
+    Even a stiff shaft twists under torque, and its twist adds to the lead through a narrow gap.
     """
     known = [v for v in views if v.lag is not None]
     greatest = max((float(np.max(np.abs(v.transmitted))) for v in known), default=0.0)
@@ -138,7 +140,7 @@ def _gaps(context: Context) -> Sequence[Shape]:
 
 def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
     """Return the motor's lead through a gap, rad, shape (m,); the initial position in the gap is
-    from the encoders.
+    computed from the encoder readings.
 
     The joint rests while the gap is open, unless a weight exceeds the friction of the joint.
 
@@ -164,7 +166,8 @@ def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Arra
     if view.lag is None or crossed == len(motor):
         return middle
     zero = float(np.mean(view.lag[crossed:] - middle[crossed:]))
-    # From there on the lead does not depend on the start: a flank has driven the joint.
+    # From this sample on the lead does not depend on its start value, because a flank has driven
+    # the joint.
     middle[: crossed + 1] = through(crossed + 1, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
     return middle
 
@@ -172,7 +175,7 @@ def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Arra
 def _through(
     view: View, nominal: Nominal | None, motor: Array, gap: float, rotor: float
 ) -> Callable[[int, float], Array]:
-    """Return a function of number of samples and initial lead, rad, that returns the lead over
+    """Return a function of a number of samples and an initial lead, rad, that returns the lead at
     these samples.
     """
     if nominal is None:
@@ -205,9 +208,10 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
     """Return the components of a hysteresis loop that do not depend on its deflection and twist.
 
     Returns:
-        Transmitted torque, N m; relative deflection from the loop's centre; first sample from which
-        it does not depend on the start; means of lag, torque and deflection over the first samples
-        and from that sample on, shape (2, 3), or None.
+        Transmitted torque, N m; deflection from the centre of the loop, relative to the greatest
+        deflection; first sample from which the deflection does not depend on the start; means of
+        lag, torque and deflection over the first samples and from this sample on, shape (2, 3), or
+        None.
     """
     torque = coupling_torque(view, rotor)
     state, closed = _sheared(torque, width), first_swing(torque, 2.0 * width)
@@ -221,8 +225,8 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
-    """Return the deflection of a hysteresis loop over its greatest deflection; ``start`` is the
-    initial lead of the play operator, whose input is the torque.
+    """Return the deflection of a hysteresis loop relative to its greatest deflection; ``start`` is
+    the initial lead of the play operator, whose input is the torque.
     """
     out = play(torque, 2.0 * width, start)
     np.subtract(torque, out, out=out)
@@ -270,8 +274,8 @@ def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
 
 
 def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    # Speed times delay is not accurate enough: if the speed changes within the delay its error is
-    # far above the encoders' noise.
+    # Speed times delay is not accurate enough: if the speed changes within the delay, the error of
+    # this product is far above the noise of the encoders.
     logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
     return rows(delayed_series(logged, view.step, -shape[0]) - logged)
 
@@ -282,11 +286,11 @@ def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:
-    """Return the effects for torques computed from the joint encoder. A delay of this encoder also
-    delays the friction in the torque.
+    """Return the effects for torques that are computed with the motion of the joint encoder. A
+    delay of this encoder also delays the friction in the torque equation.
 
-    If the friction were not delayed, the torque would lead the delayed angles, as with a lag of the
-    current.
+    If the friction were not delayed, the torque would lead the delayed angles, as it does with a
+    lag of the current.
     """
     return [
         replace(t, columns={**t.columns, "torque": _late_torque}, follows=True)
@@ -297,8 +301,8 @@ def on_the_joint(terms: Iterable[Term]) -> list[Term]:
 
 
 def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
-    # In back-driving, eta of the torque is transmitted; in driving, 1 / eta is required. The
-    # coefficient is 1 / eta - 1.
+    # If the load drives the motor, the share eta of the torque is transmitted; if the motor drives
+    # the load, 1 / eta of the torque is required. The coefficient is 1 / eta - 1.
     torque = nominal.drive(view)
     return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -nominal.efficiency))
 

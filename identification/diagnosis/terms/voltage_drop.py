@@ -1,5 +1,5 @@
-"""Computes the regressors of voltage drops with the sign of the current: inverter dead time, brush
-drop.
+"""Computes the regressors of voltage drops with the sign of the current: dead time of the inverter,
+drop of the brushes.
 """
 
 from __future__ import annotations
@@ -15,20 +15,25 @@ from identification.recording import Array
 from identification.signals import resample
 
 STEP_SHARES = (0.001, 0.03)
-"""Limits of the current over which a dead-time step is smeared, share of the greatest current.
+"""Limits of the range of current over which a dead-time step is smeared, relative to the greatest
+current.
 
-Near zero a noisy sample does not determine the sign, and the winding has no current within the
-step.
+Near zero a noisy sample does not determine the sign of the current, and during the step the winding
+has no current.
 """
 ROUNDED_SHARES = (0.03, 1.0)
-"""Limits of the current over which a brush drop is reached, share of the greatest current; a
-smaller one looks like a dead time.
+"""Limits of the range of current over which a brush drop is reached, relative to the greatest
+current; over a smaller range a brush drop resembles a dead time.
 """
 DEAD_SHARES, BRUSH_SHARES = (0.005, 0.02), (0.05, 0.1, 0.2)
 LEAST_CROSSINGS = 12
-"""Least number of passages of the current through zero from which its change there is known."""
+"""Least number of passages of the current through zero from which the change of the current in a
+passage is computed.
+"""
 GREATEST_QUANTILE = 0.99
-"""Quantile of the currents that counts as the greatest, so that spikes are ignored."""
+"""Quantile of the magnitude of the current that counts as the greatest current, so that spikes are
+ignored.
+"""
 
 
 def has_current(view: View) -> bool:
@@ -37,8 +42,8 @@ def has_current(view: View) -> bool:
 
 
 def about_zero(shares: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial parameters: the current over which a drop is reached, as a share of the greatest
-    current; the reading at zero current, A; the greatest current, A.
+    """Return trial parameters: the range of current over which a drop is reached, relative to the
+    greatest current; the reading of the current at zero current, A; the greatest current, A.
     """
 
     def trials(context: Context) -> Sequence[Shape]:
@@ -53,8 +58,8 @@ def about_zero(shares: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
 
 
 def at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Return nominal values and nonlinear parameters whose drop depends on the sign of the true
-    current, as the sensor's offset may exceed the step.
+    """Return nominal values and nonlinear parameters with which the drop depends on the sign of the
+    true current, because the offset of the current sensor may exceed the range of the step.
     """
     return nominal, (shape[0], nominal.zero_A, *shape[2:])
 
@@ -68,9 +73,10 @@ def _mean_over_sample(
     """Return the mean of a function of the current over each sample's period, for a current that is
     linear in time.
 
-    Near a reversal the current changes by more than I_b within one period. ``zero_A`` is the
-    reading at zero current. The function is applied to the logged samples and its result resampled
-    like the voltage, since interpolation of the current would widen the step.
+    The mean is needed because the current may change by more than I_b within one period when it
+    reverses. ``zero_A`` is the reading at zero current. The function is applied to the logged
+    samples, and its result is resampled like the voltage, because interpolation of the current
+    would widen the step.
     """
     recording = view.recording
     current = recording.channels["current"] - zero_A
@@ -89,7 +95,7 @@ def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
     Args:
         view: The recording.
-        shape: I_b over the greatest current; the reading without current, A; the greatest
+        shape: I_b relative to the greatest current; the reading at zero current, A; the greatest
             current, A.
     """
     share, zero_A, greatest_A = shape
@@ -107,13 +113,13 @@ def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def change_at_zero(views: Sequence[View]) -> float:
-    """Return the change of the current from one sample to the next where it passes from one sign to
-    the other, A: the greatest change in a passage, the median over the passages of all recordings;
-    0 with fewer than :data:`LEAST_CROSSINGS` passages.
+    """Return the change of the current from one sample to the next during a passage through zero,
+    A: the greatest change in each passage, and of these the median over the passages of all
+    recordings; 0 with fewer than :data:`LEAST_CROSSINGS` passages.
 
-    A step of the voltage over a smaller range of current is smeared over the sample. A passage
-    leads from beyond the current of a dead-time step to beyond this current with the other sign, so
-    that noise around zero, as at rest, is no passage.
+    A step of the voltage over a smaller range of current is smeared over a sample period. In a
+    passage the current changes its sign, from a magnitude beyond the current of a dead-time step to
+    a magnitude beyond it, so that noise around zero at rest is no passage.
     """
     currents = [v.current for v in views if v.current is not None]
     if not currents:

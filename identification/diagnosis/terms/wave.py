@@ -1,5 +1,5 @@
-"""Compiled sine and cosine of large phases; most regressors of the catalogue are waves over an
-angle or time.
+"""Compiled sine and cosine of large phases; most regressors of the catalogue are sines of an angle
+or of time.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11 = _COSINE[1:]
 
 
 def sine_cosine(frequency: float, angle: Array) -> Array:
-    """Return sin and cos of ``frequency * angle``, shape (2, m), to a few units of 1e-16 below a
-    million half turns.
+    """Return sin and cos of ``frequency * angle``, shape (2, m), with an error of a few units of
+    1e-16 for phases below a million half turns.
 
     This function has no branches, so that the processor computes several samples at a time; numpy
     computes one sample at a time and takes ten times as long.
@@ -34,14 +34,16 @@ def sine_cosine(frequency: float, angle: Array) -> Array:
 
 @compiled
 def _fill(frequency: float, angle: Array, sine: Array, cosine: Array) -> None:
-    # Sums must keep their order, or the two parts of pi would be combined.
+    # The compiler must not change the order of these sums, because it would add the two parts of
+    # pi.
     for k in range(len(angle)):
         phase = frequency * angle[k]
         turns = np.floor(phase * _PER_HALF_TURN + 0.5)
         rest = (phase - turns * _HALF_TURN) - turns * _REST
         z = rest * rest
         sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
-        # Series within a quarter turn on either side; the first omitted terms are below 1e-18.
+        # Power series for phases within a quarter turn on either side; the first omitted terms are
+        # below 1e-18.
         odd = _S5 + z * (_S6 + z * (_S7 + z * (_S8 + z * (_S9 + z * _S10))))
         odd = 1.0 + z * (_S1 + z * (_S2 + z * (_S3 + z * (_S4 + z * odd))))
         even = _C5 + z * (_C6 + z * (_C7 + z * (_C8 + z * (_C9 + z * (_C10 + z * _C11)))))
