@@ -1,4 +1,4 @@
-"""Clock interface. No other module reads a clock or sleeps.
+"""Clock interface. No other module of this package reads a clock or sleeps.
 
 Two implementations: :class:`RealClock` for hardware, and :class:`SimulatedClock` for the simulated
 bus, whose time advances only while the program waits.
@@ -22,7 +22,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Wait until ``now_ns() >= deadline_ns``; return at once if the deadline has passed."""
+        """Wait until ``now_ns() >= deadline_ns``; return immediately if the deadline has passed."""
         ...
 
 
@@ -41,11 +41,11 @@ class RealClock:
 
 
 class SimulatedClock:
-    """Simulated time: it advances only while the program sleeps or waits, and executes each event
-    when it falls due.
+    """Simulated time, which advances only while the program sleeps or waits; each event is executed
+    at its time.
 
-    The order is deterministic: events at the same instant are executed in the order in which they
-    were scheduled.
+    The order is deterministic: events at one instant are executed in the order in which they were
+    scheduled.
     """
 
     def __init__(self, start_ns: int = 0) -> None:
@@ -59,18 +59,20 @@ class SimulatedClock:
         return self._now
 
     def call_at(self, when_ns: int, action: Callable[[], None]) -> None:
-        """Run ``action`` when simulated time reaches ``when_ns`` (now at the earliest)."""
+        """Run ``action`` when the simulated time reaches ``when_ns``, but not before the present
+        time.
+        """
         self._order += 1
         heapq.heappush(
             self._events, (when_ns if when_ns > self._now else self._now, self._order, action)
         )
 
     def next_event_ns(self) -> int | None:
-        """Return when the next scheduled event falls due, or None."""
+        """Return the time of the next scheduled event, or None without an event."""
         return self._events[0][0] if self._events else None
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Advance simulated time to ``deadline_ns``, firing every event that falls due by then."""
+        """Advance simulated time to ``deadline_ns``, and execute every event up to this time."""
         events = self._events
         while events and events[0][0] <= deadline_ns:
             self.fire_next(deadline_ns)
@@ -78,18 +80,19 @@ class SimulatedClock:
             self._now = deadline_ns
 
     def fire_next(self, horizon_ns: int) -> None:
-        """Execute the next event, which must exist; the event may itself advance time up to
-        ``horizon_ns``.
+        """Execute the next event; the event may itself advance the time up to ``horizon_ns``. There
+        must be an event.
         """
         self._now, _, action = heapq.heappop(self._events)
         self._horizon = horizon_ns
         action()
 
     def skip_to(self, when_ns: int) -> bool:
-        """Advance time from inside an event, instead of scheduling another event.
+        """Advance the time from within an event, in place of scheduling another event.
 
         Returns:
-            False, without advancing, if another event is due by then or nobody waits that long.
+            False, without advancing, if another event is scheduled up to ``when_ns``, or if no
+            caller waits until ``when_ns``.
         """
         if when_ns > self._horizon or (self._events and self._events[0][0] <= when_ns):
             return False

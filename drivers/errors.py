@@ -1,7 +1,7 @@
-"""Errors of devices and buses, one class per cause: bus, object access, state, drive fault,
+"""Errors of devices and buses, one class for each cause: bus, object access, state, drive fault,
 configuration.
 
-Messages state what was found, the limit or expectation, the unit and the remedy, where they apply.
+A message states what was found and what was expected, with units, and the remedy.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ class DeviceError(Exception):
 
 
 class LinkError(DeviceError):
-    """The bus or port itself failed (not opened, bus-off, no answer): check cabling, power, bit
-    rate.
+    """The bus or port failed: it is not open, is in the state bus-off, or has no answer. Remedies
+    are to check cabling, power and bit rate.
     """
 
 
@@ -23,8 +23,8 @@ class ObjectAccessError(DeviceError):
     Args:
         index: Object index.
         subindex: Object subindex.
-        code: Abort code as the device sent it.
-        message: Why, and what to do.
+        code: Abort code that the device sent.
+        message: Reason and remedy.
     """
 
     def __init__(self, index: int, subindex: int, code: int, message: str) -> None:
@@ -43,7 +43,7 @@ class DriveFault(DeviceError):
 
     Args:
         code: Error code of object 603Fh, or of the EMCY frame.
-        message: What it means and what to do.
+        message: Meaning of the code and remedy.
     """
 
     def __init__(self, code: int, message: str) -> None:
@@ -56,4 +56,4 @@ class ConfigurationError(DeviceError):
 
 
 class NotDescribedError(ConfigurationError):
-    """The device's description has no such object."""
+    """The EDS file of the device does not contain the object."""

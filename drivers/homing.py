@@ -10,7 +10,9 @@ from typing import Final
 from drivers.errors import ConfigurationError
 
 IN_PLACE: Final = frozenset({35, 37})
-"""Methods without motion: the present position is the home position. 35 is the older number."""
+"""Homing methods without motion: the present position becomes the home position. 35 is the older
+number of method 37.
+"""
 _WORDS: Final[Mapping[int, str]] = {
     17: "to the limit switch on the negative side of the drive's position",
     18: "to the limit switch on the positive side of the drive's position",
@@ -20,11 +22,11 @@ _WORDS: Final[Mapping[int, str]] = {
     37: "the present position is the home position",
 }
 STANDARD: Final = (*range(1, 15), *range(17, 31), 33, 34, 35, 37)
-"""Methods of CiA 402; negative ones are the maker's own."""
+"""Homing methods of CiA 402; methods with negative numbers are the maker's own."""
 
 
 class HomingState(Enum):
-    """How a homing stands."""
+    """State of a homing."""
 
     RUNNING = "running"
     ATTAINED = "attained"
@@ -33,7 +35,7 @@ class HomingState(Enum):
 
 
 def method_words(method: int) -> str:
-    """Return what a method does."""
+    """Return a text on what a homing method does."""
     if method in _WORDS:
         return _WORDS[method]
     kind = "the maker's own" if method < 0 else "to a switch or index pulse, see 6098h"
@@ -45,10 +47,10 @@ class HomingOffer:
     """Whether a drive can home, and how.
 
     Attributes:
-        methods: Values of 6098h that it takes; none where it cannot home.
-        why_not: Why it cannot home, or why only without motion; empty where nothing is missing.
-        listed: Whether the drive lists these methods (60E3h); else they are all that its EDS allows
-            in 6098h, and it may refuse one.
+        methods: Homing methods that the drive accepts (values of 6098h); empty if it cannot home.
+        why_not: Reason why the drive cannot home, or can home only without motion; else empty.
+        listed: Whether the drive lists these methods (60E3h); otherwise the methods are all that
+            its EDS allows in 6098h, and the drive may refuse some of them.
     """
 
     methods: tuple[int, ...] = ()
@@ -57,17 +59,19 @@ class HomingOffer:
 
     @property
     def words(self) -> str:
-        """Return the offer for the operator."""
+        """Return a text for the operator that states whether and how the drive can home."""
         if not self.methods:
             return f"no homing by the drive: {self.why_not}"
         shown = f"methods {', '.join(map(str, self.methods))}"
         if not self.listed:
-            shown = "by the methods in its manual, as it does not list them (60E3h)"
+            shown = "by the methods in its manual (the drive does not list them in 60E3h)"
         more = f" (only without motion: {self.why_not})" if self.why_not else ""
         return f"the drive can set its zero by homing, {shown}{more}"
 
     def refusal(self, method: int) -> str:
-        """Return why a method cannot be used; empty if it can be used."""
+        """Return the reason why a homing method cannot be used, or an empty text if it can be
+        used.
+        """
         return "" if method in self.methods else f"method {method} is not offered; {self.words}"
 
 
@@ -76,10 +80,10 @@ class HomingOrder:
     """One homing.
 
     Attributes:
-        method: Value of 6098h.
-        home_rad: Joint angle that the drive is to show at the home position.
-        search_rad_s: Joint speed towards a switch.
-        zero_rad_s: Joint speed in search of the home position itself.
+        method: Homing method, the value of 6098h.
+        home_rad: Joint angle at the home position, which the drive shows after the homing.
+        search_rad_s: Joint speed toward a switch.
+        zero_rad_s: Joint speed of the search for the home position.
         acceleration_rad_s2: Joint acceleration.
     """
 
@@ -91,31 +95,31 @@ class HomingOrder:
 
 
 class Homes:
-    """Homing of a drive; the methods of this class are those of a drive that cannot home."""
+    """Interface for the homing of a drive; as implemented here, the drive cannot home."""
 
     def homing_offer(self) -> HomingOffer:
-        """Return whether the drive can home, from its description and from objects that it reads.
-        Writes nothing.
+        """Return whether the drive can home, by its EDS and by reading objects, without writing
+        anything.
 
         Raises:
             LinkError: The drive cannot be reached.
         """
-        return HomingOffer(why_not="this program homes drives of CiA 402 only")
+        return HomingOffer(why_not="this program can home only drives with the profile CiA 402")
 
     def begin_homing(self, order: HomingOrder) -> Mapping[str, int]:
-        """Write the settings of a homing, verify them, and energise in homing mode; the homing does
-        not start. The drive must be prepared.
+        """Write the settings of a homing, verify them, and energise the drive in homing mode,
+        without starting the homing. The drive must be prepared.
 
         Returns:
-            Object to the value that it holds now.
+            Name of each written object to the value that was read back.
 
         Raises:
-            ConfigurationError: The drive cannot home, or does not take a setting.
-            StateError: It is energised already, or does not show homing mode (6061h) in time; it is
-                then de-energised.
+            ConfigurationError: The drive cannot home, or does not store a setting.
+            StateError: The drive is already energised, or does not activate homing mode (6061h) in
+                time; it is then de-energised.
         """
         raise ConfigurationError(
-            f"{self.homing_offer().words}; homing method {order.method} is not carried out"
+            f"{self.homing_offer().words}; homing method {order.method} is not executed"
         )
 
     def start_homing(self) -> None:
@@ -129,10 +133,10 @@ class Homes:
         """Select the usual mode of operation again; the drive must be de-energised.
 
         Returns:
-            The mode that the drive shows now (6061h), and the usual one (6060h).
+            The mode that is active (6061h), and the usual mode that is selected (6060h).
 
         Raises:
             StateError: The drive is energised.
-            LinkError: It cannot be reached.
+            LinkError: The drive cannot be reached.
         """
         return 0, 0

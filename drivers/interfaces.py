@@ -1,4 +1,4 @@
-"""Interfaces of the devices of a bench to the rest of the program, in SI units.
+"""Interfaces of the devices of a bench for the rest of the program, in SI units.
 
 A :class:`Link` exchanges all outputs and inputs of its :class:`Servo` and :class:`Encoder` once a
 cycle. Angles, speeds and torques are at the joint unless the name says ``motor``.
@@ -58,10 +58,10 @@ class Identity:
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """Limits held in the drive, at the joint, in SI units.
+    """Limits that are stored in the drive, at the joint, in SI units.
 
-    ``following_error_rad`` is None where the drive's window is off (6065h = FFFFFFFFh). A limit
-    that the drive does not hold is NaN, see :meth:`Servo.lacks`.
+    ``following_error_rad`` is None if the limit of the following error is switched off in the drive
+    (6065h = FFFFFFFFh). A limit that the drive does not have is NaN (:meth:`Servo.lacks`).
     """
 
     angle_min_rad: float
@@ -76,9 +76,9 @@ class ServoLimits:
 
 @dataclass(frozen=True)
 class LimitSteps:
-    """Resolution of the limits that a drive holds: one unit of each object, at the joint, in SI.
+    """Resolution of the limits that a drive stores: one unit of each object, at the joint, in SI.
 
-    A step is zero if the drive does not hold the limit, or holds the limit exactly.
+    The resolution is zero if the drive does not have the limit, or stores it exactly.
     """
 
     angle_rad: float
@@ -90,9 +90,9 @@ class LimitSteps:
 
 
 class ServoReadings(NamedTuple):
-    """Values read singly from a drive, outside the cyclic exchange.
+    """Values that are read from a drive one by one, outside the cyclic exchange.
 
-    The values are not simultaneous. NaN where the drive gives no value.
+    The values are not simultaneous. A value that the drive does not have is NaN.
     """
 
     motor_angle_rad: float = math.nan
@@ -106,7 +106,7 @@ class ServoSample(NamedTuple):
     """Sample of the drive in one cycle.
 
     ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is
-    False when a part of the answer is missing or bad; the values are then those of the last good
+    False if a part of the answer is missing or bad; the values are then those of the last good
     frame. ``motor_torque_N_m`` is the torque at the motor as the drive measures it, or NaN if the
     drive measures only the current; the value may be up to ten cycles old.
     """
@@ -140,7 +140,7 @@ class PressureSample(NamedTuple):
 
 
 class RawFrame(NamedTuple):
-    """One frame as transmitted, for the log. ``sent`` is True for frames of the host."""
+    """One frame as it was on the bus, for the log; ``sent`` is True for frames of the host."""
 
     time_ns: int
     identifier: int
@@ -149,12 +149,12 @@ class RawFrame(NamedTuple):
 
 
 class Link(ABC):
-    """A bus or port with the devices on it, exchanged once a cycle.
+    """A bus or port with its devices, whose values are exchanged once a cycle.
 
-    Its methods raise only DeviceError.
+    The methods of a link raise only DeviceError.
 
     Attributes:
-        clock: Real or simulated clock, matching the bus.
+        clock: Real or simulated clock, as the bus.
         has_watchdog: Whether the devices stop by themselves if the control loop stops.
     """
 
@@ -163,23 +163,23 @@ class Link(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the bus. Moves nothing and energises nothing.
+        """Open the bus, without motion and without energising a drive.
 
         Raises:
-            LinkError: It cannot be opened; the message names the cause.
+            LinkError: The bus cannot be opened; the message states the cause.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Close the bus; safe to call twice and after a failure. Raises nothing."""
+        """Close the bus, without raising an error; may be called twice and after a failure."""
 
     @abstractmethod
     def exchange(self) -> None:
-        """Send every device's outputs, latch all inputs at one instant and collect them.
+        """Send the outputs of every device, sample all inputs at one instant and receive them.
 
-        The exchange also sends the master's heartbeat, so that the heartbeat ends when the control
-        loop stops. If a device does not answer in time, its last sample stays, with ``fresh``
-        False; an error is raised only if the bus itself fails.
+        The exchange also sends the heartbeat of the master, so that the heartbeat ends when the
+        control loop stops. If a device does not answer in time, its last sample is kept, with
+        ``fresh`` False; an error is raised only if the bus fails.
 
         Raises:
             LinkError: The bus failed.
@@ -188,18 +188,18 @@ class Link(ABC):
 
     @abstractmethod
     def take_frames(self) -> list[RawFrame]:
-        """Return the raw frames seen since the last call, oldest first."""
+        """Return the raw frames that were sent or received since the last call, oldest first."""
 
 
 class Servo(SpeedRemedies, Recognised, Homes, ABC):
     """A position servo. Only :meth:`enable` ever changes the state of the drive toward power.
 
     Attributes:
-        watch_s: Silence of the control loop after which the drive stops by itself, s, or None if it
-            never does.
+        watch_s: Time without a sign of the control loop after which the drive stops by itself, s,
+            or None if it never stops by itself.
         limits_taken: Fields of :class:`ServoLimits` that :meth:`write_limits` can set.
-        limit_places: Field of :class:`ServoLimits` to the name of the place where the drive holds
-            it, or None for the objects of CiA 402.
+        limit_places: Field of :class:`ServoLimits` to the name of the drive's parameter that stores
+            the limit, or None for the objects of CiA 402.
     """
 
     watch_s: float | None = None
@@ -216,20 +216,20 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
 
     @abstractmethod
     def read_limits(self) -> ServoLimits:
-        """Read back the limits held in the drive."""
+        """Read the limits that are stored in the drive."""
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits that the drive does not enforce and the measured values (temperature,
-        supply voltage) that it does not report. Nothing is sent.
+        """Return the limits that the drive does not enforce, and the measured values (temperature,
+        supply voltage) that it does not report, without sending anything.
         """
         return NOTHING
 
     def limit_steps(self) -> LimitSteps | None:
-        """Return the resolution of the held limits, or None if not known. Nothing is sent."""
+        """Return the resolution of the stored limits, or None if unknown. Nothing is sent."""
         return None
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield the errors that :meth:`write_limits` would raise. Nothing is sent."""
+        """Yield the errors that :meth:`write_limits` would raise, without sending anything."""
         yield from ()
 
     @abstractmethod
@@ -237,13 +237,13 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Write limits into the drive and verify them by reading back.
 
         Raises:
-            ConfigurationError: The drive holds another value than the one written.
+            ConfigurationError: A value that is read back differs from the written value.
         """
 
     def readings(self) -> ServoReadings:
-        """Read the drive's values without preparing it.
+        """Read the values of the drive, which need not be prepared.
 
-        The method writes nothing, and sends only read requests.
+        The method writes nothing, and sends read requests only.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -251,13 +251,13 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         return ServoReadings()
 
     def fault(self) -> DriveFault:
-        """Read the cause of the drive's fault; only for a drive in fault."""
+        """Read the cause of the drive's fault; the drive must be in fault."""
         return DriveFault(
-            0, "the drive is in fault: see its display and manual, and remove the cause"
+            0, "the drive is in fault: look up the fault on its display and in its manual"
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield why :meth:`prepare` would refuse a de-energised drive, by read requests alone.
+        """Yield the errors of :meth:`prepare` for a de-energised drive, by read requests alone.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -266,27 +266,27 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
-        """Check units against the drive, map process data, set the cycle, verify the heartbeat
-        time-out. Nothing is energised.
+        """Compare the units with those of the drive, map process data, set the cycle time, and
+        verify the heartbeat time-out. The drive is not energised.
 
         The heartbeat time-out is read back; :meth:`enable` starts it and :meth:`disable` ends it.
 
         Raises:
-            ConfigurationError: Scale, unit or identity differ from the bench file.
+            ConfigurationError: A scale, a unit or the identity differs from the bench file.
         """
 
     @abstractmethod
     def enable(self) -> None:
-        """Energise and hold the present position.
+        """Energise the drive and hold the present position.
 
         Raises:
-            StateError: Not reached in time; the drive is left de-energised.
+            StateError: The energised state is not reached in time; the drive is then de-energised.
             DriveFault: The drive is in fault.
         """
 
     @abstractmethod
     def disable(self) -> None:
-        """Take the power off and verify this by reading 6041h.
+        """Take the power off, and verify by reading 6041h that it is off.
 
         Raises:
             StateError: The drive still reports an energised state.
@@ -298,7 +298,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
 
     @abstractmethod
     def reset_fault(self) -> None:
-        """Clear a fault. Afterwards the drive is de-energised; motion does not restart."""
+        """Reset a fault. Afterwards the drive is de-energised and does not move."""
 
     @abstractmethod
     def set_target(self, angle_rad: float) -> None:
@@ -308,15 +308,14 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Set a joint torque that the drive adds to the torque of its controller, from the next
         exchange until the value is changed.
 
-        The drive must be prepared for the offset; while it is not operating, the offset is zero.
+        The drive must be prepared for a torque offset, which is zero unless it operates.
 
         Raises:
-            ConfigurationError: The drive was not prepared for it, or has no such input.
+            ConfigurationError: The drive was not prepared for a torque offset, or has none.
         """
         raise ConfigurationError(
             f"this drive has no torque offset, but {torque_N_m:g} N m are requested: run without "
-            f"feed-forward, "
-            "or use a CANopen drive with object 60B2h"
+            "feed-forward"
         )
 
     @abstractmethod
@@ -332,9 +331,9 @@ class Encoder(Recognised, ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Read the joint angle, rad, without preparing the encoder; NaN if there is no angle.
+        """Read the joint angle, rad, of an encoder that need not be prepared; NaN without an angle.
 
-        Writes nothing.
+        The method writes nothing.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -342,7 +341,7 @@ class Encoder(Recognised, ABC):
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the reasons why :meth:`prepare` would refuse the encoder, by read requests alone.
+        """Yield the errors that :meth:`prepare` would raise, by read requests alone.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -350,7 +349,7 @@ class Encoder(Recognised, ABC):
         yield from ()
 
     def lacks(self) -> Iterator[str]:
-        """Yield the values that the encoder does not report, by read requests alone.
+        """Yield a text for each value that the encoder does not report, by read requests alone.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -359,7 +358,7 @@ class Encoder(Recognised, ABC):
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
-        """Check resolution against the device and map process data."""
+        """Compare the resolution with that of the device, and map process data."""
 
     @abstractmethod
     def sample(self) -> EncoderSample:
@@ -367,16 +366,17 @@ class Encoder(Recognised, ABC):
 
 
 class PressureTransmitter(ABC):
-    """A transmitter on the gas generator's chamber."""
+    """A pressure transmitter on the chamber of the gas generator."""
 
     @abstractmethod
     def identity(self) -> Identity:
         """Read who it is."""
 
     def reading(self) -> float:
-        """Read the pressure, Pa, without preparing the transmitter; NaN if there is no pressure.
+        """Read the pressure, Pa, of a transmitter that need not be prepared; NaN without a
+        pressure.
 
-        Writes nothing.
+        The method writes nothing.
 
         Raises:
             LinkError: The transmitter cannot be reached.
@@ -384,7 +384,7 @@ class PressureTransmitter(ABC):
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield why :meth:`prepare` would refuse the transmitter, by read requests alone.
+        """Yield the errors that :meth:`prepare` would raise, by read requests alone.
 
         Raises:
             LinkError: The transmitter cannot be reached.
@@ -393,7 +393,7 @@ class PressureTransmitter(ABC):
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
-        """Check unit and state against the device and map process data."""
+        """Compare the unit with that of the device, check its state, and map process data."""
 
     @abstractmethod
     def sample(self) -> PressureSample:

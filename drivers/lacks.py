@@ -1,5 +1,5 @@
 """Defines the record of the limits that a drive does not enforce and of the values that it does not
-report; only this program checks these limits, if anything does.
+report.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ class Lacks:
 
     Attributes:
         limits: Fields of :class:`~drivers.interfaces.ServoLimits` that the drive does not enforce.
-        temperature: Whether it does not report its temperature.
-        supply: Whether it does not report its supply voltage.
+        temperature: Whether the drive does not report its temperature.
+        supply: Whether the drive does not report its supply voltage.
         words: Text for the operator, one sentence for each limit or value.
     """
 
@@ -25,4 +25,4 @@ class Lacks:
 
 
 NOTHING = Lacks()
-"""A drive that enforces all limits and reports all values."""
+"""Record of a drive that enforces all limits and reports all values."""

@@ -1,6 +1,6 @@
-"""Imports python-can without asammdf, until a log file of the format MDF is read. python-can
-imports asammdf, and with it pandas, if they are installed; this takes a third of a second at the
-start of each command.
+"""Imports python-can without asammdf, until a log file of the format MDF is read. If asammdf and
+pandas are installed, python-can imports both, which takes a third of a second at the start of each
+command.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def install() -> None:
 
 
 def mf4_module() -> ModuleType:
-    """Return python-can's module for MDF files; imported with asammdf, where that is installed."""
+    """Return python-can's module for MDF files, imported with asammdf if asammdf is installed."""
     module = importlib.import_module(_MODULE)
     if getattr(module, _LIBRARY, None) is None:
         with suppress(ImportError):
@@ -35,8 +35,8 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of python-can's module for MDF files with another loader, or None for
-        every other module.
+        """Return the import specification of python-can's module for MDF files with another loader,
+        or None for all other modules.
         """
         if fullname != _MODULE or _LIBRARY in sys.modules:
             return None
@@ -48,7 +48,7 @@ class _Finder(MetaPathFinder):
 
 class _Loader(SourceFileLoader):
     def exec_module(self, module: ModuleType) -> None:
-        """Run the module of python-can while asammdf cannot be imported."""
+        """Execute the module of python-can while asammdf cannot be imported."""
         sys.modules[_LIBRARY] = None  # type: ignore[assignment]
         try:
             super().exec_module(module)

@@ -1,6 +1,6 @@
-"""Interfaces by which a device profile accesses its device: objects by index, cyclic process data.
+"""Interfaces by which a device profile accesses its device: single objects, and process data.
 
-A profile is written against these protocols, so that one profile runs over every transport.
+A profile uses only these interfaces, so that it is independent of the transport.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ V = TypeVar("V")
 
 
 def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
-    """Yield the error by which a device or its description refuses a request; yield nothing if the
-    request is accepted.
+    """Call ``act``, and yield the error if the device or its EDS refuses the request; yield nothing
+    if the request is accepted.
 
     Raises:
-        LinkError: The device cannot be reached; this is not a refusal.
+        LinkError: The device cannot be reached; this is no refusal.
     """
     try:
         act(*args, **kwargs)
@@ -57,26 +57,26 @@ class ObjectAccess(Protocol):
         ...
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that an object is described and can hold a value. Nothing is sent.
+        """Check that the EDS contains an object and that a value fits into it. Nothing is sent.
 
         Raises:
-            ConfigurationError: The object is not described, or cannot hold the value.
+            ConfigurationError: The EDS does not contain the object, or the value does not fit.
         """
         ...
 
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """Objects that are exchanged together once a cycle.
+    """Objects that are exchanged together in one PDO.
 
     Attributes:
         number: PDO number, from 1.
-        objects: Addresses in order.
+        objects: Addresses of the objects in the order of the PDO.
         every: Period of the exchange in cycles.
-        slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
-            for inputs with slack.
-        mean: Object that is a mean over the cycle, which a transport without SYNC interpolates at
-            the instant of the position, or None if there is none.
+        slack: Number of cycles that an input may be late and still count as fresh; the exchange
+            does not wait for inputs with slack.
+        mean: Object that is a mean over the cycle, which a transport without SYNC interpolates to
+            the instant of the position, or None without such an object.
     """
 
     number: int
@@ -87,7 +87,7 @@ class PdoLayout:
 
 
 class ProcessChannel(ObjectAccess, Protocol):
-    """One device on a link: its objects, and its share of the cyclic exchange."""
+    """Interface of one device on a link: its objects, and its part of the cyclic exchange."""
 
     @property
     def label(self) -> str:
@@ -96,8 +96,8 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     @property
     def latches(self) -> bool:
-        """Whether all values of an exchange are of one instant, as after a SYNC; otherwise the
-        values are read one after another, and reading a mean value ends its averaging period.
+        """Whether all values of an exchange are sampled at one instant, as with a SYNC; otherwise
+        the values are read one after another, and the period of a mean value ends when it is read.
         """
         ...
 
@@ -108,47 +108,44 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     @property
     def fresh(self) -> bool:
-        """Whether all data due at the last exchange arrived complete."""
+        """Whether all values that the device had to send in the last exchange arrived."""
         ...
 
     @property
     def sync_us(self) -> int:
-        """Host's time of the last exchange's sampling, microseconds modulo 2^32; this time replaces
-        the time stamp of a device that has none.
+        """Time at which the values of the last exchange were sampled, on the clock of the host,
+        microseconds modulo 2^32. This time is used for a device that sends no time stamp.
         """
         ...
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the device's description has an object, and, with ``mappable``, allows it
-        in process data.
+        """Return whether the EDS of the device contains an object and, with ``mappable``, allows
+        this object in process data.
 
-        An object whose description is faulty counts as contained, so that its use is refused with
-        an error, but not as allowed in process data.
+        An object with a faulty entry in the EDS counts as contained, so that the use of the object
+        raises an error; but with ``mappable`` the result is False. Nothing is sent.
+        """
+        ...
+
+    def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
+        """Return whether these objects fit into one PDO; the result is True for unknown objects,
+        which :meth:`require_mappable` refuses. Nothing is sent.
+        """
+        ...
+
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the value that the EDS states for an object, or None if it states no value.
 
         Nothing is sent.
         """
         ...
 
-    def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
-        """Return whether these objects can be exchanged in one layout; the result is True for
-        unknown objects, which :meth:`require_mappable` refuses. Nothing is sent.
-        """
-        ...
-
-    def stated(self, index: int, subindex: int) -> int | None:
-        """Return the value that the description states for an object, or None if no value is
-        stated.
-
-        Sends nothing.
-        """
-        ...
-
     def require_watchable(self) -> None:
-        """Check against the description that the device can monitor the control loop, unless the
-        transport has another monitor. Nothing is sent.
+        """Check by the EDS that the device can monitor the control loop, unless the transport has
+        another monitor. Nothing is sent.
 
         Raises:
-            ConfigurationError: It cannot.
+            ConfigurationError: The device cannot monitor the control loop.
         """
         ...
 
@@ -156,31 +153,31 @@ class ProcessChannel(ObjectAccess, Protocol):
         """Write an object that must be sent even if no answer can be received; the errors are those
         of :meth:`write`.
 
-        The method is only for commands that take the power off, because the write may arrive more
-        than once.
+        This method is only for commands that take the power off, because the value may be written
+        more than once.
         """
         ...
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check against the device's description that process data can be mapped.
+        """Check by the EDS that process data can be mapped.
 
         Nothing is sent.
 
         Raises:
-            ConfigurationError: An object is not described or is no integer, or too many travel
-                together.
+            ConfigurationError: The EDS does not contain an object, an object is no integer, or the
+                objects of a PDO are too long.
         """
         ...
 
     def map_process_data(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
     ) -> None:
-        """Configure which values are exchanged and how often, and start the exchange. Energises
-        nothing.
+        """Configure which values are exchanged and how often, and start the exchange. The device is
+        not energised.
 
         Raises:
             ConfigurationError: The device lacks an object, or another device on the link has
-                another cycle.
+                another cycle time.
             ObjectAccessError: The device refuses the mapping.
             LinkError: No answer.
         """
@@ -191,8 +188,8 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Set the values of output ``number`` for the next exchange, and the values for the
-        exchanges after it unless others are staged.
+        """Set the values of output ``number`` for the next exchange, and the values ``then`` for
+        the exchanges after it, until the next call sets other values.
         """
         ...
 
@@ -209,7 +206,7 @@ class ProcessChannel(ObjectAccess, Protocol):
         stops by itself.
 
         Raises:
-            ConfigurationError: The device did not take it.
+            ConfigurationError: The device did not store the time-out.
         """
         ...
 
@@ -221,11 +218,11 @@ class ProcessChannel(ObjectAccess, Protocol):
 def read_identity(objects: ObjectAccess) -> Identity:
     """Read the identity of the device (1018h, 1008h, 1009h, 100Ah).
 
-    CiA 301 prescribes only the vendor (1018h:01h); any other text that a device lacks is empty, and
-    any other number is 0.
+    CiA 301 prescribes the vendor (1018h:01h) only; all other texts that a device lacks are empty,
+    and all other numbers 0.
 
     Raises:
-        ObjectAccessError: The device refuses to tell its vendor.
+        ObjectAccessError: The device refuses to read the vendor.
         LinkError: No answer.
     """
     return Identity(
@@ -240,7 +237,7 @@ def read_identity(objects: ObjectAccess) -> Identity:
 
 
 def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
-    """Yield the numbers of the identity object that differ from those that the description states.
+    """Yield a text for each number of the identity object (1018h) that differs from the EDS.
 
     Raises:
         LinkError: No answer.
@@ -250,9 +247,9 @@ def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
         found = optional(channel.read, *address) if stated else None
         if stated and found is not None and found != stated:
             yield (
-                f"{channel.label} says {what} {found:X}h, its EDS file is for {what} "
-                f"{stated:X}h: the device or the EDS file is a wrong one; check the node numbers "
-                "and the file"
+                f"{channel.label} reports the {what} {found:X}h, but its EDS file is for the "
+                f"{what} {stated:X}h: the device or the EDS file is the wrong one; check node "
+                "identifier and EDS file in the bench file"
             )
 
 
@@ -260,8 +257,8 @@ def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | No
     """Read an object that a device may lack; return None if the device or its EDS lacks the object.
 
     Raises:
-        ObjectAccessError: The device refuses for another reason.
-        ConfigurationError: Its EDS describes the object wrongly.
+        ObjectAccessError: The device refuses the read for another reason.
+        ConfigurationError: The entry of the object in the EDS is faulty.
         LinkError: No answer.
     """
     try:

@@ -10,17 +10,19 @@ from pathlib import Path
 def require_plain(path: Path) -> None:
     """Check that a path leads to a plain file, without opening it.
 
-    Opening a pipe would wait for a writer for ever, and a device such as ``/dev/zero`` never ends.
+    To open a pipe would wait for a writer without end, and to read a device such as ``/dev/zero``
+    never ends.
 
     Raises:
-        OSError: It does not lead to one; ``strerror`` states the reason.
+        OSError: The path does not lead to a plain file; ``strerror`` states the reason.
     """
     try:
         mode = path.stat().st_mode
     except ValueError as error:
-        # The path has a zero byte, or a character not allowed in file names here.
+        # The path contains a zero byte, or a character that is not allowed in file names on this
+        # system.
         raise OSError(errno.EINVAL, f"it is not a valid file name ({error})", str(path)) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
     if not stat.S_ISREG(mode):
-        raise OSError(errno.EINVAL, "it is a pipe or a device; name a file", str(path))
+        raise OSError(errno.EINVAL, "it is a pipe or a device; state the path of a file", str(path))

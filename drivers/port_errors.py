@@ -1,4 +1,4 @@
-"""Error boundary of the ports: library exceptions become OSError; closing never raises.
+"""Converts the exceptions of libraries for ports to OSError, and closes ports without exceptions.
 
 pyserial, termios, python-can and its backends have no exception class in common: on an unplugged
 adapter, a closed port or a garbled line they raise OSError, termios.error, CanError, ValueError,
@@ -21,13 +21,13 @@ _TRACEBACK = "Traceback (most recent call last)"
 
 
 def words(error: Exception) -> str:
-    """Return the first line of an exception's message, with the type of a built-in exception.
-    python-can's socketcand appends a traceback to its message, on the same line.
+    """Return the first line of an exception's message, with the type of a built-in exception. A
+    traceback is removed, which python-can's interface socketcand appends on the same line.
     """
-    # Without the module, as on Windows, nothing can have raised its error.
+    # If the module termios is missing, as on Windows, no exception can be a termios.error.
     termios = sys.modules.get("termios")
     if termios is not None and isinstance(error, termios.error):
-        # Text as in an OSError; this exception's own text is a tuple.
+        # The text is that of an OSError, because the text of a termios.error is a tuple.
         return str(OSError(*error.args))
     said = str(error).partition(_TRACEBACK)[0]
     text = next((line.strip() for line in said.splitlines() if line.strip()), "")
@@ -38,9 +38,9 @@ def words(error: Exception) -> str:
 
 
 def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Return the action with every exception translated into OSError.
+    """Return the action with every exception converted to OSError.
 
-    KeyboardInterrupt and SystemExit are not translated.
+    KeyboardInterrupt and SystemExit are not converted.
     """
 
     @wraps(action)
@@ -56,15 +56,15 @@ def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
-    """Return a port that was opened.
+    """Open a port and return it.
 
     Args:
-        connect: Opens it.
+        connect: Function that opens the port.
         name: Name of the port in the message.
-        advice: What to check if it cannot be opened.
+        advice: Text on what to check if the port cannot be opened.
 
     Raises:
-        LinkError: It cannot be opened.
+        LinkError: The port cannot be opened.
     """
     try:
         return connect()
@@ -75,28 +75,28 @@ def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
 
 
 def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None:
-    """Check that the cycle time of a device is the cycle time of its link.
+    """Check that the cycle time of a device equals that of its link.
 
     Args:
         running_s: Cycle time of the link, s, or None if not set yet.
         cycle_s: Cycle time of the device, s.
-        who: The device.
+        who: Name of the device in the message.
 
     Raises:
         ConfigurationError: Another device has a different cycle time.
     """
     if running_s is not None and running_s != cycle_s:
         raise ConfigurationError(
-            f"{who} needs a cycle of {cycle_s:g} s, but its link runs at {running_s:g} s: "
-            "devices of one link need the same cycle"
+            f"{who} needs a cycle time of {cycle_s:g} s, but its link has a cycle time of "
+            f"{running_s:g} s: all devices of one link need the same cycle time"
         )
 
 
 def close_all(*closers: Callable[[], object]) -> None:
     """Call every closer in order, even if an earlier closer raises an exception.
 
-    Exceptions are dropped, because a port that cannot be closed has failed before, and that failure
-    has been reported. KeyboardInterrupt and SystemExit are raised after the last closer.
+    Exceptions are dropped, because a port that cannot be closed has failed before, and this failure
+    has been reported. KeyboardInterrupt and SystemExit are raised after the last closer was called.
     """
     with ExitStack() as stack:
         for closer in reversed(closers):

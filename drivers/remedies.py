@@ -1,4 +1,6 @@
-"""Base classes of device interfaces: identity, checks and remedies of a device."""
+"""Base classes of device interfaces: checks of the identity of a device, and corrections of its
+unit of speed.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,13 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 KNOWN_SPREAD: Final = 2.2
-"""Ratio between the unit of speed that a motion shows and a known unit, up to which they count as
-equal. Known units differ by far more; at low speed, rounding to whole units changes the measured
-one.
+"""Greatest ratio between the unit of speed that is computed from a motion and a known unit, at
+which the two count as equal. Known units differ by far more. The computed unit is inexact because
+the drive rounds the speed to whole units.
 """
 MEASURED_SPREAD: Final = 1.5
-"""Ratio up to which a motion of some hundredths of a radian shows a unit of speed without rounding:
-0.74 to 1.42 on most simulated benches with stick and slip.
+"""Greatest error factor of a unit of speed that is computed from a motion of some hundredths of a
+radian, without rounding: on most simulated benches with stick-slip the factor was 0.74 to 1.42.
 """
 
 
@@ -20,14 +22,12 @@ class SpeedRemedies:
     """Corrections of a wrong unit of the reported speed of a drive."""
 
     def speed_remedy(self, factor: float) -> str:
-        """Return the correction, as text, for a reported speed of ``factor`` times the true
-        speed.
-        """
-        return "correct the unit of its speed in the bench file"
+        """Return a text on how to correct a reported speed of ``factor`` times the true speed."""
+        return "correct the drive's unit of speed in the bench file"
 
     def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor of the known unit that is nearest to a rough factor, if the ratio of
-        the two factors is within ``spread``; else the rough factor.
+        """Return the factor of the nearest known unit of speed, if its ratio to the rough
+        ``factor`` is within ``spread``; otherwise the rough factor.
         """
         return factor
 
@@ -42,7 +42,7 @@ class Recognised:
     """Evidence that a device is not the one that was assumed."""
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield each difference between the device and its description.
+        """Yield a text for each difference between the device and its description.
 
         Raises:
             LinkError: The device cannot be reached.

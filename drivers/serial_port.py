@@ -21,11 +21,11 @@ from drivers.port_errors import close_all, os_errors
 try:
     import fcntl
     import termios
-except ImportError:  # Windows, where everything but the ports themselves still works
+except ImportError:  # Windows, where all functions except serial ports work
     fcntl = termios = None  # type: ignore[assignment]
 
 WRITE_LIMIT_S: Final = 0.1
-"""Time-out of a write, s: some 30 bytes, which fit the driver's buffer."""
+"""Time-out of a write, s; a request of some 30 bytes fits into the buffer of the driver."""
 
 _FRAME_BYTES: Final = 8
 _CHUNK: Final = 4096
@@ -33,15 +33,15 @@ _DRAIN_STEP_NS: Final = NS // 1000
 
 
 def _require_posix() -> None:
-    """Check, before anything moves, that a line can be flushed.
+    """Check, before a drive moves, that this system can flush a serial line.
 
     Raises:
-        OSError: This system cannot.
+        OSError: This system cannot flush a serial line.
     """
     if termios is None or fcntl is None:
         raise OSError(
-            "this system has no termios, with which serial lines are locked and flushed; use "
-            "Linux or macOS, or a CAN adapter of python-can"
+            "this system has no termios, which is needed to lock and flush serial lines; use "
+            "Linux or macOS"
         )
 
 
@@ -54,12 +54,13 @@ class BytePort(Protocol):
         """Send bytes.
 
         Raises:
-            OSError: The line is gone, or does not take the bytes within :data:`WRITE_LIMIT_S`.
+            OSError: The line is gone, or does not accept the bytes within :data:`WRITE_LIMIT_S`.
         """
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes; wait if no byte has arrived. Empty after the time-out.
+        """Return the received bytes; wait if no byte has arrived. The result is empty after the
+        time-out.
 
         Raises:
             OSError: The line is gone.
@@ -83,15 +84,15 @@ class InheritedPort:
     """A serial port that another program, or :class:`PySerialPort`, has opened and set up.
 
     Args:
-        descriptor: Its file descriptor; closed by :meth:`close`.
+        descriptor: File descriptor of the port; closed by :meth:`close`.
 
     Raises:
-        OSError: It is not open.
+        OSError: The descriptor is not open.
     """
 
     def __init__(self, descriptor: int) -> None:
         _require_posix()
-        # A write without room must return, else its time-out could not be kept.
+        # A write must return if the buffer is full; otherwise it would exceed its time-out.
         os.set_blocking(descriptor, False)
         self._descriptor = descriptor
         self._clock = RealClock()
@@ -100,11 +101,12 @@ class InheritedPort:
     def write(self, data: bytes) -> None:
         """Send bytes.
 
-        Bytes not accepted in time are dropped: an old request must not be sent later.
+        Bytes that are not accepted in time are dropped, because an old request must not be sent
+        later.
 
         Raises:
             OSError: The line is gone.
-            TimeoutError: It does not take the bytes within :data:`WRITE_LIMIT_S`.
+            TimeoutError: The line does not accept the bytes within :data:`WRITE_LIMIT_S`.
         """
         descriptor = self.fileno()
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
@@ -124,7 +126,7 @@ class InheritedPort:
 
     @os_errors
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come in.
+        """Return the received bytes, or wait for bytes until the time-out.
 
         Raises:
             OSError: The line is gone.
@@ -138,10 +140,8 @@ class InheritedPort:
         except BlockingIOError:
             return b""
         if not data:
-            # An unplugged adapter is always ready to read, with no data and no error.
-            raise OSError(
-                "the line is hung up (adapter unplugged), or another program reads it too"
-            )
+            # An unplugged adapter is always ready to read, but returns no data and no error.
+            raise OSError("the adapter was unplugged, or another program reads this line too")
         return data
 
     @os_errors
@@ -154,7 +154,7 @@ class InheritedPort:
         termios.tcflush(self.fileno(), termios.TCIFLUSH)
 
     def fileno(self) -> int:
-        """Return its file descriptor.
+        """Return the file descriptor of the port.
 
         Raises:
             OSError: The port is closed.
@@ -170,9 +170,10 @@ class InheritedPort:
             close_all(partial(self._drain, descriptor), partial(os.close, descriptor))
 
     def _drain(self, descriptor: int) -> None:
-        """Wait until written bytes are sent, then drop the rest.
+        """Wait until the written bytes are sent, at most for a short time, then drop the remaining
+        bytes.
 
-        Without this, closing a blocked line would wait up to 30 s in the kernel.
+        If bytes remained, closing a blocked line would take up to 30 s in the operating system.
         """
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
         while struct.unpack("i", fcntl.ioctl(descriptor, termios.TIOCOUTQ, bytes(4)))[0]:
@@ -184,9 +185,9 @@ class InheritedPort:
 
 class PySerialPort(InheritedPort):
     """A serial port of the operating system, 8N1, locked by this program; pyserial opens and
-    configures the port. Bytes are read and written through the file descriptor: pyserial raises
-    exceptions of many types on a port that has vanished, and its write with a time limit waits for
-    buffer space even after the last byte.
+    configures the port. Bytes are read and written through the file descriptor, because pyserial
+    raises exceptions of many types on a port that has been unplugged, and its write with a time-out
+    waits for buffer space even after the last byte.
 
     Args:
         path: Path of the device.
@@ -194,7 +195,8 @@ class PySerialPort(InheritedPort):
         rtscts: Hardware flow control.
 
     Raises:
-        OSError: It cannot be opened, does not take this rate, or another program holds it.
+        OSError: The port cannot be opened, does not support this bit rate, or is used by another
+            program.
     """
 
     @os_errors
@@ -205,19 +207,19 @@ class PySerialPort(InheritedPort):
         except OSError as error:
             if error.errno != errno.EAGAIN:
                 raise
-            raise OSError(f"{path} is held by another program") from error
+            raise OSError(f"{path} is used by another program") from error
         try:
             # Reduces the latency of FTDI adapters from 16 ms to some 6 ms; other ports lack this
             # setting.
             with suppress(ValueError, OSError, AttributeError, NotImplementedError):
                 port.set_low_latency_mode(True)
-            # The lock belongs to the open file, not to the descriptor.
+            # The lock belongs to the open file, and not to one of its descriptors.
             super().__init__(os.dup(port.fileno()))
         finally:
             port.close()
 
 
 def raw_frames(time_ns: int, line: int, data: bytes, sent: bool) -> Iterator[RawFrame]:
-    """Yield bytes of a line for the log, eight per frame."""
+    """Yield the bytes of a serial line as frames of eight bytes, for the log."""
     for at in range(0, len(data), _FRAME_BYTES):
         yield RawFrame(time_ns, SERIAL_FLAG | line, data[at : at + _FRAME_BYTES], sent)

@@ -1,4 +1,4 @@
-"""Converts limits held in the drive between its objects and SI units at the joint."""
+"""Converts the limits that are stored in a drive between its objects and SI units at the joint."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ QUICK_STOP_OPTION: Final = (0x605A, 0)
 QUICK_STOP_DECELERATION: Final = (0x6085, 0)
 WINDOW_OFF: Final = 0xFFFFFFFF
 NO_OPTION: Final = -1
-"""Stands for the quick stop option of a drive that has no object for it."""
+"""Value that stands for the quick stop option of a drive without an object for this option."""
 FIELDS: Final[Mapping[ObjectAddress, tuple[str, str]]] = {
     POSITION_MIN: ("angle_min_rad", "lower end of the joint angle"),
     POSITION_MAX: ("angle_max_rad", "upper end of the joint angle"),
@@ -32,14 +32,16 @@ FIELDS: Final[Mapping[ObjectAddress, tuple[str, str]]] = {
     QUICK_STOP_OPTION: ("quick_stop_option", "quick stop option"),
     QUICK_STOP_DECELERATION: ("quick_stop_deceleration_rad_s2", "quick stop deceleration"),
 }
-"""Object to the field of :class:`~drivers.interfaces.ServoLimits` that it holds, and its name."""
+"""Object to the field of :class:`~drivers.interfaces.ServoLimits` that it stores, and to the name
+of this limit.
+"""
 OBJECTS: Final = tuple(FIELDS)
-"""All of them."""
+"""All objects that store limits."""
 
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
-    """Return the object values that hold ``limits``, each rounded to the drive's unit so that no
-    limit becomes wider. A limit of NaN, which the drive does not hold, is omitted.
+    """Return the object values that store ``limits``, each rounded to the unit of the drive such
+    that no limit becomes wider. A limit of NaN, which the drive does not have, is omitted.
     """
     count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
     lower, upper = (limits.angle_min_rad, limits.angle_max_rad)[:: scales.sign]
@@ -67,7 +69,7 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
 
 
 def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLimits:
-    """Return the limits that the object values hold, or NaN for those that the drive lacks."""
+    """Return the limits that the object values store; a limit that the drive lacks is NaN."""
 
     def held(address: ObjectAddress, unit: float, offset: float = 0.0) -> float:
         return values[address] * unit + offset if address in values else math.nan
@@ -90,7 +92,7 @@ def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLim
 
 
 def steps(scales: ServoScales) -> LimitSteps:
-    """Return one unit of each object, at the joint."""
+    """Return the resolution of each limit: one unit of its object, at the joint."""
     count, speed = abs(scales.joint_rad_per_count), scales.joint_speed_unit_rad_s
     return LimitSteps(
         count,
@@ -103,21 +105,21 @@ def steps(scales: ServoScales) -> LimitSteps:
 
 
 def _nearest(units: float) -> int:
-    """Round a deceleration, which is no limit, to the nearest unit; a value above 0 never becomes
-    0, because with 0 a drive would not brake.
+    """Round a deceleration to the nearest unit, because it is no limit; but a value above 0 never
+    becomes 0, with which a drive would not brake.
     """
     return max(1, round(units)) if units else 0
 
 
 def _whole(units: float) -> int:
-    # The margin keeps a value that was a whole number of units unchanged.
+    # The margin ensures that a value of a whole number of units is not changed by a rounding error.
     return math.floor(units + 1e-6)
 
 
 def read(
     drive: ObjectAccess, scales: ServoScales, held: Sequence[ObjectAddress] = OBJECTS
 ) -> ServoLimits:
-    """Read the limits that a drive holds, from those limit objects that the drive has."""
+    """Read the limits that are stored in a drive, from those limit objects that the drive has."""
     return decode({address: drive.read(*address) for address in held}, scales)
 
 
@@ -130,8 +132,9 @@ def write(
     """Write limits into those limit objects that a drive has, and verify each by reading it back.
 
     Raises:
-        ConfigurationError: The drive holds another value, or one does not fit its object.
-        ObjectAccessError: The drive refuses one.
+        ConfigurationError: A value that is read back differs from the written value, or a value
+            does not fit into its object.
+        ObjectAccessError: The drive refuses a value.
     """
     for address, value in encode(limits, scales).items():
         if address in held:
@@ -139,9 +142,9 @@ def write(
 
 
 def store(drive: ObjectAccess, address: ObjectAddress, value: int) -> None:
-    """Write one object and verify it; the errors are those of :func:`write`.
+    """Write one object and verify it by reading it back; the errors are those of :func:`write`.
 
-    A value that the drive already holds is not written, because the object may be read-only.
+    A value that the object already has is not written, because the object may be read-only.
     """
     if drive.read(*address) == value:
         return
@@ -149,6 +152,6 @@ def store(drive: ObjectAccess, address: ObjectAddress, value: int) -> None:
     found = drive.read(*address)
     if found != value:
         raise ConfigurationError(
-            f"object {address[0]:04X}h:{address[1]:02X}h reads {found} after writing {value}: "
-            "the drive does not take this setting; check its range in the manual"
+            f"object {address[0]:04X}h:{address[1]:02X}h reads {found} after {value} was written: "
+            "the drive does not accept this value; look up the range of the object in its manual"
         )

@@ -1,4 +1,4 @@
-"""Waits until a drive reaches a commanded state; used by all servos with CiA 402 states."""
+"""Waits until a drive reaches a commanded state, for all servos with states of CiA 402."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def await_state(
         wanted: Name of the expected state.
         clock: Measures the time.
         timeout_s: Time-out, s.
-        again: Function that is called each time that the state is not reached yet, for example to
-            repeat the command.
+        again: Function that is called after each read of another state, for example to repeat the
+            command.
 
     Raises:
         StateError: The state was not reached in time.
@@ -35,8 +35,8 @@ def await_state(
     while not reached(state := read()):
         if clock.now_ns() >= deadline:
             raise StateError(
-                f"the drive reports '{state.value}' {timeout_s:g} s after the command, expected "
-                f"{wanted}: switch the supply of the drive off by hand"
+                f"{timeout_s:g} s after the command the drive reports the state '{state.value}', "
+                f"but {wanted} is expected: switch the supply of the drive off by hand"
             )
         again()
 

@@ -1,4 +1,4 @@
-"""Conversion between device units and SI, with the bench's gear ratio, sign and zero."""
+"""Conversion between units of devices and SI units, with gear ratio, sign and zero of the bench."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.objects import ObjectAccess, ObjectAddress, optional
 
 RATED: Final = ((0x6075, 0), (0x6076, 0))
-"""Rated current and rated torque, mA and mN m."""
+"""Objects of the rated current, mA, and of the rated torque, mN m."""
 _TOLERANCE: Final = 1e-3
 
 
@@ -23,33 +23,36 @@ class ServoScales:
     Attributes:
         counts_per_turn: Counts of 6064h per motor turn.
         gear_ratio: Motor turns per joint turn.
-        rated_current_A: Expected value of 6075h; 6078h is in per mille of it.
-        rated_torque_N_m: Expected value of 6076h; 6072h is in per mille of it.
-        sign: 1 where positive counts are a positive joint angle, else -1.
+        rated_current_A: Expected value of 6075h, the rated current; 6078h is in per mille of this
+            current.
+        rated_torque_N_m: Expected value of 6076h, the rated torque; 6072h is in per mille of this
+            torque.
+        sign: 1 if positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
-        current_sign: -1 where the drive's current has the opposite sign of its torque, else 1.
+        current_sign: -1 if the drive's current has the opposite sign of its torque, else 1.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch and 607Fh, or None for one count per
             second.
         acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah,
             or None for one unit of the speed per second.
-        voltage_object: Object of the mean motor voltage, or None if it is not known.
-        voltage_unit_V: Unit of that object, V.
-        temperature_object: Object of the drive's temperature, or None if it is not known.
-        temperature_unit_C: Unit of that object, deg C.
+        voltage_object: Object of the mean motor voltage, or None if unknown.
+        voltage_unit_V: Unit of this object, V.
+        temperature_object: Object of the drive's temperature, or None if unknown.
+        temperature_unit_C: Unit of this object, deg C.
         supply_object: Object of the supply voltage.
-        supply_unit_V: Unit of that object, V.
-        current_object: The maker's own object of the motor current, or None for 6078h, else 6077h.
+        supply_unit_V: Unit of this object, V.
+        current_object: The maker's own object of the motor current, or None for 6078h or, without
+            6078h, for 6077h.
         named_current_unit_A: Unit of the maker's own object, A.
         torque_constant_N_m_A: Motor torque per ampere, for drives that report torque and no
-            current, or None for the ratio of the rated values.
+            current, or None for the ratio of rated torque and rated current.
         rated_current_object: Object of the rated current.
-        rated_current_object_unit_A: Unit of that object, A.
+        rated_current_object_unit_A: Unit of this object, A.
         rated_torque_object: Object of the rated torque.
-        rated_torque_object_unit_N_m: Unit of that object, N m.
-        known_objects: Those of these objects that are not named for this one drive, but known of
-            drives of its maker, so that it may lack them.
-        vendor_id: Vendor whose drives are known to have these units (1018h:01h), or None if they
-            rest on the bench file alone.
+        rated_torque_object_unit_N_m: Unit of this object, N m.
+        known_objects: Those of the above objects that the bench file does not name, but that drives
+            of this maker are known to have; a drive may lack them.
+        vendor_id: Vendor whose drives are known to have these units (1018h:01h), or None if all
+            units are from the bench file.
     """
 
     counts_per_turn: float
@@ -79,7 +82,7 @@ class ServoScales:
 
     @property
     def named_objects(self) -> tuple[ObjectAddress, ...]:
-        """Objects that the bench file names for this drive, which the drive must therefore have."""
+        """Objects that the bench file names for this drive, and that the drive must have."""
         usual = ServoScales
         return tuple(
             address
@@ -104,12 +107,12 @@ class ServoScales:
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
                 raise ConfigurationError(
-                    f"{name} is {value}; it must be positive: correct the bench file"
+                    f"{name} is {value}, but must be positive: correct the bench file"
                 )
         for name in ("sign", "current_sign"):
             if getattr(self, name) not in (1, -1):
                 raise ConfigurationError(
-                    f"{name} is {getattr(self, name)}; it must be 1 or -1: correct the bench file"
+                    f"{name} is {getattr(self, name)}, but must be 1 or -1: correct the bench file"
                 )
 
     @cached_property
@@ -124,22 +127,22 @@ class ServoScales:
 
     @cached_property
     def joint_speed_unit_rad_s(self) -> float:
-        """Joint speed of one velocity unit, without sign."""
+        """Joint speed of one unit of the drive's speed, without sign."""
         return self.motor_speed_unit_rad_s / self.gear_ratio
 
     @property
     def motor_speed_unit_rad_s(self) -> float:
-        """Motor speed of one velocity unit, without sign."""
+        """Motor speed of one unit of the drive's speed, without sign."""
         return self.velocity_unit_rad_s or self.count_rad
 
     @property
     def motor_acceleration_unit_rad_s2(self) -> float:
-        """Motor acceleration of one acceleration unit, without sign."""
+        """Motor acceleration of one unit of the drive's acceleration, without sign."""
         return self.acceleration_unit_rad_s2 or self.motor_speed_unit_rad_s
 
     @property
     def joint_acceleration_unit_rad_s2(self) -> float:
-        """Joint acceleration of one acceleration unit, without sign."""
+        """Joint acceleration of one unit of the drive's acceleration, without sign."""
         return self.motor_acceleration_unit_rad_s2 / self.gear_ratio
 
     @property
@@ -181,11 +184,13 @@ class ServoScales:
         return round((joint_angle_rad - self.offset_rad) / self.joint_rad_per_count)
 
     def mismatches(self, drive: ObjectAccess) -> Iterator[DeviceError]:
-        """Yield differences of the scales from the drive's own values: 6075h and 6076h (or the
-        objects named instead) and 608Fh, if present.
+        """Yield an error for each difference between the scales and the values in the drive: rated
+        current 6075h, rated torque 6076h (or the objects that are named in place of them), and
+        resolution 608Fh.
 
-        Values count as equal within 0.1 % or within one unit of the object, as drives may round. An
-        object that the drive lacks is not compared; any other refusal of a read is yielded.
+        Values count as equal within 0.1 % or within one unit of the object, because drives may
+        round. An object that the drive lacks is not compared; any other refusal of a read is
+        yielded as an error.
 
         Raises:
             LinkError: No answer.
@@ -236,11 +241,11 @@ def _compare(
         return
     if device is None:
         return
-    # The margin keeps a difference of one whole unit at one unit.
+    # The margin ensures that a difference of one unit is not increased by a rounding error.
     if abs(device - bench) > max(_TOLERANCE * abs(bench), resolution * (1.0 + 1e-6)):
         yield ConfigurationError(
-            f"{what}: the drive says {device:g} {unit}, the bench file {bench:g} {unit}; "
-            "correct the bench file, or check that this is the right drive"
+            f"{what}: {device:g} {unit} in the drive, but {bench:g} {unit} in the bench file; if "
+            "this is the right drive, correct the bench file"
         )
 
 
@@ -252,8 +257,8 @@ class EncoderScales:
         counts_per_turn: Expected value of 6001h.
         sign: 1 if rising counts are a rising joint angle, else -1.
         offset_rad: Joint angle at 6004h = 0.
-        middle_rad: Middle of the joint's travel, to which the first angle is taken as near as the
-            encoder's range allows, or None for the angle at 6004h = 0.
+        middle_rad: Middle of the joint's travel, or None for the angle at 6004h = 0. Of the angles
+            that the first reading may mean, the angle nearest to this middle is used.
     """
 
     counts_per_turn: int
@@ -269,12 +274,12 @@ class EncoderScales:
         """
         if self.counts_per_turn <= 0:
             raise ConfigurationError(
-                f"counts_per_turn is {self.counts_per_turn}; it must be positive: correct the "
+                f"counts_per_turn is {self.counts_per_turn}, but must be positive: correct the "
                 "bench file"
             )
         if self.sign not in (1, -1):
             raise ConfigurationError(
-                f"sign is {self.sign}; it must be 1 or -1: correct the bench file"
+                f"sign is {self.sign}, but must be 1 or -1: correct the bench file"
             )
 
     @cached_property
@@ -284,7 +289,7 @@ class EncoderScales:
 
     @cached_property
     def middle(self) -> int:
-        """Count of the middle of the joint's travel; 0 if no middle is given."""
+        """Encoder count at the middle of the joint's travel; 0 if no middle is given."""
         if self.middle_rad is None:
             return 0
         return round((self.middle_rad - self.offset_rad) / self.rad_per_count)
@@ -302,9 +307,9 @@ def nearest(value: int, modulus: int, near: int) -> int:
 class Unwrapper:
     """Unwraps a counter modulo ``modulus``.
 
-    Each new value is unwrapped to the count nearest to the last count, so the counter must move
-    less than half its range between calls. The first value is not changed or, with ``near``, is
-    unwrapped to the count nearest to ``near``.
+    Each new value is unwrapped to the count nearest to the last count; therefore the counter must
+    move by less than half of its range between calls. The first value is not changed or, with
+    ``near``, is unwrapped to the count nearest to ``near``.
     """
 
     def __init__(self, modulus: int, near: int | None = None) -> None:

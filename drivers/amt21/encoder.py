@@ -25,7 +25,9 @@ TURNS: Final = 1
 EXTENDED: Final = 2
 RESET: Final = 0x75
 SET_ZERO: Final = 0x5E
-"""Offsets added to the address, and the commands sent after ``address + EXTENDED``."""
+"""Values that are added to the address in a request, and commands that follow a request with
+``address + EXTENDED``.
+"""
 
 _ODD: Final = 0x2AAA
 _EVEN: Final = 0x1555
@@ -35,7 +37,9 @@ _STILL_COUNTS: Final = 2
 
 
 def encode(value: int) -> bytes:
-    """Return the answer with a 14-bit value; bit 15 checks the odd bits, bit 14 the even bits."""
+    """Return the answer that contains a 14-bit value; bit 15 is the check bit of the odd bits, bit
+    14 that of the even bits.
+    """
     value &= _VALUE
     odd = 1 - ((value & _ODD).bit_count() & 1)
     even = 1 - ((value & _EVEN).bit_count() & 1)
@@ -52,19 +56,19 @@ def decode(answer: bytes) -> int | None:
 
 class PlausibilityGate:
     """Tracks positions modulo a turn, and rejects positions that the joint cannot have reached
-    since the last good position.
+    since the last accepted position.
 
     Args:
-        speed_counts_s: Greatest speed.
-        acceleration_counts_s2: Greatest acceleration.
+        speed_counts_s: Greatest speed, counts/s.
+        acceleration_counts_s2: Greatest acceleration, counts/s^2.
     """
 
     SLACK_COUNTS: Final = 2.0
-    """Largest effect of rounding to counts on a difference of two positions."""
+    """Greatest error of the difference of two positions due to rounding to counts."""
     PATIENCE_S: Final = 0.02
     PATIENCE_PERIODS: Final = 3
-    """Number of periods without a good value after which the joint may be anywhere; then every
-    value is rejected until the next start.
+    """Time and number of periods without an accepted value; after the longer of these two times
+    every value is rejected until the next start, because the number of turns is no longer known.
     """
 
     def __init__(self, speed_counts_s: float, acceleration_counts_s2: float) -> None:
@@ -77,10 +81,11 @@ class PlausibilityGate:
         self.position = 0
 
     def start(self, value: int, period_s: float, near: int = 0) -> None:
-        """Start from a trusted position: of all turns, the turn nearest to ``near`` is taken.
+        """Start from a verified position: of the counts that equal ``value`` modulo a turn, the
+        count nearest to ``near`` is used.
 
-        The joint is assumed at rest until the next position; that position may differ by the motion
-        of one period.
+        The joint is assumed to rest at this position; the next position may differ by the motion
+        in one period.
         """
         self.position = nearest(value, COUNTS_PER_TURN, near)
         self._seen_ns = None
@@ -97,8 +102,8 @@ class PlausibilityGate:
         moved = (value - self.position + half) % COUNTS_PER_TURN - half
         if abs(moved) > self._fastest * elapsed_s + self.SLACK_COUNTS:
             return False
-        # The speed comes from two rounded positions; its error grows with the time of
-        # extrapolation.
+        # The speed is computed from two rounded positions; therefore the error of an extrapolated
+        # position grows with time.
         slack = self.SLACK_COUNTS * (1.0 + elapsed_s / self._interval_s)
         if abs(moved - self._speed * elapsed_s) > self._strongest * elapsed_s * elapsed_s + slack:
             return False
@@ -116,21 +121,22 @@ class Gate:
 
 
 class Amt21Encoder(Encoder):
-    """The encoder on its line.
+    """An AMT21 encoder on an RS-485 line.
 
     After a bad or implausible answer the angle is unchanged and the sample is not fresh.
 
     Args:
-        line: Exchanged once a cycle by an :class:`~drivers.amt21.link.EncoderLink`.
-        scales: Its sense and zero, from the bench file; 16384 counts per turn.
+        line: Line of the encoder, which an :class:`~drivers.amt21.link.EncoderLink` exchanges once
+            a cycle.
+        scales: Direction and zero of the encoder, from the bench file; 16384 counts per turn.
         gate: Limits of plausible motion.
     """
 
     def __init__(self, line: Amt21Line, scales: EncoderScales, gate: Gate) -> None:
         if scales.counts_per_turn != COUNTS_PER_TURN:
             raise ConfigurationError(
-                f"an AMT21 has {COUNTS_PER_TURN} counts per turn, but the bench file states "
-                f"{scales.counts_per_turn}"
+                f"an AMT21 encoder has {COUNTS_PER_TURN} counts per turn, but the bench file "
+                f"states {scales.counts_per_turn}"
             )
         self.line = line
         self._scales = scales
@@ -142,11 +148,13 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def identity(self) -> Identity:
-        """Return the identity from the bench file; the encoder has no query for it."""
+        """Return the identity from the bench file, because the encoder cannot be asked for its
+        identity.
+        """
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
-        """Ask for the position once; return NaN if the answer is bad.
+        """Request the position once and return the joint angle, rad, or NaN if the answer is bad.
 
         Raises:
             LinkError: No encoder answers.
@@ -166,18 +174,19 @@ class Amt21Encoder(Encoder):
         yield from refusal(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
-        """Find the encoder, and start from a position at rest on which several answers agree.
+        """Find the encoder, and start from a position at rest on which several of its answers
+        agree.
 
         Raises:
             LinkError: No encoder answers.
-            ConfigurationError: Its answers do not agree.
+            ConfigurationError: The answers of the encoder do not agree.
         """
         self._gate.start(self._trusted(), cycle_s, near=self._scales.middle)
         self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
 
     def turns(self) -> int | None:
-        """Read the turn counter of a multi-turn version, as a signed number; return None if the
+        """Read the turn counter of a multi-turn encoder, as a signed number; return None if the
         answer is bad.
 
         Raises:
@@ -187,8 +196,8 @@ class Amt21Encoder(Encoder):
         return None if value is None else (value ^ 0x2000) - 0x2000
 
     def set_zero(self) -> None:
-        """Make the present position the zero of a single-turn version; the encoder then restarts
-        and must be prepared again.
+        """Make the present position the zero of a single-turn encoder, which then restarts and must
+        be prepared again.
 
         Raises:
             LinkError: The line is gone.
@@ -206,7 +215,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def ask(self) -> None:
-        """Ask for the position of this cycle.
+        """Request the position for this cycle.
 
         Raises:
             LinkError: The line is gone.
@@ -216,7 +225,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def collect(self) -> None:
-        """Receive the answer; use it if plausible.
+        """Receive the answer to the request; use its position if it is plausible.
 
         Raises:
             LinkError: The line is gone.
@@ -226,8 +235,8 @@ class Amt21Encoder(Encoder):
         self._fresh = value is not None and self._gate.admit(value, self._asked_ns)
 
     def sample(self) -> EncoderSample:
-        """Return the sample of the last exchange, stamped by the host: the encoder has no time of
-        its own.
+        """Return the sample of the last exchange, with a time stamp of the host, because the
+        encoder sends no time.
         """
         return EncoderSample(self._asked_ns / NS, self._angle(self._gate.position), self._fresh)
 
@@ -245,9 +254,9 @@ class Amt21Encoder(Encoder):
         apart = max(((v - good[0] + 512) % COUNTS_PER_TURN - 512 for v in good), key=abs, default=0)
         if len(good) < _PROBES or abs(apart) > _STILL_COUNTS:
             raise ConfigurationError(
-                f"{line.name}: {_PROBES} answers at rest should agree to {_STILL_COUNTS} counts, "
-                f"got {values}; "
-                "check shielding and termination, and that the joint stands still"
+                f"{line.name}: {_PROBES} answers of the encoder at rest must agree to "
+                f"{_STILL_COUNTS} counts, but are {values}; check that the joint is at rest, and "
+                "the shielding and termination of the line"
             )
         return good[-1]
 

@@ -23,15 +23,15 @@ class Amt21Line:
     """The RS-485 line of one encoder.
 
     Args:
-        clock: Goes with the port.
+        clock: Real or simulated clock, as the port.
         connect: Opens the line.
-        name: What to call it in messages.
+        name: Name of the line in messages.
         address: Address of the encoder; a multiple of 4.
 
     Attributes:
-        answer: The last answer without the echo; empty if none came.
-        asked_ns: Time of its request.
-        answer_s: Time-out of the answer after the request.
+        answer: The last answer without the echo; empty if no answer arrived.
+        asked_ns: Time of the last request, ns.
+        answer_s: Time-out of an answer after its request, s.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Amt21Line:
             LinkError: It cannot be opened.
         """
         if self._port is None:
-            advice = "check the port and the rights to it"
+            advice = "check the name of the port and your permission to use it"
             self._port = opened(self._connect, self.name, advice)
 
     def close(self) -> None:
@@ -69,7 +69,7 @@ class Amt21Line:
             close_all(port.close)
 
     def find_echo(self) -> None:
-        """Detect whether the adapter echoes its own bytes.
+        """Detect whether the adapter returns the bytes that it sends (echo).
 
         Raises:
             LinkError: No encoder answers.
@@ -86,8 +86,8 @@ class Amt21Line:
                 self._echo = sent
                 return
         raise LinkError(
-            f"{self.name}: no encoder answers at address {self.address:02X}h; check power, "
-            f"wiring, rate and address"
+            f"{self.name}: no encoder answers at address {self.address:02X}h; check the power and "
+            "wiring of the encoder, the bit rate, and the address"
         )
 
     def ask(self, offset: int = 0, *command: int) -> None:
@@ -117,7 +117,7 @@ class Amt21Line:
         self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the bytes that passed over the line since the last call, oldest first."""
+        """Return the bytes that were sent and received since the last call, oldest first."""
         frames = list(self._frames)
         self._frames.clear()
         return frames
@@ -127,7 +127,8 @@ class Amt21Line:
         deadline = self.asked_ns + round(self.answer_s * NS)
         heard = b""
         try:
-            # Read once even if no time is left: the answer may have arrived already.
+            # Bytes are read once even after the deadline, because the answer may have arrived
+            # before.
             while len(heard) < count:
                 left = deadline - self.clock.now_ns()
                 got = port.read(max(left, 0) / NS)

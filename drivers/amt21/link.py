@@ -8,8 +8,8 @@ from drivers.port_errors import close_all
 
 
 class EncoderLink(Link):
-    """A servo's link combined with an encoder's own line; each cycle requests the encoder first and
-    reads it last.
+    """A servo's link combined with the line of an encoder; each cycle sends the request to the
+    encoder first and receives its answer last.
 
     Args:
         servo_link: The link of the servo, on the same clock.
@@ -24,10 +24,11 @@ class EncoderLink(Link):
         self._line = encoder.line
 
     def open(self) -> None:
-        """Open the servo's link and the encoder's line; if one cannot be opened, both are closed.
+        """Open the servo's link and the encoder's line; if one of the two cannot be opened, both
+        are closed.
 
         Raises:
-            LinkError: One cannot be opened.
+            LinkError: The link or the line cannot be opened.
         """
         self._servo_link.open()
         try:
@@ -37,14 +38,16 @@ class EncoderLink(Link):
             raise
 
     def close(self) -> None:
-        """Close link and line; safe to call twice and after a failure. Raises nothing."""
+        """Close link and line. This method raises no error, and may be called twice and after a
+        failure.
+        """
         close_all(self._line.close, self._servo_link.close)
 
     def exchange(self) -> None:
-        """Exchange with the servo while the encoder answers.
+        """Exchange process data with the servo while the encoder prepares its answer.
 
         Raises:
-            LinkError: A bus or line failed.
+            LinkError: The bus or the line failed.
             DriveFault: A device sent an emergency message.
         """
         self._encoder.ask()
@@ -52,6 +55,6 @@ class EncoderLink(Link):
         self._encoder.collect()
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the frames of link and line since the last call, in the order of time."""
+        """Return the frames of link and line since the last call, oldest first."""
         frames = self._servo_link.take_frames() + self._line.take_frames()
         return sorted(frames, key=lambda frame: frame.time_ns)

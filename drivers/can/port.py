@@ -21,10 +21,12 @@ from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
 MAX_COLLECTED: Final = 1024
-"""Frames per call, limited so that a device flooding the bus cannot block the control loop."""
+"""Greatest number of frames that one call returns, so that a device that sends without pause cannot
+block the control loop.
+"""
 
 SEND_LIMIT_S: Final = 0.1
-"""Time-out for an interface to accept a frame."""
+"""Time-out within which an interface must accept a frame, s."""
 
 _HIGHEST_BASE: Final = 0x7FF
 _IDENTIFIER_BITS: Final = 0x1FFFFFFF
@@ -33,11 +35,11 @@ _MAX_BYTES: Final = 8
 raw_frame: Final[Callable[[tuple[int, int, bytes, bool]], RawFrame]] = partial(
     tuple.__new__, RawFrame
 )
-"""Makes a :class:`RawFrame` from a tuple in half the constructor's time; a cycle has six frames."""
+"""Makes a :class:`RawFrame` from a tuple, in half of the time of its constructor."""
 
 
 def hexadecimal(identifier: int) -> str:
-    """Return an identifier as it is written: 3 digits, or 8 in extended format."""
+    """Return a CAN identifier as hexadecimal text: 3 digits, or 8 digits in extended format."""
     extended = identifier & EXTENDED_FLAG
     return f"{identifier & _IDENTIFIER_BITS:08X}h" if extended else f"{identifier:03X}h"
 
@@ -49,14 +51,15 @@ class FramePort(Protocol):
         """Send a frame; the flags of the identifier choose its format as in :class:`RawFrame`.
 
         Raises:
-            OSError: The bus refuses it, is gone, or does not take it within :data:`SEND_LIMIT_S`.
+            OSError: The bus refuses the frame, does not accept it within :data:`SEND_LIMIT_S`, or
+                is gone.
         """
         ...
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
         """Return the received frames, oldest first; wait if no frame has arrived.
 
-        Empty after the time-out.
+        The result is empty after the time-out.
 
         Raises:
             OSError: The bus failed, or received data violate its protocol.
@@ -69,9 +72,9 @@ class FramePort(Protocol):
 
 
 class PythonCanPort:
-    """A bus of python-can; frames are stamped when they are read.
+    """A bus of python-can; the time stamp of a frame is the time at which it is read.
 
-    A garbled message from a serial or socket interface raises one error, because python-can does
+    A garbled message from a serial or socket interface raises an error, because python-can does
     not report how many bytes of the message were read; the port stays usable. CAN FD frames are
     ignored.
 
@@ -90,7 +93,7 @@ class PythonCanPort:
         """Send a frame.
 
         Raises:
-            OSError: The bus refuses it, is gone, or does not take it in time.
+            OSError: The bus refuses the frame, does not accept it in time, or is gone.
         """
         if identifier > _HIGHEST_BASE:
             message = can.Message(
@@ -105,7 +108,7 @@ class PythonCanPort:
             self._bus.send(message, timeout=SEND_LIMIT_S)
         except BlockingIOError as error:
             raise TimeoutError(
-                f"the CAN interface did not accept a frame within {SEND_LIMIT_S:g} s"
+                f"the CAN interface did not accept a frame for sending within {SEND_LIMIT_S:g} s"
             ) from error
 
     @os_errors
@@ -132,7 +135,8 @@ class PythonCanPort:
 
 
 def _identifier(message: can.Message) -> int:
-    # A backend accepts any identifier from an adapter; only a valid one may count as base format.
+    # python-can returns any identifier that an adapter sends; only a valid identifier may count as
+    # one of base format.
     found = message.arbitration_id
     identifier = found & _IDENTIFIER_BITS
     if message.is_extended_id or found != identifier or identifier > _HIGHEST_BASE:
@@ -145,8 +149,8 @@ def _identifier(message: can.Message) -> int:
 
 
 def _limit_sockets(bus: can.BusABC) -> None:
-    """Set a time-out in the kernel for blocking calls, because some socket interfaces ignore the
-    time-out of a send.
+    """Set a time-out of the operating system for blocking calls, because some socket interfaces of
+    python-can ignore the time-out of a send.
     """
     limit = struct.pack("ll", 0, round(SEND_LIMIT_S * 1e6))
     for part in getattr(bus, "__dict__", {}).values():

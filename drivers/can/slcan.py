@@ -1,10 +1,11 @@
-"""Encodes and decodes frames of the LAWICEL protocol ("slcan") of CAN adapters on a serial line. No
-I/O.
+"""Encodes and decodes frames of the LAWICEL protocol ("slcan") of CAN adapters on a serial line.
+This module has no input and output.
 
-A frame is one line of ASCII that ends in a carriage return. A data frame in base format consists of
-``t``, the identifier (3 hexadecimal digits), the length (1 digit) and the data (2 digits a byte). A
-data frame in extended format begins with ``T`` and has 8 digits of identifier. Remote frames begin
-with ``r`` or ``R``, and have no data. An adapter that stamps its frames appends 4 digits.
+A frame is one line of ASCII characters that ends in a carriage return. A data frame in base format
+consists of ``t``, the identifier (3 hexadecimal digits), the length (1 digit) and the data (2
+digits for each byte). A data frame in extended format begins with ``T``, and its identifier has 8
+digits. Remote frames begin with ``r`` or ``R``, and have no data. An adapter that adds time stamps
+appends 4 digits.
 """
 
 from __future__ import annotations
@@ -38,9 +39,11 @@ _FRAME: Final = re.compile(
 _FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED_FLAG | REMOTE_FLAG}
 _STAMP: Final = 4
 _ANSWERS: Final = frozenset({b"", b"z", b"Z"})
-"""Answers of an adapter to an accepted command, and (empty before BEL) to a refused one."""
+"""Answers of an adapter to an accepted command; before a BEL character, the empty answer means that
+the command is refused.
+"""
 MAX_LINE: Final = 64
-"""Characters of a line; the longest frame has 30."""
+"""Greatest number of characters of a line; the longest frame has 30 characters."""
 
 
 def encode(identifier: int, data: bytes) -> bytes:
@@ -55,12 +58,12 @@ def encode(identifier: int, data: bytes) -> bytes:
 class LineDecoder:
     """Decodes received bytes into whole frames; never raises.
 
-    A line that is neither a complete frame nor an answer to a command is dropped whole and counted,
-    since a part of it could look like a frame that was never sent. The next line is decoded
-    normally.
+    A line that is neither a complete frame nor an answer to a command is dropped as a whole and
+    counted, because a part of the line could resemble a frame that was never sent. The next line is
+    decoded normally.
 
     Attributes:
-        bad: Lines dropped so far.
+        bad: Number of lines dropped so far.
     """
 
     def __init__(self) -> None:
@@ -84,8 +87,8 @@ class LineDecoder:
         return frames
 
     def _line(self, end: bytes) -> bytes:
-        """Return the line that ends with these bytes; a line that is too long is shortened to a
-        length that is still rejected.
+        """Return the line that ends with ``end``; a line that is too long is shortened to a length
+        at which it is still rejected.
         """
         self._keep(end)
         line = bytes(self._rest)
@@ -98,7 +101,7 @@ class LineDecoder:
 
 
 def _parsed(line: bytes) -> tuple[int, bytes] | None:
-    """Return the frame in a line, or None."""
+    """Return the frame in a line, or None if the line contains no complete frame."""
     found = _FRAME.fullmatch(line)
     if found is None:
         return None

@@ -1,4 +1,4 @@
-"""A CAN adapter on a serial line ("slcan") as the port of a link."""
+"""Port of a link for a CAN adapter on a serial line ("slcan")."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from drivers.serial_port import BytePort, PySerialPort
 
 _TTY_BAUD: Final = 115_200
 _START_S: Final = 2.0
-"""Time during which an adapter may restart, and ignore input, after its port was opened."""
+"""Time during which an adapter may restart and ignore input after its port was opened, s."""
 
 
 class SlcanPort:
     """A CAN adapter that speaks the LAWICEL protocol; a :class:`~drivers.can.port.FramePort`.
 
-    This port replaces python-can's ``slcan``, which has three defects: a write to a blocked line
-    never returns, a read without data takes a millisecond, and a byte outside ASCII stops all
-    further reading.
+    This port replaces the interface ``slcan`` of python-can, which has three defects: a write to a
+    blocked line never returns, a read without data takes a millisecond, and after a byte outside
+    ASCII nothing more can be read.
 
-    A garbled line is dropped and counted, and later frames are read. Dropping a garbled line is
-    safer than an error: one frame is lost, which the link treats as any other lost frame (stale
-    sample, no answer, no heartbeat), whereas an error could abort the exchange that takes the power
-    off. A permanently garbled line yields no frames and runs into the link's time-outs.
+    A garbled line is dropped and counted, and later frames are read. To drop a garbled line is
+    safer than to raise an error: the link treats the frame like any other lost frame (stale sample,
+    no answer, no heartbeat), whereas an error could abort the exchange that takes the power off. If
+    all lines are garbled, no frames arrive and the time-outs of the link act.
 
     Args:
         line: The adapter's serial line, opened; closed by :meth:`shutdown`.
         clock: Clock for the time stamps of frames.
-        bitrate: Of the CAN bus, bit/s.
+        bitrate: Bit rate of the CAN bus, bit/s.
 
     Attributes:
         decoder: The decoder, which counts bad lines.
 
     Raises:
-        OSError: The line is gone, or adapters do not know this rate.
+        OSError: The line is gone, or slcan adapters do not support this bit rate.
     """
 
     @os_errors
@@ -53,8 +53,8 @@ class SlcanPort:
             raise OSError(
                 f"an slcan adapter does not support {bitrate} bit/s; choose one of {known}"
             )
-        # The first of two ends a line that an earlier program may have left incomplete. Frames for
-        # that program are discarded.
+        # The first carriage return ends a command that an earlier program may have left incomplete.
+        # Frames that were received for the earlier program are discarded.
         line.write(2 * slcan.CLOSE)
         line.discard()
         line.write(speed)
@@ -65,7 +65,7 @@ class SlcanPort:
         """Send a frame.
 
         Raises:
-            OSError: The line is gone, or does not take it in time.
+            OSError: The line is gone, or does not accept the frame in time.
         """
         self._line.write(slcan.encode(identifier, data))
 
@@ -99,19 +99,20 @@ def open_slcan(
     rtscts: bool = False,
     timeout: float | None = None,
 ) -> SlcanPort:
-    """Open an adapter. The options are those of python-can's ``slcan``.
+    """Open an adapter. The options are those of the interface ``slcan`` of python-can.
 
     Args:
-        channel: Device of this computer; ``@`` and a rate after it replace ``tty_baudrate``.
+        channel: Serial port of this computer; a suffix of ``@`` and a bit rate replaces
+            ``tty_baudrate``.
         clock: Clock for the time stamps of frames.
-        bitrate: Of the CAN bus, bit/s.
-        tty_baudrate: Rate of the serial line, bit/s; without effect on a USB port.
-        sleep_after_open: How long the adapter takes to start, s.
+        bitrate: Bit rate of the CAN bus, bit/s.
+        tty_baudrate: Bit rate of the serial line, bit/s; without effect on a USB port.
+        sleep_after_open: Time that the adapter takes to start, s.
         rtscts: Hardware flow control of the serial line.
-        timeout: Accepted but not used: the caller of a read gives its time-out.
+        timeout: Accepted but not used, because each read has a time-out of its own.
 
     Raises:
-        OSError: It cannot be opened, or another program holds it.
+        OSError: The port cannot be opened, or another program uses it.
     """
     path, _, baud = channel.partition("@")
     line = PySerialPort(path, int(baud) if baud else tty_baudrate, rtscts)

@@ -2,7 +2,7 @@
 commands.
 
 States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
-that lead toward power.
+that lead to a state nearer to power.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ QUICK_STOP: Final = 0x02
 FAULT_RESET: Final = 0x80
 
 CONTROLWORDS: Final[Mapping[tuple[S, Command], int]] = {
-    # A command toward power makes one transition.
+    # A command that leads toward power makes one transition only.
     (S.SWITCH_ON_DISABLED, Command.ENABLE): SHUTDOWN,
     (S.READY, Command.ENABLE): SWITCH_ON,
     (S.SWITCHED_ON, Command.ENABLE): ENABLE_OPERATION,
@@ -59,7 +59,7 @@ CONTROLWORDS: Final[Mapping[tuple[S, Command], int]] = {
     # Commands away from power are permitted in every state.
     **{(state, Command.DISABLE): DISABLE_VOLTAGE for state in S},
     **{(state, Command.QUICK_STOP): QUICK_STOP for state in S},
-    # Fault reset leads to SWITCH ON DISABLED only; bit 7 acts on its rising edge.
+    # A fault reset leads to the state SWITCH ON DISABLED only; bit 7 acts on its rising edge.
     (S.FAULT, Command.RESET_FAULT): FAULT_RESET,
     (S.SWITCH_ON_DISABLED, Command.RESET_FAULT): DISABLE_VOLTAGE,
 }
@@ -69,10 +69,10 @@ STOPPED: Final = frozenset({S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT})
 """States in which a quick stop may end."""
 
 _REMEDY: Final[Mapping[Command, str]] = {
-    Command.ENABLE: "disable the drive, or reset its fault, first",
+    Command.ENABLE: "disable the drive first; if it is in fault, reset the fault first",
     Command.RESET_FAULT: (
-        "disable the drive first; there is no fault to reset, or the reaction to the "
-        "fault is not over"
+        "a fault can be reset only in state 'fault', after the drive's reaction to the fault has "
+        "ended; disable the drive first"
     ),
 }
 
@@ -86,8 +86,8 @@ def decode_state(statusword: int) -> S:
     state = _BY_BITS.get(statusword & 0x6F)
     if state is None:
         raise StateError(
-            f"statusword {statusword:04X}h shows no state of CiA 402: check the process data "
-            f"mapping"
+            f"statusword {statusword:04X}h has no combination of bits that is a state of CiA 402: "
+            "check the mapping of the process data"
         )
     return state
 
@@ -96,7 +96,7 @@ def controlword(state: S, command: Command) -> int:
     """Return the controlword that executes ``command`` in ``state``.
 
     Raises:
-        StateError: The command is not allowed in that state.
+        StateError: The command is not allowed in this state.
     """
     word = CONTROLWORDS.get((state, command))
     if word is None:

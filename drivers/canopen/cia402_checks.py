@@ -14,32 +14,35 @@ from drivers.lacks import Lacks
 from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, refusal
 from drivers.units import ServoScales
 
-_ONLY_HOST = "only this program checks the limit, in every cycle"
+_ONLY_HOST = "only this program, and not the drive, checks this limit in every cycle"
 
 
 def description_refusals(
     channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion
 ) -> Iterator[DeviceError]:
-    """Yield an error for each object that the servo needs and the EDS lacks. Nothing is sent."""
+    """Yield an error for each object that the servo needs and the EDS lacks, without sending
+    anything.
+    """
     yield from refusal(channel.require_fit, *VENDOR, 0)
     lacking = False
     for address, purpose in {**objects.NEEDED, **motion.needed}.items():
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
-            yield ConfigurationError(f"{error}; every run needs this object: {purpose}")
+            yield ConfigurationError(f"{error}; every run needs this object, because {purpose}")
     for address in scales.named_objects:
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
             yield ConfigurationError(
-                f"{error}; the bench file names this object: correct the bench file"
+                f"{error}, although the bench file names this object: correct the bench file"
             )
     yield from refusal(channel.require_watchable)
     if sent.current is None:
         lacking = True
         yield ConfigurationError(
-            "neither the current 6078h nor the torque 6077h is in the device's EDS as process "
-            "data; one of them is needed, because the limits of current and torque are checked "
-            "against it: name the drive's own object with servo.current_object and current_unit_A"
+            "the device's EDS has neither the current 6078h nor the torque 6077h as process data; "
+            "one of the two is needed to check the limits of current and torque: state the "
+            "maker's own object of the current in servo.current_object and its unit in "
+            "servo.current_unit_A"
         )
     if not lacking:
         settings = (objects.CYCLE, objects.CYCLE_EXPONENT, objects.ON_ABORT)
@@ -52,8 +55,8 @@ def description_refusals(
 
 
 def held_limits(channel: ProcessChannel, motion: Motion) -> tuple[ObjectAddress, ...]:
-    """Return the objects of limits that the drive's EDS has, and that the drive obeys in this mode.
-    Sends nothing.
+    """Return the objects of limits that the EDS of the drive has and that the drive obeys in this
+    mode, without sending anything.
     """
     return tuple(
         address
@@ -65,12 +68,12 @@ def held_limits(channel: ProcessChannel, motion: Motion) -> tuple[ObjectAddress,
 def lacks(
     channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion, cycle_s: float
 ) -> Lacks:
-    """Return the limits and values that the drive does not have, according to its EDS. Nothing
-    is sent.
+    """Return the limits and values that the drive, by its EDS, does not have, without sending
+    anything.
 
     Args:
         channel: The drive.
-        scales: Its units.
+        scales: Units of the drive.
         sent: The objects that the drive sends in every cycle.
         motion: The mode of operation.
         cycle_s: Control cycle, s.
@@ -90,14 +93,14 @@ def lacks(
 def _replaced(
     channel: ProcessChannel, scales: ServoScales, sent: Cyclic, cycle_s: float
 ) -> Iterator[str]:
-    """Yield texts on the values that are not monitored, and on the substitute of each missing
+    """Yield texts on the values that are not monitored, and on the value that replaces each missing
     object.
     """
 
     def place(address: ObjectAddress | None) -> str:
         if address is None:
             return ""
-        single = ", which is no process data" if channel.describes(*address) else ""
+        single = ", which cannot be process data" if channel.describes(*address) else ""
         return f" ({_name(address)}{single})"
 
     supply, temperature, voltage = map(
@@ -110,11 +113,11 @@ def _replaced(
             f"not monitored: temperature{temperature}; servo.temperature_object names it",
         ),
         (sent.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
-        (sent.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
-        (sent.speed, "no motor speed (606Ch): computed from the change of the position"),
+        (sent.time, "no time stamp (1013h): samples have the time of the SYNC on this computer"),
+        (sent.speed, "no motor speed (606Ch): the speed is computed from the position"),
         (
             sent.current if sent.current in (scales.current_object, objects.CURRENT) else None,
-            "no motor current (6078h): the current is computed from the torque 6077h",
+            "no motor current (6078h): the current is computed from the torque (6077h)",
         ),
         *(
             (
@@ -134,9 +137,9 @@ def _replaced(
         ),
         (
             channel.describes(*objects.ON_ABORT) or None,
-            "no reaction to a lost master (6007h), so that the drive counts as a drive without "
-            "a watchdog; set servo.stops_alone: true if its manual states that it takes the "
-            "power off when the heartbeat of this program ends",
+            "no object for the reaction to a lost master (6007h), so that the drive counts as a "
+            "drive without a watchdog; if its manual states that the drive takes the power off "
+            "when the heartbeat of this program ends, set servo.stops_alone: true",
         ),
     ):
         if there is None:
@@ -169,14 +172,14 @@ def refusals(
 def unit_refusals(
     channel: ProcessChannel, scales: ServoScales, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield the errors of units, vendor and cycle time that mapping the process data does not
+    """Yield those errors of units, vendor and cycle time that the mapping of process data does not
     detect.
     """
     if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
         yield ConfigurationError(
-            f"vendor 1018h:01h: the drive says {channel.read(*VENDOR):X}h, its EDS file "
-            f"{scales.vendor_id:X}h, whose units are used here: name the drive's own EDS file, or "
-            f"set servo.device"
+            f"vendor 1018h:01h: the drive reports {channel.read(*VENDOR):X}h, but the units are "
+            f"those of the vendor {scales.vendor_id:X}h in its EDS file: use the EDS file of this "
+            "drive"
         )
     yield from scales.mismatches(channel)
     yield from velocity_unit.refusals(channel, scales)
@@ -192,7 +195,7 @@ def unit_refusals(
 
 def _offset_refusals(channel: ProcessChannel) -> Iterator[ConfigurationError]:
     for error in refusal(channel.read, *TORQUE_OFFSET):
-        words = f"{channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
+        words = f"{channel.label}: no torque offset 60B2h ({error}): run without feed-forward"
         offset_error = ConfigurationError(words)
         offset_error.__cause__ = error
         yield offset_error

@@ -34,10 +34,10 @@ _REACHED, _ATTAINED, _ERROR = 1 << 10, 1 << 12, 1 << 13
 
 
 class Homing(Motion):
-    """Homing mode: the drive moves by itself once it is started.
+    """Homing mode: after the start of a homing the drive moves by itself.
 
     Args:
-        usual: The mode of the bench, whose process data stay mapped.
+        usual: The mode of operation of the bench, whose process data stay mapped during the homing.
     """
 
     mode = HOMING
@@ -52,8 +52,8 @@ class Homing(Motion):
         self.started = False
 
     def reset(self) -> None:
-        """Clear the state of the motion, with the start of the homing, because switching the drive
-        on must never start a homing.
+        """Clear the state of the motion, including the start of a homing, because switching the
+        drive on must never start a homing.
         """
         super().reset()
         self.started = False
@@ -66,8 +66,8 @@ class Homing(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put the controlword into the PDO of the next exchange; the homing starts only if
-        the drive is energised. Commands of other modes are 0.
+        """Put the controlword into the PDO of the next exchange. The homing starts only if the
+        drive is energised. The commands of other modes are 0.
         """
         if word == cia402.ENABLE_OPERATION and self.started:
             word |= _START
@@ -76,7 +76,7 @@ class Homing(Motion):
 
 
 def offer(channel: ProcessChannel) -> HomingOffer:
-    """Return which homing the drive supports, by its EDS and by a trial read."""
+    """Return whether and how the drive can home, by its EDS and by reading its objects once."""
     try:
         why = _missing(channel, METHOD, OFFSET) or _mode_missing(channel)
         if why:
@@ -89,7 +89,7 @@ def offer(channel: ProcessChannel) -> HomingOffer:
         return HomingOffer(why_not=str(refused))
     if still:
         fit = tuple(m for m in fit if m in IN_PLACE)
-    why = still or ("" if fit else "60E3h lists no method that 6098h takes")
+    why = still or ("" if fit else "60E3h lists no method that fits into 6098h")
     return HomingOffer(fit, why, listed is not None)
 
 
@@ -100,7 +100,7 @@ def _missing(channel: ProcessChannel, *addresses: ObjectAddress) -> str:
         if not channel.describes(*address):
             return f"object {name} is not in the device's EDS"
         if optional(channel.read, *address) is None:
-            return f"object {name} is in the device's EDS, but the device does not have it"
+            return f"object {name} is in the device's EDS, but not in the device"
     return ""
 
 
@@ -115,16 +115,18 @@ def _mode_missing(channel: ProcessChannel) -> str:
         modes = optional(channel.read, *objects.MODES)
     if modes is None or modes >> HOMING - 1 & 1:
         return ""
-    return f"6502h reads {modes:08X}h, bit {HOMING - 1} is 0: no homing mode"
+    return f"6502h reads {modes:08X}h: bit {HOMING - 1}, homing mode, is 0"
 
 
 def _listed(channel: ProcessChannel) -> tuple[int, ...] | None:
-    """Return the methods that 60E3h lists, or None for a drive without this object."""
+    """Return the homing methods that object 60E3h lists, or None for a drive without this
+    object.
+    """
     count = optional(channel.read, SUPPORTED, 0) if channel.describes(SUPPORTED, 0) else None
     if count is None:
         return None
     found = (optional(channel.read, SUPPORTED, at) for at in range(1, min(count, 254) + 1))
-    # 60E3h may be unsigned: the maker's own methods are negative in 6098h.
+    # 60E3h may be unsigned, whereas in 6098h the maker's own methods are negative numbers.
     signed = {m - 256 if m > 127 else m for m in found if m}
     return tuple(sorted(signed))
 
@@ -132,7 +134,8 @@ def _listed(channel: ProcessChannel) -> tuple[int, ...] | None:
 def settings(
     channel: ProcessChannel, scales: ServoScales, order: HomingOrder
 ) -> Iterator[tuple[ObjectAddress, int]]:
-    """Yield objects and values of a homing; speeds are rounded down.
+    """Yield the objects that are written before a homing, and their values; speeds are rounded
+    down.
 
     Raises:
         ConfigurationError: A speed is less than the unit of its object.
@@ -143,8 +146,8 @@ def settings(
             value = math.floor(speed / unit + 1e-6)
             if value < 1:
                 raise ConfigurationError(
-                    f"the homing speed {speed:g} rad/s at the joint is less than one unit of "
-                    f"6099h, {unit:g} rad/s: raise --speed-limit"
+                    f"the homing speed, {speed:g} rad/s at the joint, is less than one unit of "
+                    f"object 6099h, {unit:g} rad/s: raise --speed-limit"
                 )
             yield address, value
         if channel.describes(*ACCELERATION):
@@ -165,14 +168,16 @@ class HomingServo(Servo, ABC):
 
     @abstractmethod
     def _stage(self, counts: int) -> None:
-        """Stage controlword and position."""
+        """Put controlword and position into the PDO of the next exchange."""
 
     def homing_offer(self) -> HomingOffer:
-        """Return whether the drive can home, and by which methods."""
+        """Return whether the drive can home, and which homing methods it has."""
         return offer(self._channel)
 
     def begin_homing(self, order: HomingOrder) -> Mapping[str, int]:
-        """Write and verify the settings, and energise in homing mode without starting."""
+        """Write and verify the settings of a homing, and energise in homing mode without starting
+        it.
+        """
         state = self.state()
         if state.energised or isinstance(self._motion, Homing):
             raise StateError(f"the drive is in state '{state.value}': disable it before homing")
@@ -191,13 +196,13 @@ class HomingServo(Servo, ABC):
         return held
 
     def start_homing(self) -> None:
-        """Set bit 4 of the controlword from the next exchange on."""
+        """Start the homing: set bit 4 of the controlword from the next exchange on."""
         if isinstance(self._motion, Homing):
             self._motion.started = True
             self._stage(self._target)
 
     def homing_state(self) -> HomingState:
-        """Return what bits 10, 12 and 13 of the statusword mean."""
+        """Return the state of the homing, from bits 10, 12 and 13 of the statusword."""
         word, _ = self._values.motion()
         if word & _ERROR:
             return HomingState.FAILED
@@ -206,12 +211,14 @@ class HomingServo(Servo, ABC):
         return HomingState.ATTAINED if word & _ATTAINED else HomingState.INTERRUPTED
 
     def end_homing(self) -> tuple[int, int]:
-        """Select the usual mode of the bench again, with the power off; return 6061h and 6060h."""
+        """Select the usual mode of the bench again, with the power off; return objects 6061h and
+        6060h.
+        """
         state = self.state()
         if state.energised:
             raise StateError(
-                f"the drive is in state '{state.value}' and its mode stays at homing: take the "
-                "power off first"
+                f"the drive is in state '{state.value}', in which its mode of operation cannot be "
+                "changed from homing: disable it first"
             )
         if isinstance(self._motion, Homing):
             self._motion = self._motion.usual

@@ -11,13 +11,13 @@ from drivers.interfaces import ServoState
 from drivers.objects import ProcessChannel, optional
 
 NEEDED_IN: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
-"""States in which the mode must be active before the next step toward power. Some drives activate a
-mode only when they are switched on.
+"""States in which the mode of operation must be active before the next transition toward power.
+Some drives activate a mode only in the state SWITCHED ON.
 """
 
 
 def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
-    """Return the reason why the drive cannot be used in this mode (6502h), or None if the drive
+    """Return an error if the drive, by object 6502h, does not support this mode, or None if it
     supports the mode or has no 6502h.
     """
     offered = None
@@ -28,7 +28,8 @@ def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
         return None
     return StateError(
         f"the drive does not support mode {motion.mode}, {motion.words} (6502h reads "
-        f"{offered:08X}h, bit {bit} is 0): set servo.mode to a mode that the drive supports"
+        f"{offered:08X}h, in which bit {bit} is 0): set servo.mode to a mode that the drive "
+        "supports"
     )
 
 
@@ -44,7 +45,7 @@ def select(channel: ProcessChannel, motion: Motion) -> None:
 
 
 def in_force(channel: ProcessChannel, motion: Motion) -> bool:
-    """Return whether the drive shows the mode in 6061h."""
+    """Return whether the mode is active, that is, shown in object 6061h."""
     return channel.read(*objects.MODE_DISPLAY) == motion.mode
 
 
@@ -53,7 +54,8 @@ def not_shown(
 ) -> StateError:
     """Return the error for a drive that does not activate the mode."""
     return StateError(
-        f"mode of operation 6061h still reads {channel.read(*objects.MODE_DISPLAY)} in state "
-        f"'{state.value}', {waited_s:g} s after {motion.mode} ({motion.words}) was written to "
-        f"6060h: check in the drive's manual how this mode is selected"
+        f"in state '{state.value}' the active mode 6061h still reads "
+        f"{channel.read(*objects.MODE_DISPLAY)}, {waited_s:g} s after mode {motion.mode} "
+        f"({motion.words}) was written to 6060h: check in the drive's manual how this mode is "
+        "selected"
     )

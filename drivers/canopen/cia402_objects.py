@@ -1,7 +1,7 @@
 """Selects the objects of a CiA 402 drive that the servo uses, and divides them among PDOs.
 
-The servo needs state, mode, position, target, and a current or a torque. Other objects are used if
-the drive's EDS contains them.
+The servo needs the objects of state, mode, position, target, and of a current or a torque. All
+other objects are used if the EDS of the drive contains them.
 """
 
 from __future__ import annotations
@@ -39,10 +39,12 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
     cia402.CONTROLWORD: "it switches the power off",
     cia402.STATUSWORD: "it shows whether the power is off",
     MODE: "it selects the mode of operation",
-    MODE_DISPLAY: "it shows whether that mode is active",
-    POSITION: "the limits are checked against it",
+    MODE_DISPLAY: "it shows whether the selected mode of operation is active",
+    POSITION: "limits are checked with the position",
 }
-"""Object that every drive must have, to its purpose; the mode of operation adds further objects."""
+"""Objects that every drive must have, each with its purpose; a mode of operation needs further
+objects.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Cyclic:
         voltage: Motor voltage.
         supply: Supply voltage.
         temperature: Temperature.
-        torque: Torque, for a drive that tells a current as well.
+        torque: Torque, for a drive that sends a current too.
     """
 
     current: ObjectAddress | None
@@ -71,10 +73,11 @@ class Cyclic:
 
 
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
-    """Return the objects that a drive sends in every cycle, according to its EDS. Nothing is sent.
+    """Return the objects that a drive, by its EDS, can send in every cycle, without sending
+    anything.
 
-    Objects that the bench file names for this drive are assumed to exist; the checks report an
-    error for each named object that the drive lacks.
+    Objects that the bench file names for this drive are assumed to exist; the checks before the
+    first motion report an error for each named object that the drive lacks.
     """
     named = scales.named_objects
 
@@ -128,8 +131,8 @@ def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
 def _beside(
     layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
 ) -> list[PdoLayout]:
-    """Return the layouts, with the torque added to the last layout that has room for it. The torque
-    serves only for a comparison with the current, and gets no PDO of its own.
+    """Return the layouts, with the torque added to the last layout in which it fits. The torque is
+    only compared with the current; if it fits into no layout, it is omitted.
     """
     for at in reversed(range(1, len(layouts))):
         if channel.fit_together([*layouts[at].objects, torque]):

@@ -42,14 +42,14 @@ from drivers.transitions import await_state, exchanges
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
-"""Heartbeat time-out after which the drive stops by itself, s."""
+"""Time without a heartbeat of the control loop after which the drive stops by itself, s."""
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
 
 class Cia402Servo(HomingServo):
-    """A drive that follows a position. Of all methods, only :meth:`enable` ever changes the state
-    of the drive toward power.
+    """A drive that follows a position. Only :meth:`enable`, which :meth:`begin_homing` calls,
+    changes the state of the drive toward power.
 
     Args:
         channel: The device.
@@ -60,8 +60,8 @@ class Cia402Servo(HomingServo):
             s.
         state_timeout_s: Time-out for reaching a state, s.
         motion: Mode of operation; cyclic synchronous position unless given.
-        stops_alone: Whether the drive takes the power off by itself when the control loop is
-            silent, or None if its EDS shows it (6007h).
+        stops_alone: Whether the drive takes the power off by itself when the heartbeat of the
+            control loop ends, or None to conclude this from its EDS (6007h).
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Cia402Servo(HomingServo):
         return read_identity(self._channel)
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield a text for each number of 1018h that differs from the EDS file."""
+        """Yield a text for each number of the identity (1018h) that differs from the EDS file."""
         yield from identity_doubts(self._channel)
 
     def state(self) -> ServoState:
@@ -112,27 +112,29 @@ class Cia402Servo(HomingServo):
         return servo_limits.read(self._channel, self._scales, self._held)
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits and values that the drive does not have, according to its EDS. Nothing
-        is sent.
+        """Return the limits and values that the drive, by its EDS, does not have, without sending
+        anything.
         """
         return cia402_checks.lacks(self._channel, self._scales, self._sent, self._motion, cycle_s)
 
     def speed_remedy(self, factor: float) -> str:
-        """Return a text with the setting to change if the reported speed is ``factor`` times the
-        true speed.
+        """Return a text that states the setting to change if the reported speed is ``factor`` times
+        the true speed.
         """
         return velocity_unit.remedy(self._scales, factor)
 
     def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor of the known unit that is nearest to a rough factor."""
+        """Return the factor of the known unit of speed nearest to a rough ``factor``."""
         return velocity_unit.nearest_factor(self._scales, factor, spread)
 
     def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
-        """Return the keys that set the unit of the speed, and their values."""
+        """Return the keys of the bench file, with values, that correct the unit of the speed."""
         return velocity_unit.settings(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
-        """Return the resolution of each limit at the joint: one unit of its object."""
+        """Return the resolution of each limit at the joint, that is, one unit of the limit's
+        object.
+        """
         return servo_limits.steps(self._scales)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
@@ -147,8 +149,8 @@ class Cia402Servo(HomingServo):
         """Write limits into the drive and verify them by reading back.
 
         Raises:
-            ConfigurationError: The drive stores another value, or a limit does not fit into its
-                object.
+            ConfigurationError: A value that is read back differs from the written value, or a limit
+                does not fit into its object.
             ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
@@ -157,7 +159,9 @@ class Cia402Servo(HomingServo):
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
-        """Read each value by SDO. A value that the drive does not have is NaN."""
+        """Read the values of the drive one by one by SDO; a value that the drive does not have is
+        NaN.
+        """
         return read_once(self._channel, self._scales, self._sent)
 
     def fault(self) -> DriveFault:
@@ -166,23 +170,24 @@ class Cia402Servo(HomingServo):
         if code is None:
             return DriveFault(
                 0,
-                f"{label} is in fault, and has no fault code (603Fh): see the display of the drive",
+                f"{label} is in fault, and its fault code (603Fh) cannot be read: see the display "
+                "of the drive",
             )
         return DriveFault(code, f"{label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
-        sent.
+        """Yield an error for each object that this profile needs and the EDS lacks, without sending
+        anything.
         """
         yield from cia402_checks.description_refusals(
             self._channel, self._scales, self._sent, self._motion
         )
         if self._motion.needs_watch and self.watch_s is None:
             yield ConfigurationError(
-                f"mode {self._motion.words} needs a drive that takes the power off when it "
-                "receives no message of this program any more, because its last command would "
-                "continue; this drive has no 6007h: set servo.stops_alone: true if its manual "
-                "states that it takes the power off"
+                f"mode {self._motion.words} needs a drive that takes the power off when the "
+                "messages of this program end, because the drive would continue to execute the "
+                "last command; this drive has no object 6007h for this: if its manual states that "
+                "it takes the power off, set servo.stops_alone: true"
             )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
@@ -194,21 +199,21 @@ class Cia402Servo(HomingServo):
         )
 
     def prepare(self, cycle_s: float) -> None:
-        """Check units, map process data, set the cycle, and verify that the heartbeat time-out can
-        be set. Nothing is energised.
+        """Check units, map process data, set the cycle time, and verify that the heartbeat time-out
+        can be set. The drive is not energised.
 
         The heartbeat time-out is active only from :meth:`enable` to :meth:`disable`, so that the
-        loop may pause at all other times.
+        control loop may pause at all other times.
 
         Raises:
-            ConfigurationError: Scale or unit differ from the bench file, or the drive did not store
-                a setting.
+            ConfigurationError: A scale or a unit differs from the bench file, or the drive did not
+                store a setting.
             StateError: The drive is energised.
         """
         state = self.state()
         if state.energised:
             raise StateError(
-                f"the drive is in state '{state.value}': disable it before preparing it"
+                f"the drive is in state '{state.value}': disable it before it is prepared"
             )
         self._word = cia402.DISABLE_VOLTAGE
         channel = self._channel
@@ -232,7 +237,8 @@ class Cia402Servo(HomingServo):
         self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
-        """Energise and hold the present position, with process data exchanged throughout.
+        """Energise the drive and hold the present position; process data are exchanged during all
+        transitions.
 
         Raises:
             StateError: The drive is not prepared, the command is not allowed in the present state,
@@ -257,7 +263,8 @@ class Cia402Servo(HomingServo):
             raise
 
     def disable(self) -> None:
-        """Switch the power off, verify this by reading 6041h, and end the heartbeat time-out.
+        """Switch the power off, verify by reading 6041h that it is off, and end the heartbeat
+        time-out.
 
         Raises:
             StateError: The drive still reports an energised state.
@@ -273,7 +280,7 @@ class Cia402Servo(HomingServo):
         """Brake with the drive's own ramp (605Ah, 6085h); the method never switches the power on.
 
         Raises:
-            StateError: The drive does not stop and is not stopped already.
+            StateError: The drive does not reach a stopped state, and is in none already.
             LinkError: The drive cannot be reached.
         """
         self._command(Command.QUICK_STOP)
@@ -282,7 +289,7 @@ class Cia402Servo(HomingServo):
         )
 
     def reset_fault(self) -> None:
-        """Clear a fault. Afterwards the drive is in SWITCH ON DISABLED; motion does not restart.
+        """Reset a fault. Afterwards the drive is in the state SWITCH ON DISABLED and does not move.
 
         Raises:
             StateError: There is no fault to reset, or the fault occurs again.
@@ -303,7 +310,8 @@ class Cia402Servo(HomingServo):
         counts = self._scales.counts(angle_rad)
         if counts not in _INT32:
             raise ConfigurationError(
-                f"target {angle_rad:g} rad is {counts} counts, beyond 32 bits: check the scales"
+                f"the target {angle_rad:g} rad is {counts} counts, which do not fit into the 32 "
+                "bits of 607Ah: check the scales in the bench file"
             )
         self._stage(counts)
 
@@ -311,7 +319,7 @@ class Cia402Servo(HomingServo):
         """Set a joint torque that the drive adds to the torque of its controller (60B2h), to the
         nearest per mille of the rated torque.
 
-        While the drive is not commanded to operate, a torque offset of zero is sent instead.
+        Unless the controlword commands operation, a torque offset of zero is sent.
 
         Raises:
             ConfigurationError: The drive was not prepared for a torque offset, or the torque is
@@ -322,7 +330,8 @@ class Cia402Servo(HomingServo):
         units = round(self._scales.sign * torque_N_m / self._scales.joint_torque_unit_N_m)
         if units not in _INT16:
             raise ConfigurationError(
-                f"torque offset {torque_N_m:g} N m is {units} per mille of 6076h, beyond 16 bits"
+                f"the torque offset {torque_N_m:g} N m is {units} per mille of the rated torque "
+                "6076h, which does not fit into the 16 bits of 60B2h"
             )
         self._motion.offset = units if self._word == cia402.ENABLE_OPERATION else 0
         self._stage(self._target)
@@ -332,7 +341,7 @@ class Cia402Servo(HomingServo):
         statusword, position = self._values.motion()
         following = 0
         if statusword & 0x6F == 0x27 and self._motion.follows:
-            # At this SYNC the drive has reached the target of the previous exchange.
+            # At the SYNC of an exchange the drive has reached the target of the previous exchange.
             demand = self._previous if self._channel.cycle <= self._staged_in + 1 else self._target
             following = demand - position
         return self._values.sample(following)
@@ -345,7 +354,8 @@ class Cia402Servo(HomingServo):
         self._motion.stage(self._channel, self._word, counts, self._values.observed)
 
     def _command(self, command: Command) -> None:
-        # The cyclic controlword is changed first, so that no later exchange can undo the command.
+        # The controlword of the process data is changed first, so that no later exchange can undo
+        # the command.
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
         self._motion.offset = 0
         if self._cycle_ns:
@@ -356,7 +366,7 @@ class Cia402Servo(HomingServo):
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
     def _select_mode(self) -> bool:
-        """Select the mode and wait for it; return whether the drive activated the mode."""
+        """Select the mode of operation and wait; return whether the drive activated the mode."""
         cia402_mode.select(self._channel, self._motion)
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             if cia402_mode.in_force(self._channel, self._motion):
@@ -381,9 +391,8 @@ class Cia402Servo(HomingServo):
                 return
             if not in_time:
                 raise StateError(
-                    f"the drive is still in state '{state.value}' after {self._timeout_s:g} s of "
-                    f"enabling: "
-                    "check its supply and its enable input"
+                    f"the drive is still in state '{state.value}', {self._timeout_s:g} s after the "
+                    "command to enable: check its supply and its enable input"
                 )
             if self._channel.fresh:
                 self._word = controlword(state, Command.ENABLE)

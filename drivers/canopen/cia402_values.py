@@ -1,4 +1,6 @@
-"""Converts the cyclic values of a CiA 402 drive to SI units, from the objects that it has."""
+"""Converts the cyclic values of a CiA 402 drive to SI units, for any set of objects that the drive
+has.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,11 @@ from drivers.units import ServoScales, Unwrapper
 
 _US: Final = 1e-6
 _SPAN: Final = 8
-"""Number of exchanges over which a speed is computed from positions; over one cycle the resolution,
-one count per cycle, is too coarse.
+"""Number of exchanges over which a speed is computed from positions; over one exchange the
+resolution of one count per cycle would be too coarse.
 """
 _NOT_SENT: Final = -1
-"""Index of a NaN that follows the values."""
+"""Index of the NaN that is appended to the values, for objects that are not sent."""
 
 
 class CyclicValues:
@@ -31,7 +33,7 @@ class CyclicValues:
 
     Args:
         channel: The drive.
-        scales: Its units.
+        scales: Units of the drive.
         sent: The objects that the drive sends.
         layouts: PDOs of these objects; the first two objects are state and position.
     """
@@ -57,7 +59,7 @@ class CyclicValues:
         self._time = Unwrapper(1 << 32)
 
     def begin(self, cycle_ns: int) -> None:
-        """Start with newly mapped inputs."""
+        """Start the conversion after the process data were mapped."""
         self._cycle_ns = cycle_ns
         self._speed = 0.0
         self._passed.clear()
@@ -69,7 +71,7 @@ class CyclicValues:
         return statusword, position
 
     def observed(self) -> Observed:
-        """Return the values of the last exchange that a position loop in this program needs."""
+        """Return those values of the last exchange that the position loop in this program needs."""
         channel, scales = self._channel, self._scales
         values: list[int] = []
         for number in self._numbers:
@@ -117,8 +119,8 @@ class CyclicValues:
         )
 
     def _change(self, position: int) -> float:
-        """Return the joint speed, rad/s, from the change of the position over the last exchanges
-        with new values.
+        """Return the joint speed, rad/s, from the change of the position over the last exchanges in
+        which new values arrived.
         """
         cycle, passed = self._channel.cycle, self._passed
         if self._channel.fresh and (not passed or passed[-1][0] != cycle):

@@ -13,7 +13,7 @@ from drivers.objects import VENDOR, PdoLayout, ProcessChannel, read_identity, re
 FRAMES: Final = ((5, 1),)
 """Data bytes of the PDO and its period in cycles."""
 PASCALS: Final = {0x22: 1.0, 0x4E: 1e5, 0xAB: 6894.757293168}
-"""Unit codes of CiA 303-2 (bits 16 to 23 of 6131h): pascal, bar, psi."""
+"""Unit codes of CiA 303-2 (bits 16 to 23 of 6131h) for pascal, bar and psi, to the unit in Pa."""
 
 _PRESSURE: Final = 1
 _UNIT_TOLERANCE: Final = 1e-6
@@ -21,8 +21,9 @@ _UNIT: Final = (0x6131, 1)
 _DIGITS: Final = (0x6132, 1)
 _STATUS: Final = (0x6150, 1)
 _VALUE: Final = (0x9130, 1)
-# A CAN controller sends its frames in order, so that a heartbeat of lowest priority may delay a
-# frame to the end of the cycle; the pressure hardly changes in this time.
+# A CAN controller sends its frames in the order of requests, so that a heartbeat of lowest priority
+# may delay the frame with the pressure to the end of the cycle. The pressure hardly changes in this
+# time.
 _INPUTS: Final = (PdoLayout(_PRESSURE, (_VALUE, _STATUS), slack=1),)
 
 
@@ -76,15 +77,17 @@ class Cia404Transmitter(PressureTransmitter):
         """Compare the unit with 6131h and 6132h, check the status and map process data.
 
         Raises:
-            ConfigurationError: The unit differs from the bench file or is no pressure unit, or the
-                device marks its value invalid.
+            ConfigurationError: The unit differs from the bench file or is no unit of pressure, or
+                the device marks its value as invalid.
         """
         self._require_unit()
         self._require_valid()
         self._channel.map_process_data([], _INPUTS, cycle_s)
 
     def sample(self) -> PressureSample:
-        """Return the sample of the last exchange; not fresh if the device marks it invalid."""
+        """Return the sample of the last exchange, which is not fresh if the device marks its value
+        as invalid.
+        """
         value, status = self._channel.latest(_PRESSURE)
         return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
 
@@ -95,13 +98,13 @@ class Cia404Transmitter(PressureTransmitter):
         if found is None:
             raise ConfigurationError(
                 f"{channel.label}: 6131h reads {code:08X}h, which is no known unit of pressure; "
-                "set the transmitter to bar or Pa"
+                "set the transmitter's unit to bar or Pa"
             )
         if abs(found - self._unit_Pa) > _UNIT_TOLERANCE * self._unit_Pa:
             raise ConfigurationError(
-                f"{channel.label}: 6131h and 6132h give {found:g} Pa per unit, the bench file "
-                f"states {self._unit_Pa:g} Pa; correct unit_Pa, or check that this is the right "
-                "transmitter"
+                f"{channel.label}: by 6131h and 6132h one unit of the pressure is {found:g} Pa, "
+                f"but the bench file states {self._unit_Pa:g} Pa; if this is the right "
+                "transmitter, correct unit_Pa"
             )
 
     def _require_valid(self) -> None:
@@ -113,12 +116,12 @@ class Cia404Transmitter(PressureTransmitter):
 
 
 def unit_of(code: int, digits: int) -> float | None:
-    """Return how many Pa one count of an integer process value is, or None if its unit is no unit
-    of pressure.
+    """Return the pressure of one count of an integer process value, Pa, or None if its unit is no
+    unit of pressure.
 
     Args:
-        code: 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.
-        digits: 6132h: decimal digits.
+        code: Value of 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.
+        digits: Value of 6132h: number of decimal digits.
     """
     pascals = PASCALS.get(code >> 16 & 0xFF)
     if pascals is None or code & 0xFFFF:
@@ -131,4 +134,4 @@ def status_words(status: int) -> str:
     """Return the meaning of 6150h, the status of the process value."""
     bits = {0x01: "not valid", 0x02: "above its range", 0x04: "below its range"}
     said = [words for bit, words in bits.items() if status & bit]
-    return f"the pressure is {' and '.join(said) or f'of status {status:02X}h'}"
+    return f"the pressure is {' and '.join(said) or f'invalid, with the status {status:02X}h'}"

@@ -25,7 +25,9 @@ FRAMES: Final = ((8, 1),)
 """Data bytes of the PDO and its period in cycles."""
 _US: Final = 1e-6
 _RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
-"""Objects with the steps per turn: as configured (class 2), and of the disc (class 1)."""
+"""Objects with the steps per turn: the configured number (encoders of class 2), and the number of
+the disc (class 1).
+"""
 _RANGE: Final = (0x6002, 0)
 _TURNS: Final = (0x6502, 0)
 _ALARMS: Final = (0x6503, 0)
@@ -33,7 +35,9 @@ _VALUE: Final = (0x6004, 0)
 _TIME: Final = (0x1013, 0)
 _WHOLE: Final = 1 << 32
 _WHOLE_WORDS: Final = (0, _WHOLE - 1)
-"""Values of 6002h that mean 2^32, which exceeds the range of the object."""
+"""Values of 6002h that stand for a range of 2^32 steps, because this number does not fit into the
+object.
+"""
 
 
 class Cia406Encoder(Encoder):
@@ -60,7 +64,9 @@ class Cia406Encoder(Encoder):
         yield from identity_doubts(self._channel)
 
     def reading(self) -> float:
-        """Read the position (6004h); return NaN if the encoder refuses it."""
+        """Read the position (6004h) and return the joint angle, rad, or NaN if the encoder refuses
+        the read.
+        """
         try:
             counts = nearest(self._channel.read(*_VALUE), self._modulus(), self._scales.middle)
         except (ConfigurationError, ObjectAccessError):
@@ -89,8 +95,8 @@ class Cia406Encoder(Encoder):
             yield from refusal(self._channel.read, *_VALUE)
 
     def lacks(self) -> Iterator[str]:
-        """Yield the values that this encoder does not report; an encoder of class 1 has fewer
-        objects.
+        """Yield a text for each value that this encoder does not report; an encoder of class 1 has
+        fewer objects than one of class 2.
         """
         read = self._channel.read
 
@@ -101,15 +107,15 @@ class Cia406Encoder(Encoder):
             yield "joint encoder: not checked: counts per turn (6001h, 6501h)"
         if absent(_RANGE, _TURNS):
             yield (
-                "joint encoder: no range of the position (6002h, 6502h): it is taken to start anew "
-                "after each turn"
+                "joint encoder: no range of the position (6002h, 6502h): the position is assumed "
+                "to start again at zero after each turn"
             )
         if absent(_ALARMS):
             yield "joint encoder: not monitored: alarms (6503h)"
         if not self._has_stamp():
             yield (
-                "joint encoder: no time stamp (1013h): samples have this computer's time of the "
-                "SYNC"
+                "joint encoder: no time stamp (1013h): samples have the time of the SYNC on this "
+                "computer"
             )
 
     def prepare(self, cycle_s: float) -> None:
@@ -150,9 +156,9 @@ class Cia406Encoder(Encoder):
     def _modulus(self) -> int:
         """Return the range of the position in steps.
 
-        An encoder of class 1 has the steps and turns of its discs instead of 6002h. If an encoder
-        has none of these objects, one turn is assumed as the range, because every true range is a
-        multiple of one turn.
+        For an encoder of class 1, which has no 6002h, the range is the product of the steps and
+        turns of its discs. If an encoder has none of these objects, a range of one turn is assumed,
+        because every true range is a multiple of one turn.
         """
         channel, turn = self._channel, self._scales.counts_per_turn
         span = optional(channel.read, *_RANGE)
@@ -167,16 +173,15 @@ class Cia406Encoder(Encoder):
                 continue
             if counts != self._scales.counts_per_turn:
                 raise ConfigurationError(
-                    f"{self._channel.label}: {address[0]:04X}h says {counts} counts per turn, the "
-                    f"bench file states {self._scales.counts_per_turn}; correct the bench file, "
-                    "or check "
-                    f"that this is the right encoder"
+                    f"{self._channel.label}: object {address[0]:04X}h reads {counts} counts per "
+                    f"turn, but the bench file states {self._scales.counts_per_turn}; if this is "
+                    "the right encoder, correct the bench file"
                 )
             return
 
     def _require_no_alarm(self) -> None:
         if alarms := optional(self._channel.read, *_ALARMS):
             raise ConfigurationError(
-                f"{self._channel.label} reports alarms {alarms:04X}h (6503h); see the encoder's "
-                f"manual"
+                f"{self._channel.label} reports the alarms {alarms:04X}h (object 6503h); see the "
+                "encoder's manual"
             )

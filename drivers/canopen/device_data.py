@@ -1,8 +1,8 @@
 """Known data of drives of certain makers, in ``devices/*.yaml``, matched by the identity of a
 drive.
 
-A file states objects and units that differ from CiA 402, as far as the maker publishes them.
-Statements of the bench file have priority over these data.
+A file states the objects and units of a family of drives that differ from CiA 402, as far as the
+maker publishes them. Values in the bench file have priority over these data.
 """
 
 from __future__ import annotations
@@ -35,34 +35,37 @@ VelocityUnit = Literal["counts_per_s", "rpm"]
 
 
 class DeviceData(BaseModel):
-    """Data of a family of drives. An empty field means that the value is that of CiA 402, or is not
-    known.
+    """Data of a family of drives. An empty field means that the drive uses the value of CiA 402, or
+    that the value is unknown.
 
     Attributes:
         name: Maker and family.
-        source: The maker's documents that state this.
-        vendor_id: 1018h:01h.
-        product_codes: 1018h:02h of its products; none where the vendor and ``has`` suffice.
-        has: Objects by which it is told from other families of the vendor.
-        velocity_unit: Unit of 606Ch and 607Fh and, per second, of the accelerations.
-        velocity_unit_counts_per_s: The same for other units, in counts per second.
-        acceleration_unit_counts_per_s2: Another unit of the accelerations (6083h, 6084h, 6085h,
-            609Ah), in counts per second squared.
-        acceleration_unit_turns_per_s2: The same in motor turns per second squared.
+        source: Documents of the maker in which these data are stated.
+        vendor_id: Vendor of the drives, 1018h:01h.
+        product_codes: Product codes of the drives, 1018h:02h; empty if the vendor and ``has``
+            identify the family.
+        has: Objects by which the family is distinguished from other families of the vendor.
+        velocity_unit: Name of the unit of 606Ch and 607Fh; accelerations have this unit per second.
+        velocity_unit_counts_per_s: Unit of 606Ch and 607Fh if it has no name, counts/s.
+        acceleration_unit_counts_per_s2: Unit of the accelerations (6083h, 6084h, 6085h, 609Ah) if
+            it is not the unit of the speed per second, counts/s^2.
+        acceleration_unit_turns_per_s2: Unit of the accelerations, in motor turns per second
+            squared.
         current_object: Object of the motor current.
-        current_unit_A: Current of one unit of it.
+        current_unit_A: Unit of this object, A.
         supply_object: Object of the supply voltage.
-        supply_unit_V: Voltage of one unit of it.
+        supply_unit_V: Unit of this object, V.
         temperature_object: Object of the temperature.
-        temperature_unit_C: Temperature of one unit of it.
+        temperature_unit_C: Unit of this object, deg C.
         voltage_object: Object of the motor voltage.
-        voltage_unit_V: Voltage of one unit of it.
+        voltage_unit_V: Unit of this object, V.
         rated_current_object: Object of the rated current.
-        rated_current_object_unit_A: Current of one unit of it, or of 6075h.
+        rated_current_object_unit_A: Unit of this object, or of 6075h, A.
         rated_torque_object: Object of the rated torque.
-        rated_torque_object_unit_N_m: Torque of one unit of it, or of 6076h.
-        mode: Mode of operation in which it is commanded, or None for cyclic synchronous position.
-        remarks: What the operator has to know, one sentence each.
+        rated_torque_object_unit_N_m: Unit of this object, or of 6076h, N m.
+        mode: Mode of operation in which the drive is commanded, or None for cyclic synchronous
+            position.
+        remarks: Sentences with what the operator must know of these drives.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -99,11 +102,14 @@ class DeviceData(BaseModel):
             )
         acceleration = (self.acceleration_unit_counts_per_s2, self.acceleration_unit_turns_per_s2)
         if None not in acceleration:
-            raise ValueError("the unit of the acceleration is stated twice")
+            raise ValueError(
+                "acceleration_unit_counts_per_s2 and acceleration_unit_turns_per_s2 are both set; "
+                "remove one"
+            )
         for kind in ("current_unit_A", "supply_unit_V", "temperature_unit_C", "voltage_unit_V"):
             of = f"{kind.rsplit('_', 2)[0]}_object"
             if (getattr(self, kind) is None) is not (getattr(self, of) is None):
-                raise ValueError(f"{of} and {kind} belong together: state both or none")
+                raise ValueError(f"{kind} is the unit of {of}: state both keys or neither")
         return self
 
     @property
@@ -133,7 +139,9 @@ def _shown(value: object) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Loader that refuses keys that appear twice, and reads numbers as YAML 1.2 does."""
+    """YAML loader that refuses keys that appear twice, and reads numbers by the rules of YAML
+    1.2.
+    """
 
     yaml_implicit_resolvers: dict[str, Any] = {  # noqa: RUF012 - the base class owns this attribute
         first: list(found) for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -162,7 +170,8 @@ def parse(text: str) -> DeviceData:
     """Return the data of one file.
 
     Raises:
-        ValueError: It is no valid YAML, has a key twice, or breaks the schema.
+        ValueError: The file is no valid YAML, has a key twice, or has a key or value that is not
+            allowed.
     """
     try:
         return DeviceData.model_validate(yaml.load(text, _Loader))  # noqa: S506 - a safe loader
@@ -179,8 +188,8 @@ def devices() -> Mapping[str, DeviceData]:
 
 
 def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
-    """Return vendor and product code in a device's EDS, or None for a number that the EDS does not
-    state.
+    """Return vendor and product code in the EDS of a device; None for a number that the EDS does
+    not state.
     """
     found = (dictionary.get_variable(*address) for address in (VENDOR, PRODUCT))
     vendor, product = (

@@ -1,5 +1,5 @@
-"""Reads the object dictionary of a CANopen device from its EDS or DCF file, even from a faulty
-file.
+"""Reads the object dictionary of a CANopen device from its EDS or DCF file, as far as possible also
+from a faulty file.
 """
 
 from __future__ import annotations
@@ -37,9 +37,10 @@ class Described(ObjectDictionary):
     """Objects of a device as its EDS describes them.
 
     Attributes:
-        faults: Index and subindex of each object whose description cannot be used, to why; with
-            file and line. Such an object is left out.
-        identity: Vendor and product number of the file's header, or None if it has none.
+        faults: Index and subindex of each object whose description cannot be used, to the reason
+            with file and line. Such an object is omitted.
+        identity: Vendor number and product number in the header of the file; None for a number that
+            the header does not state.
     """
 
     def __init__(self) -> None:
@@ -51,8 +52,8 @@ class Described(ObjectDictionary):
 def read_eds(eds: Path, node_id: int) -> Described:
     """Read the object dictionary of a device.
 
-    Only the sections of objects are used; an error in a header or a comment does not prevent
-    reading.
+    Only the sections of objects are needed; an error in the header or in a comment is no error of
+    this function.
 
     Args:
         eds: The file; EDS or DCF.
@@ -67,15 +68,15 @@ def read_eds(eds: Path, node_id: int) -> Described:
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(
-            f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the device's own EDS "
-            f"file"
+            f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the EDS file of this "
+            "device"
         ) from error
     dictionary = _Reader(eds, node_id, sections(text)).dictionary()
     if not len(dictionary):
         why = next(iter(dictionary.faults.values()), f"{eds}:1: there is no section like [1000]")
         raise ConfigurationError(
-            f"EDS file {eds} of node {node_id} describes no object: {why}; use the device's own "
-            f"EDS file"
+            f"EDS file {eds} of node {node_id} describes no object: {why}; use the EDS file of "
+            "this device"
         )
     return dictionary
 
@@ -146,7 +147,7 @@ class _Reader:
         ):
             if variable is not None:
                 item.add_member(variable)
-        # The library canopen derives the members of an array from the first one.
+        # The library canopen derives the members of an array from its first member.
         return item if len(item) and (kind != _ARRAY or 1 in item) else None
 
     def _compact(
@@ -183,14 +184,17 @@ class _Reader:
         return variable
 
     def _data_type(self, section: Section) -> int:
-        """Return the data type of an object; raises ValueError with file and line."""
+        """Return the data type of an object; raise ValueError with file and line if it is missing
+        or invalid.
+        """
         if "datatype" not in section.values:
             raise ValueError(
                 f"{self._eds}:{section.line}: section [{section.name}] has no DataType"
             )
         kind = self._number(section, "DataType")
         if kind > _LAST_STANDARD_TYPE:
-            # Some tools name a type with its own limits, and describe the type in a section.
+            # Some tools define a data type with limits in a section of its own, and state its
+            # number.
             own = self._sections.get(f"{kind:X}SUB1", Section("", 0))
             kind = self._number(own, "DefaultValue", _DOMAIN)
         return kind
@@ -213,7 +217,7 @@ class _Reader:
         except ValueError:
             return None
         signed = variable.data_type in datatypes.SIGNED_TYPES
-        # Some files give the limits of signed objects as the unsigned bits of the value.
+        # Some files state the limits of signed objects as unsigned numbers with the same bits.
         bits = len(variable)
         return limit - (1 << bits) if signed and limit >= 1 << (bits - 1) else limit
 

@@ -1,9 +1,9 @@
 """Divides the text of an EDS or DCF file (CiA 306) into sections with names, values and lines.
 
-Makers' files differ from CiA 306 in ways that change no object: local encodings, a byte order mark,
-text before the first section, repeated sections and keys. This module reads files as most tools do,
-that is, as the Windows functions for such files: upper and lower case of names are equal, and of
-two values with one name the first counts.
+Files of makers differ from CiA 306 in ways that do not affect the objects: local encodings, a byte
+order mark, text before the first section, repeated sections and keys. This module reads files as
+most tools do, that is, as the Windows functions for INI files: names are not case-sensitive, and of
+two values with one name the first is used.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ class Section:
     """One section of the file.
 
     Attributes:
-        name: Name as in the file.
-        line: Line of the section's head, from 1.
-        values: Value and line of each key; keys are in lower case.
+        name: Name of the section as in the file.
+        line: Line of the section's head, counted from 1.
+        values: Key in lower case to its value and line.
     """
 
     name: str
@@ -56,7 +56,7 @@ def sections(text: str) -> Mapping[str, Section]:
     """Return the sections by their names in upper case; lines that belong to no section are
     skipped.
 
-    The sections are kept, because a program that connects repeatedly reads the same few files each
+    The results are cached, because a program that connects repeatedly reads the same few files each
     time.
     """
     found: dict[str, Section] = {}
@@ -79,7 +79,7 @@ def integer(text: str) -> int:
     Raises:
         ValueError: The text is not a number.
     """
-    # No value that is read here uses the octal numbers of CiA 306 (with a leading zero), but some
-    # have decimal numbers with leading zeros.
+    # CiA 306 allows octal numbers, with a leading zero, but no value that is read here is octal;
+    # some are decimal numbers with leading zeros.
     text = text.replace(" ", "")
     return int(text, 16 if text.lower().startswith("0x") else 10)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Final
 
 _MEANINGS: Final[Mapping[int, str]] = {
-    0x2310: "continuous over-current: check for a jam, lower the commanded torque",
+    0x2310: "continuous over-current: check whether the axis is jammed",
     0x2320: "short circuit at the output: check the motor cable before power is switched on again",
-    0x3210: "DC link over-voltage: fit a brake resistor or lower the deceleration",
+    0x3210: "DC link over-voltage: reduce the deceleration, or install a brake resistor",
     0x3220: "DC link under-voltage: check the supply",
     0x4210: "device over-temperature: let the device cool, check the ventilation",
     0x4310: "drive over-temperature: let the drive cool, check the ventilation",
@@ -19,11 +19,11 @@ _MEANINGS: Final[Mapping[int, str]] = {
         "cause before enabling again"
     ),
     0x8210: (
-        "process data frame too short: the mapping in the device differs from the "
-        "configured one; prepare the device again"
+        "process data frame too short: the mapping in the device differs from that of this "
+        "program; prepare the device again"
     ),
-    0x8611: "following error: the axis did not keep up with the target; check for a jam and the "
-    "limits, then reset",
+    0x8611: "following error: the axis did not keep up with the target; check whether the axis is "
+    "jammed, then reset the fault",
 }
 _CLASSES: Final[Mapping[int, str]] = {
     0x1: "generic error",

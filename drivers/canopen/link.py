@@ -1,6 +1,6 @@
 """CANopen network with this program as master, over any python-can interface, without threads.
 
-The callers run the receive loop of the link.
+Frames are received while a method of the link waits for them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Network(canopen.Network):
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Send a frame of a request of the library canopen."""
         if remote:
-            raise NotImplementedError("this program sends no remote frames")
+            raise NotImplementedError("this program does not send remote frames")
         self._send(can_id, bytes(data))
 
 
@@ -105,11 +105,11 @@ class CanopenLink(Link):
         bus_options: Mapping[str, Any] | None = None,
         sdo_timeout_s: float = 0.3,
     ) -> Self:
-        """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``,
-        ``pcan``...).
+        """Return a link over an interface of python-can, which is selected by name (``socketcan``,
+        ``slcan``, ``pcan``...).
 
-        ``bus_options`` are further options of this interface; see python-can. This package has its
-        own port for ``slcan``, see :class:`~drivers.can.slcan_port.SlcanPort`.
+        ``bus_options`` are further options of this interface, as in python-can. For ``slcan`` a
+        port of this package is used, :class:`~drivers.can.slcan_port.SlcanPort`.
         """
         options = dict(bus_options or {})
 
@@ -127,7 +127,8 @@ class CanopenLink(Link):
         """Declare a device on the bus.
 
         Raises:
-            ConfigurationError: The identifier is out of range or in use, or the EDS cannot be read.
+            ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
+                read.
         """
         require_node(node_id, {self.master_id, *self._nodes})
         dictionary = read_eds(eds, node_id)
@@ -156,7 +157,7 @@ class CanopenLink(Link):
             close_all(port.shutdown)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, the same for all devices.
+        """Set the cycle time, which must be the same for all devices.
 
         Raises:
             ConfigurationError: Another device has a different cycle time.
@@ -169,9 +170,9 @@ class CanopenLink(Link):
     def exchange(self) -> None:
         """Send every device's outputs and SYNC, and collect the inputs.
 
-        Only this method sends the master's heartbeat (except the first one, which starts a device's
-        time-out), so that the heartbeat ends when the control loop stops. The method waits for
-        process data at most 80 % of the cycle.
+        Only this method sends heartbeats of the master (except the first heartbeat, which starts
+        the time-out in a device), so that the heartbeat ends when the control loop stops. The
+        method waits for process data at most 80 % of the cycle.
 
         Raises:
             LinkError: The bus failed, or a device was lost, stopped or restarted.
@@ -219,8 +220,8 @@ class CanopenLink(Link):
             port.transmit(identifier, data)
         except Exception as error:
             raise LinkError(
-                f"{self._name} cannot send: {words(error)}; check cabling, termination, and that "
-                f"a device is powered"
+                f"{self._name} cannot send a frame: {words(error)}; check cabling, termination, "
+                "and that at least one device has power"
             ) from error
         self._frames.append(raw_frame((self.clock.now_ns(), identifier, data, True)))
 
@@ -254,7 +255,8 @@ class CanopenLink(Link):
             frames = port.collect(timeout_s)
         except Exception as error:
             raise LinkError(
-                f"{self._name} cannot receive: {words(error)}; check the interface and its cable"
+                f"{self._name} cannot receive frames: {words(error)}; check the interface and its "
+                "cable"
             ) from error
         for frame in frames:
             self._handle(frame)
@@ -264,8 +266,8 @@ class CanopenLink(Link):
         if identifier > _HIGHEST_ID:
             if identifier & ERROR_FLAG:
                 text = (
-                    f"{self._name}: error frame; check termination (120 ohm at both ends), "
-                    f"cabling and bit rate"
+                    f"{self._name}: an error frame was received; check termination (120 ohm at "
+                    "both ends), cabling and bit rate"
                 )
                 self._troubles.append((0, LinkError(text)))
             return
@@ -275,7 +277,7 @@ class CanopenLink(Link):
             return
         slot = node.inputs.get(identifier)
         if slot is not None:
-            # A frame of the wrong length updates nothing, and the value counts as missing in this
+            # A frame of the wrong length updates no value, and its values count as missing in this
             # cycle.
             if len(data) == slot.size:
                 slot.values = slot.layout.unpack(data)
@@ -291,8 +293,8 @@ class CanopenLink(Link):
             self._heard(node, data[0] & 0x7F, time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
             # Only these frames need the dispatcher of the library canopen, whose callbacks raise
-            # errors on shorter frames. A frame that a callback rejects counts as lost, because
-            # waiting for an answer has a time-out.
+            # errors on shorter frames. A frame that a callback rejects counts as lost; a request
+            # that waits for it has a time-out.
             with suppress(Exception):
                 self._network.notify(identifier, bytearray(data), time_ns / NS)
 
@@ -316,7 +318,7 @@ class CanopenLink(Link):
             what = (
                 "restarted"
                 if state == INITIALISING
-                else f"left OPERATIONAL for {NMT_NAMES.get(state, state)}"
+                else f"left the NMT state OPERATIONAL for {NMT_NAMES.get(state, state)}"
             )
             lost = LinkError(
                 f"{node.label} {what}; check the supply of the device, then prepare the device "
@@ -334,5 +336,5 @@ class CanopenLink(Link):
     def _raise_troubles(self) -> None:
         troubles = [trouble for _, trouble in self._troubles]
         self._troubles = []
-        # A lost bus explains all other troubles; of several faults the first is the cause.
+        # A failed bus explains all other errors; of several drive faults the first is the cause.
         raise next((trouble for trouble in troubles if isinstance(trouble, LinkError)), troubles[0])

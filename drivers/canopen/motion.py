@@ -35,12 +35,14 @@ PROFILE_SPEED: Final = (0x6081, 0)
 PROFILE_ACCELERATION: Final = (0x6083, 0)
 PROFILE_DECELERATION: Final = (0x6084, 0)
 STALE_CYCLES: Final = 3
-"""Number of exchanges without a complete answer after which a speed or torque of 0 is commanded."""
+"""Number of successive exchanges without a complete answer after which the commanded speed or
+torque is 0.
+"""
 SPEED_OVER: Final = 2
 """Number of exchanges over which the position loop computes the speed from positions."""
 COARSE: Final = 0.05
-"""Share of the torque limit above which one count of the computed speed is too coarse for the
-position loop.
+"""Torque that one count of the computed speed may cause in the position loop, as a share of the
+torque limit; above this share the computed speed is too coarse.
 """
 _INT16: Final = range(-(1 << 15), 1 << 15)
 _INT32: Final = range(-(1 << 31), 1 << 31)
@@ -62,13 +64,14 @@ class Motion(ABC):
 
     Attributes:
         mode: Value of 6060h.
-        words: Its name.
-        target: The object that it commands.
+        words: Name of the mode.
+        target: Object that holds the command of this mode.
         unheld: Objects of limits that a drive need not obey in this mode.
-        needs_watch: Whether it is safe only with a drive that notices a lost master by itself.
-        follows: Whether the drive follows the commands of the exchanges, rather than moving by
+        needs_watch: Whether the mode is safe only with a drive that detects a lost master by
             itself.
-        remarks: What the operator has to know, in words.
+        follows: Whether the drive follows the commands of the exchanges, and does not move by
+            itself.
+        remarks: Sentences with what the operator must know of this mode.
         offset: Torque offset, in units of 60B2h.
         takes_offset: Whether the torque offset is sent.
     """
@@ -97,12 +100,14 @@ class Motion(ABC):
         return {self.target: "it carries the command of a run"}
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
-        """Yield objects and values that are written with the limits."""
+        """Yield objects and values that are written into the drive together with the limits."""
         yield from ()
 
     def take_limits(self, limits: ServoLimits) -> None:
-        """Store the limits that this program enforces; NaN leaves a limit as it is."""
-        del limits  # the drive holds them
+        """Store the limits that this program enforces; a limit of NaN does not change the stored
+        limit.
+        """
+        del limits  # the drive enforces the limits
 
     def begin(self, cycle_s: float) -> None:
         """Prepare the mode for a control cycle."""
@@ -112,7 +117,7 @@ class Motion(ABC):
         """Clear the state of the motion, before the drive gets power.
 
         Raises:
-            StateError: It lacks something without which it must not begin.
+            StateError: A value is missing without which motion must not start.
         """
         self.offset = 0
 
@@ -126,7 +131,7 @@ class Motion(ABC):
             channel: The drive.
             word: Controlword.
             counts: Position to follow.
-            observe: Returns the drive at the last exchange.
+            observe: Function that returns the state of the drive at the last exchange.
         """
 
 
@@ -163,19 +168,20 @@ class CyclicPosition(Motion):
 class _HostLoop(Motion):
     """Base of the modes in which this program closes the position loop.
 
-    A command is valid for one exchange: if no new command follows, or if the samples of the loop
-    are incomplete, the next exchange sends the command 0.
+    A command is sent in one exchange: if no new command follows, or after several exchanges with
+    incomplete samples, the next exchange sends the command 0.
 
     Args:
         scales: Units of the drive.
-        gains: Gains that the bench file states, 0 for each that follows from the cycle.
-        inertia_kg_m2: Inertia at the joint, for a torque.
+        gains: Gains that the bench file states, 0 for each gain that is derived from the cycle
+            time.
+        inertia_kg_m2: Inertia at the joint, for a torque command.
     """
 
     needs_watch = True
     remarks = (
-        "this program closes the position loop, and only this program enforces the limits of "
-        "angle and following error",
+        "this program closes the position loop, and this program, not the drive, enforces the "
+        "limits of angle and following error",
     )
     unheld = frozenset(
         {servo_limits.POSITION_MIN, servo_limits.POSITION_MAX, servo_limits.FOLLOWING_WINDOW}
@@ -197,7 +203,7 @@ class _HostLoop(Motion):
         self._passed: deque[tuple[int, float]] = deque(maxlen=SPEED_OVER + 1)
 
     def begin(self, cycle_s: float) -> None:
-        """Derive the gains of the loop from the cycle."""
+        """Derive the gains of the loop from the cycle time."""
         self._cycle_s = cycle_s
         self._gains = derived(cycle_s, self._inertia, self._stated)
 
@@ -236,7 +242,7 @@ class _HostLoop(Motion):
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
         """Put the controlword and the command of the position loop into the PDO of the next
-        exchange; the command is 0 unless the drive may run.
+        exchange; the command is 0 unless the controlword commands operation.
         """
         value = 0
         if word == cia402.ENABLE_OPERATION:
@@ -304,9 +310,9 @@ class CyclicTorque(_HostLoop):
     target = TARGET_TORQUE
     unheld = _HostLoop.unheld | {servo_limits.MAX_SPEED}
     remarks = (
-        "this program closes the position and speed loops, and only this program enforces the "
-        "limits of angle, following error and speed, except a speed limit that the bench file "
-        "states for the drive",
+        "this program closes the position and speed loops, and this program, not the drive, "
+        "enforces the limits of angle, following error and speed; but a speed limit that the bench "
+        "file states for the drive is enforced by the drive",
     )
 
     def _units(self, speed_rad_s: float, torque_N_m: float) -> int:
@@ -324,8 +330,9 @@ def _within(units: int, allowed: range, target: ObjectAddress) -> int:
 
 
 class ProfilePosition(Motion):
-    """Profile position: each new set-point immediately replaces the previous one (bits 4 and 5 of
-    the controlword, bit 12 of the statusword). The drive's profile stops at the last set-point.
+    """Profile position: each new set-point immediately replaces the previous set-point (bits 4 and
+    5 of the controlword, bit 12 of the statusword). The profile of the drive ends at the last
+    set-point.
 
     Args:
         scales: Units of the drive.
@@ -336,8 +343,8 @@ class ProfilePosition(Motion):
     words = "profile position"
     target = TARGET_POSITION
     remarks = (
-        "the joint follows in ramps, later than the command by the square of its speed over twice "
-        "the acceleration",
+        "the joint follows the command in ramps, with a distance of the square of the speed over "
+        "twice the acceleration",
     )
     _NEW: Final = 1 << 4
     _AT_ONCE: Final = 1 << 5
@@ -370,14 +377,14 @@ class ProfilePosition(Motion):
                 yield address, max(1, round(units))
 
     def reset(self) -> None:
-        """Clear the state of the motion; the next set-point is not announced as new."""
+        """Clear the state of the motion; the next set-point has no bit "new set-point"."""
         self._raised = False
         self._staged_in = -1
 
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put the set-point into the PDO of the next exchange. The set-point is announced as new in
+        """Put the set-point into the PDO of the next exchange. The bit "new set-point" is set in
         every other exchange, after the drive has accepted the last set-point.
         """
         if word == cia402.ENABLE_OPERATION:

@@ -17,7 +17,7 @@ from drivers.objects import ObjectAddress, PdoLayout, optional, refusal
 _MS: Final = 1_000_000
 _BOOT_TIMEOUT_S: Final = 1.0
 HEARTBEAT_S: Final = 0.05
-"""Desired period of the device's heartbeat (1017h); a device may round the period up."""
+"""Requested period of the device's heartbeat (1017h), s; a device may round the period up."""
 _CONSUMER: Final = (0x1016, 1)
 _PRODUCER: Final = (0x1017, 0)
 HEARTBEATS_MISSED: Final = 4
@@ -40,8 +40,8 @@ def require_node(node_id: int, taken: Container[int]) -> None:
     """
     if not 1 <= node_id <= 127 or node_id in taken:
         raise ConfigurationError(
-            f"node identifier {node_id} is not in 1 to 127, or is in use already: correct the "
-            "bench file"
+            f"node identifier {node_id} is not between 1 and 127, or another device has it: "
+            "correct the bench file"
         )
 
 
@@ -50,7 +50,7 @@ class CanopenNode:
     :class:`~drivers.objects.ProcessChannel`.
 
     Attributes:
-        node_id: 1 to 127.
+        node_id: Node identifier, 1 to 127.
         remote: Object of the library canopen for the device.
         outputs: Data of each RPDO for the next exchange, by CAN identifier.
         inputs: Last frame of each TPDO, by CAN identifier.
@@ -94,7 +94,7 @@ class CanopenNode:
 
     @property
     def fresh(self) -> bool:
-        """Whether all data that were due in the last exchange arrived complete."""
+        """Whether all values that the device had to send in the last exchange arrived."""
         if self.missing:
             return False
         for slot in self._slow:  # noqa: SIM110  (a generator costs a microsecond a cycle)
@@ -106,8 +106,8 @@ class CanopenNode:
         """Read an integer object.
 
         Raises:
-            ConfigurationError: The EDS has no such object, or the device answers with another
-                length.
+            ConfigurationError: The EDS has no such object, or the length of the answer differs from
+                that in the EDS.
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
@@ -115,8 +115,8 @@ class CanopenNode:
         data = self._upload(index, subindex)
         if not item.fixed_size or len(data) != len(item) // 8:
             raise ConfigurationError(
-                f"{self.label}: object {index:04X}h:{subindex:02X}h has {len(data)} bytes, "
-                f"its EDS says {len(item) // 8}; use the device's own EDS file"
+                f"{self.label}: object {index:04X}h:{subindex:02X}h has {len(data)} bytes, but "
+                f"{len(item) // 8} in its EDS; use the EDS file of this device"
             )
         return int(item.decode_raw(data))
 
@@ -138,12 +138,12 @@ class CanopenNode:
 
     @property
     def sync_us(self) -> int:
-        """Time of the last SYNC by the host's clock, microseconds modulo 2^32."""
+        """Time of the last SYNC on the clock of the host, microseconds modulo 2^32."""
         return self._wire.sync_ns // 1000 & 0xFFFFFFFF
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the EDS contains an object and allows the object in process data. Nothing
-        is sent.
+        """Return whether the EDS contains an object and, with ``mappable``, allows the object in
+        process data. Nothing is sent.
         """
         return described(self._dictionary, index, subindex, mappable)
 
@@ -153,7 +153,9 @@ class CanopenNode:
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
 
     def stated(self, index: int, subindex: int) -> int | None:
-        """Return the default value of an object in the EDS. Sends nothing."""
+        """Return the default value of an object in the EDS, or None without a default value,
+        without sending anything.
+        """
         item = self._dictionary.get_variable(index, subindex)
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
@@ -164,7 +166,7 @@ class CanopenNode:
         """
         for error in refusal(self._packed, *_CONSUMER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs this object, with which the drive detects that this "
+                f"{error}; every run needs this object, by which the drive detects that this "
                 "program has ended"
             ) from error
 
@@ -177,20 +179,20 @@ class CanopenNode:
         self._packed(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; the SDO request is sent even if no answer comes.
+        """Write an integer object; the SDO request is sent even if no answer can be received.
 
         The errors are those of :meth:`write`.
         """
         self.write(index, subindex, value)
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Make the checks of :meth:`map_process_data` that need no write; the errors are the same.
+        """Make those checks of :meth:`map_process_data` that need no write, with its errors.
 
         Nothing is sent.
         """
         for error in refusal(self._packed, *_PRODUCER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs this object, with which this program detects that the "
+                f"{error}; every run needs this object, by which this program detects that the "
                 "device is lost"
             ) from error
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
@@ -279,9 +281,9 @@ class CanopenNode:
         found = self.read(*_CONSUMER)
         if found != setting:
             raise ConfigurationError(
-                f"{self.label}: heartbeat consumer 1016h:01h reads {found:08X}h after writing "
-                f"{setting:08X}h; "
-                "the drive would not detect that the control loop has stopped"
+                f"{self.label}: heartbeat consumer 1016h:01h reads {found:08X}h after "
+                f"{setting:08X}h was written; with this value the device would not detect that the "
+                "control loop has stopped"
             )
 
     def unwatch(self) -> None:
@@ -289,11 +291,11 @@ class CanopenNode:
         self.write(*_CONSUMER, 0)
 
     def _disarm(self) -> None:
-        """Deactivate a heartbeat consumer that a former program left active when it ended.
+        """Deactivate a heartbeat consumer that an earlier program left active when it ended.
 
-        The host sends a heartbeat first, because a device that has noticed the loss of its master
-        waits for a heartbeat of the master. Without the deactivation, the heartbeat before the
-        start of the node would start the time-out again.
+        The host sends a heartbeat first, because a device that has detected the loss of its master
+        waits for a heartbeat. Without the deactivation, the heartbeat before the start of the node
+        would start the time-out again.
         """
         if optional(self.read, *_CONSUMER):
             self._wire.heartbeat()
@@ -310,8 +312,8 @@ class CanopenNode:
         period_ms = self.read(*_PRODUCER)
         if not period_ms:
             raise ConfigurationError(
-                f"{self.label}: heartbeat period 1017h reads 0 after writing {wanted_ms} ms; this "
-                "program would not detect a lost device"
+                f"{self.label}: heartbeat period 1017h reads 0 after {wanted_ms} ms was written; "
+                "without a heartbeat this program would not detect a lost device"
             )
         self.silence_ns = HEARTBEATS_MISSED * period_ms * _MS
 
@@ -321,8 +323,8 @@ class CanopenNode:
             return bytes(item.STRUCT_TYPES[item.data_type].pack(value))
         except (KeyError, struct.error) as error:
             raise ConfigurationError(
-                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h "
-                f"({item.name})"
+                f"{self.label}: the value {value} does not fit into object "
+                f"{index:04X}h:{subindex:02X}h ({item.name})"
             ) from error
 
     def _upload(self, index: int, subindex: int) -> bytes:
@@ -334,7 +336,7 @@ class CanopenNode:
 
     def _start(self) -> None:
         self.nmt_state = None
-        # A device may refuse to start until it receives a heartbeat of its master.
+        # A device may refuse the NMT command "start" until it receives a heartbeat of its master.
         self._wire.heartbeat()
         self._command(0x01)
         timeout_s = _BOOT_TIMEOUT_S + self.silence_ns / NS
@@ -345,7 +347,7 @@ class CanopenNode:
                 else NMT_NAMES.get(self.nmt_state, f"{self.nmt_state}")
             )
             raise LinkError(
-                f"{self.label} did not report OPERATIONAL within {timeout_s:g} s "
-                f"(heartbeat: {state})"
+                f"{self.label} did not report the NMT state OPERATIONAL within {timeout_s:g} s "
+                f"(last heartbeat: {state})"
             )
         self.monitored = True

@@ -1,4 +1,6 @@
-"""CANopen process data (PDOs), host side: configures PDOs by SDO, packs and unpacks values."""
+"""CANopen process data (PDOs) on the host's side: configures PDOs by SDO, packs and unpacks
+values.
+"""
 
 from __future__ import annotations
 
@@ -60,8 +62,8 @@ class Input:
     def __init__(self, layout: struct.Struct, every: int, slack: int = 0) -> None:
         self.layout = layout
         self.size = layout.size
-        # The device chooses the phase of a PDO with a period of several cycles, so that one more
-        # period is allowed.
+        # The device chooses in which cycle it first sends a PDO with a period of several cycles;
+        # therefore the first frame may arrive up to one period later.
         self.slack = slack if every == 1 else 2 * every
         self.values: tuple[int, ...] = layout.unpack(bytes(layout.size))
         self.cycle = -1
@@ -80,14 +82,15 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
         if item.data_type not in _CODES:
             raise ConfigurationError(
                 f"object {index:04X}h:{subindex:02X}h ({item.name}) is no integer of at most 32 "
-                "bits and fits no PDO: remove the object"
+                "bits, so that it cannot be mapped into a PDO: remove the object from the bench "
+                "file"
             )
         codes += _CODES[item.data_type]
     packed = struct.Struct(codes)
     if packed.size > _MAX_BYTES:
         raise ConfigurationError(
-            f"PDO {layout.number} would have {packed.size} bytes, the limit is {_MAX_BYTES}: "
-            "divide the values among more PDOs"
+            f"PDO {layout.number} would have {packed.size} bytes, but the limit is {_MAX_BYTES} "
+            "bytes: divide the values among more PDOs"
         )
     return packed
 
@@ -117,7 +120,7 @@ _MOST: Final = 512
 _MAPPING: Final = 0x200
 _OFF: Final = 1 << 31
 _NO_REMOTE: Final = 1 << 30
-"""Bits of a COB-ID: the PDO does not exist; a remote frame does not request the PDO (TPDO)."""
+"""Bits of a COB-ID: "the PDO does not exist", and "no remote frame requests the PDO" (TPDO)."""
 _IDENTIFIER: Final = 0x7FF
 _NODE: Final = 0x7F
 """Bits of an identifier of the predefined connection set that contain the node identifier."""
@@ -146,8 +149,9 @@ def plan(
     if missing:
         index = direction.communication + min(missing) - 1
         raise ConfigurationError(
-            f"{label}: {direction.name} {min(missing)} ({index:04X}h, {index + _MAPPING:04X}h) is "
-            f"not in the device's EDS; the cyclic values need {len(layouts)} {direction.name}s"
+            f"{label}: the device's EDS has no {direction.name} {min(missing)} ({index:04X}h, "
+            f"{index + _MAPPING:04X}h), but the cyclic values need {len(layouts)} "
+            f"{direction.name}s"
         )
     return {layout.number: packing(dictionary, layout) for layout in layouts}
 
@@ -160,7 +164,7 @@ def configure(
 ) -> list[tuple[int, struct.Struct]]:
     """Write the mapping of all PDOs of one direction into a device, and disable all other PDOs.
 
-    A setting that already has the desired value is not written, because it may be read-only. The
+    A setting that already has the required value is not written, because it may be read-only. The
     flags of a COB-ID keep their values, because a device without remote frames refuses a COB-ID
     with bit 30 cleared.
 
@@ -203,9 +207,9 @@ def _map(
         own = direction.identifiers + (layout.number - 1) * 0x100 + device.node_id
     elif own & _NODE != device.node_id:
         raise ConfigurationError(
-            f"{device.label}: {direction.name} {layout.number} has the identifier {own:03X}h, "
-            f"which belongs to another node, and {index:04X}h:01h is read only: set it with the "
-            "maker's tool"
+            f"{device.label}: {direction.name} {layout.number} has the CAN identifier {own:03X}h, "
+            f"which belongs to another node, and object {index:04X}h:01h is read-only: set the "
+            "identifier with the maker's tool"
         )
     _store(device, index, 2, layout.every)
     _store_mapping(device, dictionary, index + _MAPPING, layout)

@@ -1,7 +1,9 @@
-"""Position loop in this program, for drives that accept only a speed or a torque. Pure functions.
+"""Position loop in this program, for drives that accept only a speed or a torque, as pure
+functions.
 
-The loop is a cascade as in a drive: position P with feed-forward of the commanded speed and, for a
-torque command, speed PI. All values are at the joint, in SI units.
+The loop is a cascade as in a drive: a P controller of the position with feed-forward of the
+commanded speed and, for a torque command, a PI controller of the speed. All values are at the
+joint, in SI units.
 """
 
 from __future__ import annotations
@@ -13,14 +15,14 @@ from typing import Final, NamedTuple
 from drivers.errors import ConfigurationError
 
 FASTEST_1_S: Final = 60.0
-"""Greatest derived position gain, 1/s; common drives have this gain."""
+"""Greatest position gain that is derived from the cycle time, 1/s; common drives have this gain."""
 GAIN_CYCLES: Final = 0.06
-"""Product of position gain and cycle for a derived gain. A sample is two cycles old when its
-command acts, so that the loop loses 0.12 rad (7 deg) of phase at its own frequency.
+"""Product of position gain and cycle time for a derived gain. A sample is two cycles old when the
+command computed from it acts, so that the delay reduces the phase margin by 0.12 rad (7 deg).
 """
 SPEED_CYCLES: Final = 0.15
-"""Product of speed-loop bandwidth and cycle for a derived gain; the loop loses 0.3 rad (17 deg) of
-phase.
+"""Product of speed-loop bandwidth and cycle time for a derived gain; the delay reduces the phase
+margin by 0.3 rad (17 deg).
 """
 RATIO: Final = 0.4
 """Greatest ratio of a derived position gain to the bandwidth of the speed loop."""
@@ -31,9 +33,10 @@ class LoopGains:
     """Gains of the position loop and the speed loop.
 
     Attributes:
-        position_1_s: Speed command per position error.
-        speed_N_m_s_rad: Torque command per speed error; 0 for a drive that takes a speed.
-        reset_1_s: Inverse reset time of the speed loop.
+        position_1_s: Speed command per position error, 1/s.
+        speed_N_m_s_rad: Torque command per speed error, N m s/rad; 0 for a drive that is commanded
+            by a speed.
+        reset_1_s: Inverse reset time of the speed loop, 1/s.
     """
 
     position_1_s: float
@@ -46,11 +49,11 @@ class LoopLimits:
     """Limits of the command that the loop computes.
 
     Attributes:
-        angle_min_rad: Lower end of the joint angle.
-        angle_max_rad: Upper end.
-        speed_rad_s: Speed.
-        torque_N_m: Torque.
-        deceleration_rad_s2: Deceleration with which it stops in front of an end.
+        angle_min_rad: Lower end of the range of the joint angle.
+        angle_max_rad: Upper end of this range.
+        speed_rad_s: Greatest speed.
+        torque_N_m: Greatest torque.
+        deceleration_rad_s2: Deceleration with which the joint stops before an end of the range.
     """
 
     angle_min_rad: float
@@ -61,7 +64,9 @@ class LoopLimits:
 
 
 class LoopState(NamedTuple):
-    """State of the loop: the last target, rad (NaN if there is none), and the integral, N m."""
+    """State of the loop: the last target, rad (NaN without a target), and the integral of the speed
+    controller, N m.
+    """
 
     target_rad: float = math.nan
     integral_N_m: float = 0.0
@@ -73,12 +78,12 @@ AT_REST: Final = LoopState()
 def derived(
     cycle_s: float, inertia_kg_m2: float | None, wanted: LoopGains | None = None
 ) -> LoopGains:
-    """Return the gains for a cycle; gains of ``wanted`` that are not 0 are kept.
+    """Return the gains for a cycle time; gains in ``wanted`` that are not 0 are kept.
 
     Args:
         cycle_s: Control cycle, s.
-        inertia_kg_m2: Inertia at the joint, or None for a drive that takes a speed.
-        wanted: Gains that the bench file states, 0 for each that it leaves open.
+        inertia_kg_m2: Inertia at the joint, or None for a drive that is commanded by a speed.
+        wanted: Gains that the bench file states, 0 for each gain that it does not state.
     """
     stated = wanted or LoopGains(0.0)
     bandwidth_1_s = SPEED_CYCLES / cycle_s
@@ -102,14 +107,14 @@ def step(
 ) -> tuple[LoopState, float, float]:
     """Return the new state, the speed command and the torque command of one cycle.
 
-    Neither command leads beyond an end of the angle range: near an end, the speed command is
-    limited to a speed from which the joint can still stop before the end. A torque that would raise
-    a speed beyond its limit is 0.
+    The commands do not move the joint beyond an end of the angle range: near an end, the speed
+    command is limited to a speed from which the joint can still stop before the end. A torque that
+    would increase a speed above the speed limit is replaced by 0.
 
     Args:
-        state: From the last cycle.
+        state: State after the last cycle.
         gains: Gains; without a speed gain the torque command is 0.
-        limits: Limits.
+        limits: Limits of the commands.
         cycle_s: Control cycle, s.
         target_rad: Joint angle to follow.
         angle_rad: Joint angle as last measured.
@@ -120,8 +125,9 @@ def step(
     """
     if not math.isfinite(target_rad + angle_rad + speed_rad_s):
         raise ConfigurationError(
-            f"the position loop got target {target_rad:g} rad, angle {angle_rad:g} rad, speed "
-            f"{speed_rad_s:g} rad/s: a value is missing; check the drive's process data"
+            f"the inputs of the position loop are target {target_rad:g} rad, angle "
+            f"{angle_rad:g} rad and speed {speed_rad_s:g} rad/s, but all must be finite; check the "
+            "drive's process data"
         )
     ahead = 0.0 if math.isnan(state.target_rad) else (target_rad - state.target_rad) / cycle_s
     wanted = ahead + gains.position_1_s * (target_rad - angle_rad)
@@ -135,14 +141,16 @@ def step(
     asked = gains.speed_N_m_s_rad * error + integral
     torque = min(max(asked, -limits.torque_N_m), limits.torque_N_m)
     if torque != asked and torque * error > 0.0:
-        integral = state.integral_N_m  # not further into the limit
+        integral = state.integral_N_m  # anti-windup: no further integration at the torque limit
     if abs(speed_rad_s) > limits.speed_rad_s and torque * speed_rad_s > 0.0:
         torque = 0.0
     return LoopState(target_rad, integral), speed, torque
 
 
 def _stopping(distance_rad: float, limits: LoopLimits) -> float:
-    """Return the greatest speed towards an end of the angle range at this distance, rad/s."""
+    """Return the greatest speed toward an end of the angle range at this distance from it,
+    rad/s.
+    """
     if distance_rad <= 0.0:
         return 0.0
     return min(limits.speed_rad_s, math.sqrt(2.0 * limits.deceleration_rad_s2 * distance_rad))

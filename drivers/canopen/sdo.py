@@ -1,4 +1,4 @@
-"""CANopen SDO client without threads: it receives frames itself while it waits for an answer."""
+"""CANopen SDO client without threads, which receives frames itself while it waits for an answer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
 """Object address in an abort message of a server that does not state the object."""
 _LATE_ANSWERS = 64
-"""Number of answers to other requests that are skipped; after more of them the server counts as not
+"""Number of answers to other requests that are skipped before the server counts as not
 answering.
 """
 _INITIATE = (1, 2)
@@ -38,7 +38,9 @@ class Wire(Protocol):
         ...
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()`` is true; False after ``timeout_s``."""
+        """Receive and dispatch frames until ``ready()`` is true; return False after
+        ``timeout_s``.
+        """
         ...
 
     def heartbeat(self) -> None:
@@ -46,13 +48,13 @@ class Wire(Protocol):
         ...
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, the same for all devices."""
+        """Set the cycle time, which must be the same for all devices."""
         ...
 
 
 class PumpedSdoClient(SdoClient):
-    """SDO client that runs the receive loop of the link while it waits; the same code runs in
-    simulated and in real time.
+    """SDO client that receives frames of the link while it waits, in simulated time and in real
+    time.
     """
 
     def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
@@ -69,7 +71,7 @@ class PumpedSdoClient(SdoClient):
         """Return the next response; a late response to an earlier request is skipped.
 
         If a late response were not skipped, every later request would receive the response to the
-        request before it.
+        previous request.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
@@ -90,7 +92,7 @@ class PumpedSdoClient(SdoClient):
                     raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
                 return response
         raise SdoCommunicationError(
-            f"{_LATE_ANSWERS} SDO responses belong to other requests, none to this request"
+            f"the first {_LATE_ANSWERS} SDO responses belong to other requests"
         )
 
 
@@ -100,8 +102,8 @@ class PumpedNode(canopen.RemoteNode):
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
         self._wire = wire
         self._described = dictionary
-        # The library canopen looks up all PDO records by default, and fails if the EDS contains
-        # only some of them.
+        # The library canopen looks up all PDO records in the dictionary, and fails if the EDS
+        # contains only some of them.
         super().__init__(node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> PumpedSdoClient:
@@ -126,7 +128,7 @@ def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
     except SdoAbortedError as error:
         reason = SdoAbortedError.CODES.get(error.code, "unknown reason")
         raise ObjectAccessError(
-            index, subindex, error.code, f"node {node_id} refuses: {reason}"
+            index, subindex, error.code, f"node {node_id} refuses the access: {reason}"
         ) from error
     except SdoCommunicationError as error:
         raise LinkError(
@@ -143,7 +145,8 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
         ConfigurationError: The EDS describes the object wrongly.
     """
     found = dictionary.get_variable(index, subindex)
-    # For an object without members the library canopen returns this object for every subindex.
+    # For an object without members, the library canopen returns the object itself for every
+    # subindex.
     if found is None or found.subindex != subindex:
         fault = getattr(dictionary, "faults", {}).get((index, subindex))
         name = f"object {index:04X}h:{subindex:02X}h"

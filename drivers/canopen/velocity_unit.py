@@ -1,5 +1,5 @@
-"""Checks the units of speed and acceleration of a CiA 402 drive, and states the setting for the
-bench file.
+"""Checks the units of speed and acceleration of a CiA 402 drive, and states the setting that
+corrects the bench file.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from drivers.units import ServoScales
 UNIT: Final[ObjectAddress] = (0x60A9, 0)
 """SI unit of the velocity (CiA 402-2): power of ten, numerator, denominator, reserved."""
 ACCELERATION_UNIT: Final[ObjectAddress] = (0x60AA, 0)
-"""SI unit of the acceleration (CiA 402-2), likewise."""
+"""SI unit of the acceleration (CiA 402-2): power of ten, numerator, denominator, reserved."""
 RPM: Final = 2.0 * math.pi / 60.0
 """Speed of one turn per minute, rad/s."""
 _NUMERATORS: Final[Mapping[int, float]] = {
@@ -24,19 +24,19 @@ _NUMERATORS: Final[Mapping[int, float]] = {
     0x41: math.pi / 180.0,
     0xB4: 2.0 * math.pi,
 }
-"""Codes of CiA 303-2: radian, degree, revolution."""
+"""Codes of CiA 303-2 for radian, degree and revolution, to the angle in rad."""
 _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
-"""Codes of the time units: second, minute, hour."""
+"""Codes of the time units second, minute and hour, to the time in s."""
 _RPM_CODE: Final = 0xC0
 _SQUARE_SECOND: Final = 0x57
-"""Codes in 60AAh: revolutions per minute, and the square second."""
+"""Codes in 60AAh for revolutions per minute and for the square second."""
 _POWERS: Final = (-3, -2, -1, 1, 2, 3)
-"""Powers of ten of the decimal multiples that are recognised."""
+"""Powers of ten by which the true unit may differ from the unit in the bench file."""
 _SAME: Final = 0.01
 """Relative difference up to which two units count as equal."""
 _UNUSUAL: Final = 3.0
-"""Least ratio of the distances, as logarithms, to a unit with a name and to a decimal multiple for
-the latter to count.
+"""A decimal multiple is chosen in place of a named unit only if, on a logarithmic scale, the
+distance to the named unit is more than so many times the distance to the multiple.
 """
 _WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per second"}
 
@@ -66,20 +66,20 @@ def decode_acceleration(word: int) -> float | None:
 
 
 def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
-    """Yield an error for each unit that differs from that of the bench file."""
+    """Yield an error for each unit of the drive that differs from the unit in the bench file."""
     word, told = _stated(channel, UNIT, decode)
     unit = scales.motor_speed_unit_rad_s
     if told is not None and abs(told - unit) > _SAME * told:
         yield ConfigurationError(
-            f"unit of the speed, 60A9h: the drive states {told:.6g} rad/s ({word:08X}h), the bench "
-            f"file states {unit:.6g} rad/s: {_words(told, scales, exact=True)}"
+            f"unit of the speed, 60A9h: {told:.6g} rad/s ({word:08X}h) in the drive, but "
+            f"{unit:.6g} rad/s in the bench file: {_words(told, scales, exact=True)}"
         )
     word, told = _stated(channel, ACCELERATION_UNIT, decode_acceleration)
     unit = scales.motor_acceleration_unit_rad_s2
     if told is not None and abs(told - unit) > _SAME * told:
         yield ConfigurationError(
-            f"unit of the acceleration, 60AAh: the drive states {told:.6g} rad/s^2 ({word:08X}h), "
-            f"the bench file states {unit:.6g} rad/s^2: set servo.acceleration_unit_rad_s2: "
+            f"unit of the acceleration, 60AAh: {told:.6g} rad/s^2 ({word:08X}h) in the drive, but "
+            f"{unit:.6g} rad/s^2 in the bench file: set servo.acceleration_unit_rad_s2: "
             f"{told:.6g}"
         )
 
@@ -87,8 +87,8 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
 def _stated(
     channel: ProcessChannel, address: ObjectAddress, meaning: Callable[[int], float | None]
 ) -> tuple[int, float | None]:
-    """Return the value of an object of a unit, and the unit, or None if the object states no
-    unit.
+    """Return the value of an object that states a unit, and the unit in SI, or None if the drive
+    has no such object or the object states no SI unit.
     """
     word = optional(channel.read, *address) if channel.describes(*address) else None
     if word is None:
@@ -97,17 +97,20 @@ def _stated(
 
 
 def remedy(scales: ServoScales, factor: float) -> str:
-    """Return a text with the setting to change if the reported speed is ``factor`` times the true
-    speed.
+    """Return a text that states the setting to change if the reported speed is ``factor`` times the
+    true speed.
     """
     if factor == 0.0:
         return (
-            "606Ch reads 0 while 6064h changes: the drive does not measure its speed, or shows it "
-            "in a unit too coarse for this motion; set servo.velocity_unit_rad_s to the unit in "
-            "its manual, and a finer one with the maker's tool"
+            "the speed 606Ch reads 0 while the position 6064h changes: the drive does not measure "
+            "the speed, or its unit of the speed is too coarse for this motion; set a finer unit "
+            "with the maker's tool, and state this unit in servo.velocity_unit_rad_s"
         )
     if factor < 0.0:
-        return "606Ch has the opposite sign of 6064h; correct the drive with its maker's tool"
+        return (
+            "the speed 606Ch has the opposite sign of the change of the position 6064h; correct "
+            "the sign with the maker's tool"
+        )
     return _words(scales.motor_speed_unit_rad_s / factor, scales)
 
 
@@ -124,8 +127,8 @@ def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float
 
 
 def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
-    """Return the factor of the named unit nearest to a rough factor if the ratio of the two factors
-    is within ``spread``, else the nearest power of ten; the present unit is excluded.
+    """Return the factor of the nearest named unit if its ratio to the rough ``factor`` is within
+    ``spread``, else the power of ten nearest to the rough factor; the present unit is excluded.
     """
     if factor <= 0.0:
         return factor
@@ -142,14 +145,14 @@ def _units(scales: ServoScales) -> dict[str, float]:
 
 
 def _others(scales: ServoScales) -> dict[str, float]:
-    """Return the named units other than the unit of the bench file."""
+    """Return the named units that differ from the unit in the bench file."""
     own = scales.motor_speed_unit_rad_s
     return {name: unit for name, unit in _units(scales).items() if abs(unit - own) > _SAME * own}
 
 
 def _decimal(scales: ServoScales) -> dict[str, float]:
-    """Return decimal multiples of the unit of the bench file, because drives are set to powers of
-    ten.
+    """Return decimal multiples of the unit in the bench file by name; in many drives a power of ten
+    of the unit can be set.
     """
     own = scales.motor_speed_unit_rad_s
     name = next((n for n, unit in _units(scales).items() if abs(unit - own) <= _SAME * own), None)
@@ -158,8 +161,8 @@ def _decimal(scales: ServoScales) -> dict[str, float]:
 
 
 def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[str, float] | None:
-    """Return name and value of the nearest of known units, or None if no unit is within the ratio
-    ``spread``. None where none is within a ratio.
+    """Return name and value of the nearest of the known units, or None if no known unit is within a
+    factor of ``spread``.
     """
     if not known:
         return None
@@ -172,7 +175,8 @@ def _apart(first: float, second: float) -> float:
 
 
 def _recognised(unit: float, scales: ServoScales, exact: bool = False) -> tuple[str | None, float]:
-    """Return name and value of a known unit; the name of an unknown unit is empty.
+    """Return name and value of the known unit that a value belongs to; the name is None if there is
+    no such unit.
 
     A measured value may differ from the true unit by rounding, and by peaks of the speed between
     samples. A decimal multiple is less likely than a named unit. A decimal multiple is therefore
@@ -192,12 +196,13 @@ def _recognised(unit: float, scales: ServoScales, exact: bool = False) -> tuple[
 def _words(found: float, scales: ServoScales, exact: bool = False) -> str:
     name, unit = _recognised(found, scales, exact)
     if name is not None and name in _units(scales):
-        return f"606Ch is in {_WORDS[name]}: set servo.velocity_unit: {name}"
+        return f"the unit of 606Ch is {_WORDS[name]}: set servo.velocity_unit: {name}"
     setting = f"set servo.velocity_unit_rad_s: {unit:.4g}"
     if exact:
-        return f"606Ch is in {name}: {setting}" if name is not None else setting
+        return f"the unit of 606Ch is {name}: {setting}" if name is not None else setting
     if name is not None:
-        return f"606Ch looks like {name}: {setting}, or the unit in the manual of the drive"
+        return f"the unit of 606Ch is probably {name}; check the drive's manual, then {setting}"
     return (
-        f"{setting}, about the speed of one unit of 606Ch, or the unit in the manual of the drive"
+        f"one unit of 606Ch is about {unit:.4g} rad/s; look up the exact unit in the drive's "
+        f"manual, or {setting}"
     )

@@ -26,8 +26,8 @@ def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
     """Bind a map to the messages of a DBC.
 
     Raises:
-        DbcMapError: The map has unknown names (the message states the nearest known ones), values
-            that do not fit, or missing entries.
+        DbcMapError: The map has unknown names (the message states the most similar known names),
+            values that do not fit into their signals, or missing entries.
     """
     return _Binder(spec, layouts).bind()
 
@@ -93,7 +93,9 @@ class _Binder:
         )
 
     def _check_offset(self, targets: Sequence[BoundQuantity | None]) -> None:
-        """Report a torque offset that cannot be zero, or whose signal overlaps the target."""
+        """Report a torque offset whose signal cannot be zero, overlaps the target, or is on another
+        page.
+        """
         target, offset, *_ = (*targets, None)
         if offset is None:
             return
@@ -109,7 +111,8 @@ class _Binder:
         ):
             self._names.report(
                 ("torque_offset", "signal"),
-                "shares its bits with the target or is on another page; use another signal",
+                "its signal has bits in common with the target, or is on another page than the "
+                "target; use another signal",
             )
 
     def _inputs(self) -> dict[str, BoundQuantity]:
@@ -142,7 +145,9 @@ class _Binder:
     def _quantity(self, place: Place, quantity: Quantity, find: _Find) -> BoundQuantity | None:
         if not (math.isfinite(quantity.scale) and quantity.scale > 0):
             self._names.report(
-                (*place, "scale"), f"must be more than zero, not {quantity.scale:g}; set sign"
+                (*place, "scale"),
+                f"is {quantity.scale:g}, but must be more than zero; to reverse the direction, "
+                "set sign: -1",
             )
             return None
         found = find((*place, "signal"), quantity.signal)
@@ -156,7 +161,7 @@ class _Binder:
                 )
             elif not (math.isfinite(after) and after > 0):
                 self._names.report(
-                    (*place, "wraps_after"), f"must be more than zero, not {after:g}"
+                    (*place, "wraps_after"), f"is {after:g}, but must be more than zero"
                 )
         gain = quantity.sign * quantity.scale * signal.factor
         bias = quantity.sign * (quantity.scale * signal.offset + quantity.offset)
@@ -164,8 +169,8 @@ class _Binder:
             self._names.report(
                 (*place, "scale"),
                 f"with the factor {signal.factor:g} and offset {signal.offset:g} of signal "
-                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct the scale, or "
-                "the DBC",
+                f"{signal.name!r} in the DBC, one raw unit would be {gain:g} SI units; correct "
+                "the scale",
             )
             return None
         return BoundQuantity(key, signal, gain, bias, quantity.wraps_after)
@@ -191,13 +196,15 @@ class _Binder:
         return None if found is None else (found[0].name, found[1])
 
     def _set(self, place: Place, name: str) -> tuple[str, Signal] | None:
-        """Find a signal that carries a limit."""
+        """Find a signal with which a limit is written."""
         found = self._names.signal(place, name)
         if found is None:
             return None
         if found[1].selector is not None:
             self._names.report(
-                place, f"signal {name!r} is on a page of a multiplexed message; use another"
+                place,
+                f"signal {name!r} is on a page of a multiplexed message; use a signal that is in "
+                "every frame",
             )
         self._settings.add(found[0].name)
         return found[0].name, found[1]
@@ -212,16 +219,18 @@ class _Binder:
                 raw = names.raw(place, signal, value)
                 if raw is not None and states.setdefault(raw, STATES[name]) is not STATES[name]:
                     names.report(
-                        place, f"value {value!r} already means another state; state the value once"
+                        place, f"value {value!r} is stated for two states; remove it from one state"
                     )
         for needed in self._needed_states():
             if needed not in states.values():
                 word = next(word for word, state in STATES.items() if state is needed)
-                names.report(("status", "states"), f"no value means {word!r}; state one")
+                names.report(("status", "states"), f"no value is stated for {word!r}; state one")
         return states
 
     def _needed_states(self) -> list[ServoState]:
-        """Return the states that must have a value; the fault code alone may report a fault."""
+        """Return the states for which the status signal must have a value; a fault may be reported
+        by the fault code alone.
+        """
         needed = [ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED]
         return needed if self._spec.inputs.fault_code else [*needed, ServoState.FAULT]
 
@@ -245,15 +254,15 @@ class _Binder:
         return bound
 
     def _turn(self, name: str, guard: Protection, signal: Signal | None) -> int:
-        """Return the keys in the bench file that correct the unit of the drive's speed, and their
-        values; the result is empty if no key corrects the unit.
+        """Return the number of values of a life counter, from 0 to its last value; report a last
+        value that is without a counter or out of range.
         """
         last = guard.counter_last
         if signal is None:
             if last is not None:
                 self._names.report(
                     ("messages", name, "counter_last"),
-                    "belongs to a counter, and there is no counter",
+                    "states the last value of a counter, but the message has no counter",
                 )
             return 0
         if last is None:
@@ -273,11 +282,11 @@ class _Binder:
         if signal is None:
             if guard.prefix or guard.own_byte != "zero":
                 self._names.report(
-                    place[:2], "states how a checksum is computed, and there is no checksum"
+                    place[:2], "states how a checksum is computed, but the message has no checksum"
                 )
             return sum
         if not all(0 <= byte <= 0xFF for byte in guard.prefix):
-            self._names.report(place, f"{list(guard.prefix)} are not bytes of 0 to 255")
+            self._names.report(place, f"{list(guard.prefix)} must be numbers from 0 to 255")
             return sum
         left_out = guard.own_byte == "left out"
         if left_out and signal.covers not in {0xFF << 8 * at for at in range(signal.size)}:
@@ -306,13 +315,13 @@ class _Binder:
     def _check_whole(self, sent: Set[str], stop: Set[str]) -> None:
         spec, report = self._spec, self._names.report
         if (spec.inputs.current is None) == (spec.inputs.torque is None):
-            report(("inputs",), "state one of current and torque")
+            report(("inputs",), "state either current or torque")
         for state, does in (
-            ("disabled", "for a drive that is 'disabled'"),
-            ("running", "that keeps a 'running' drive running"),
+            ("disabled", "for the state 'disabled'"),
+            ("running", "for the state 'running', with which the drive continues to run"),
         ):
             if state not in spec.orders.enable:
-                report(("orders", "enable"), f"has no order {does}; add one")
+                report(("orders", "enable"), f"has no order {does}; add this order")
         used = self._received | sent | self._settings | stop
         for name, guard in spec.messages.items():
             place: Place = ("messages", name)
@@ -336,5 +345,6 @@ class _Binder:
         if both:
             report(
                 ("inputs",),
-                f"message {min(both)!r} has two uses (input, command or setting); one is allowed",
+                f"message {min(both)!r} has two uses (input, command or setting), but may have one "
+                "only",
             )

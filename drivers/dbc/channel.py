@@ -1,6 +1,6 @@
 """State of one drive with its own CAN frames: received values and the next frames to send.
 
-The module adds and checks counters and checksums; it does no I/O.
+The module adds and checks counters and checksums, and has no input and output.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from drivers.errors import DriveFault, StateError
 from drivers.interfaces import ServoState
 
 PERIODS_KEPT: Final = 2.5
-"""Number of its periods for which a periodic message counts as new."""
+"""Age of a periodic message, in periods of the message, up to which its values count as new."""
 
 
 class Slot:
     """The last valid frame of one message.
 
-    A frame with a wrong length or checksum, or with a life counter that did not change or went
-    backwards, updates nothing. After a counter that went backwards the next frame is accepted,
-    because the drive may have restarted.
+    A frame with a wrong length or checksum, or with a life counter that did not change or
+    decreased, updates nothing. After a counter that decreased the next frame is accepted, because
+    the drive may have restarted.
 
     Attributes:
         message: The message.
@@ -186,13 +186,13 @@ class DbcChannel:
                 self._timed.append((slot, period_s))
 
     def order(self, order: Order, *, hold: bool = False) -> None:
-        """Put an order into every frame from now on; a message that is sent only with an order is
-        sent once.
+        """Put an order into every frame from the next exchange on; a message that is sent only with
+        an order is sent once.
 
         Args:
             order: The order.
-            hold: Whether the drive must keep running; if the drive stops by itself, the order
-                becomes ``disable``.
+            hold: Whether the drive must continue to run; if the drive stops by itself, the order
+                ``disable`` replaces this order.
         """
         outputs, once = self._outputs, self._once
         # Frames of an earlier order that have not been sent yet are dropped.
@@ -210,14 +210,14 @@ class DbcChannel:
         self._fill()
 
     def aim(self, bits: int) -> None:
-        """Put a target, as raw bits, into every frame from now on, except the frames of an order
-        that sets the target itself.
+        """Put a target, as raw bits, into every frame from the next exchange on, except the frames
+        of an order that sets the target itself.
         """
         self._target_bits = bits
         self._fill()
 
     def push(self, bits: int) -> None:
-        """Put a torque offset, as raw bits, into every frame from now on.
+        """Put a torque offset, as raw bits, into every frame from the next exchange on.
 
         While the drive is not ordered to run, the frames contain a torque offset of zero.
         """
@@ -226,7 +226,7 @@ class DbcChannel:
             self._fill()
 
     def rest(self) -> None:
-        """Put a torque offset of zero into every frame from now on."""
+        """Put a torque offset of zero into every frame from the next exchange on."""
         offset = self.wiring.torque_offset
         if offset is not None:
             self._offset_bits = offset.bits(0.0)
@@ -250,14 +250,14 @@ class DbcChannel:
     def frames(self, *, all_now: bool = False) -> Iterator[tuple[int, bytes]]:
         """Yield identifier and data of each frame that is due in this cycle, or of all frames.
 
-        A message that is sent only with an order is due until it has been sent.
+        A message that is sent only with an order is due from this order until it has been sent.
         """
         self.commanded = True
         for output in self._outputs.values():
             if all_now or self.cycle % output.every == 0:
                 yield output.message.identifier, output.frame()
-        # The target is sent first, because a drive uses the last received target when an order
-        # starts it.
+        # The target is sent before the order, because a drive that is started by an order uses the
+        # last received target.
         while self._pending:
             output = self._pending[0]
             yield output.message.identifier, output.frame()
@@ -314,8 +314,8 @@ class DbcChannel:
 
     @property
     def fresh(self) -> bool:
-        """Whether all messages of a sample, including periodic ones, were received complete and in
-        time.
+        """Whether all messages of a sample, including periodic messages, were received without
+        error and in time.
         """
         begun = self._begun_ns
         return self.answered and all(
@@ -327,7 +327,8 @@ class DbcChannel:
 
     @property
     def state(self) -> ServoState | None:
-        """State of the drive in the last valid frames, or None for a value that is not in the map.
+        """State of the drive in the last valid frames, or None if the status value is not in the
+        map.
 
         A fault code other than 0 means a fault, whatever the value of the status signal; the drive
         counts as energised until this signal shows that the power is off.
@@ -342,7 +343,7 @@ class DbcChannel:
 
     @property
     def fault_code(self) -> int:
-        """Fault code in the last valid frame; 0 before the first frame, and if the drive reports no
+        """Fault code in the last valid frame; 0 before the first frame, or if the drive reports no
         fault code.
         """
         if self._fault is None:
@@ -355,7 +356,8 @@ class DbcChannel:
 
         Raises:
             DriveFault: The drive went into fault while it was running.
-            StateError: The drive reports other limits than those written into it; raised once.
+            StateError: The drive reports limits that differ from the written limits; this error is
+                raised once.
         """
         self._check_limits()
         if not self._holding or (state := self.state) is ServoState.OPERATION_ENABLED:
@@ -385,5 +387,6 @@ class DbcChannel:
         """Return the fault that the drive reports."""
         return DriveFault(
             self.fault_code,
-            f"{self.label} is in fault: see its manual for the code, remove the cause, then reset",
+            f"{self.label} is in fault: look up the code in its manual, remove the cause, then "
+            "reset the fault",
         )

@@ -21,8 +21,9 @@ _FLOATS: Final = {32: ("<f", "<I"), 64: ("<d", "<Q")}
 class Signal:
     """Position and meaning of one signal of a DBC in its frame.
 
-    A frame is read as one integer, most significant byte first if ``motorola``, else least
-    significant first; the signal is its ``width`` bits from bit ``shift``.
+    A frame is read as one integer, with the most significant byte first if ``motorola``, else with
+    the least significant byte first. The signal consists of the ``width`` bits of this integer from
+    bit ``shift`` on.
 
     Attributes:
         name: Name in the DBC.
@@ -33,7 +34,7 @@ class Signal:
         signed: Whether the value is in two's complement.
         real: Whether the value is an IEEE 754 number of 32 or 64 bits.
         factor: Physical value of one raw unit.
-        offset: Physical value at raw 0.
+        offset: Physical value at the raw value 0.
         labels: Names of raw values (``VAL_``).
         selector: In a multiplexed message, the signal whose value determines whether this signal is
             in the frame, or None for a signal that is in every frame.
@@ -65,7 +66,7 @@ class Signal:
 
     @cached_property
     def order(self) -> Literal["little", "big"]:
-        """Byte order for :meth:`int.from_bytes`."""
+        """Byte order of the frame, for :meth:`int.from_bytes`."""
         return "big" if self.motorola else "little"
 
     @cached_property
@@ -97,10 +98,11 @@ class Signal:
         )
 
     def pack(self, raw: float) -> int:
-        """Return the bits of a raw value, to the nearest step.
+        """Return the bits of a raw value, rounded to the nearest step.
 
         Raises:
-            ValueError: The value does not fit; the message states the range in physical units.
+            ValueError: The value does not fit into the signal; the message states the range in
+                physical units.
         """
         if self.real:
             code, unsigned = _FLOATS[self.width]
@@ -110,7 +112,8 @@ class Signal:
                 packed = struct.pack(code, raw)
             except OverflowError:
                 raise ValueError(
-                    f"{self.name}: {raw:g} does not fit {self.width} bits of floating point"
+                    f"{self.name}: {raw:g} does not fit into a floating-point number of "
+                    f"{self.width} bits"
                 ) from None
             return int(struct.unpack(unsigned, packed)[0])
         low, high = self.range
@@ -136,8 +139,8 @@ class Signal:
 
 
 def motorola_shift(start: int, width: int, size: int) -> int:
-    """Return the shift of a big-endian signal; a DBC gives the number ``start`` of its most
-    significant bit.
+    """Return the position of the least significant bit of a big-endian signal; a DBC states the
+    number ``start`` of its most significant bit.
     """
     from_left = start // 8 * 8 + 7 - start % 8
     return 8 * size - from_left - width
@@ -164,12 +167,12 @@ def _crc8(table: bytes, data: bytes) -> int:
 
 
 def crc8_j1850(data: bytes) -> int:
-    """CRC-8 of SAE J1850: polynomial 1Dh, start FFh, inverted."""
+    """CRC-8 of SAE J1850: polynomial 1Dh, initial value FFh, inverted."""
     return _crc8(_J1850, data)
 
 
 def crc8_autosar(data: bytes) -> int:
-    """CRC-8 of AUTOSAR (CRC8H2F): polynomial 2Fh, start FFh, inverted."""
+    """CRC-8 of AUTOSAR (CRC8H2F): polynomial 2Fh, initial value FFh, inverted."""
     return _crc8(_AUTOSAR, data)
 
 
@@ -193,7 +196,7 @@ CHECKSUMS: Final[Mapping[ChecksumKind, Callable[[bytes], int]]] = {
     "sum8": sum8,
     "xor8": xor8,
 }
-"""Checksum algorithms by name; :func:`checksum_of` selects the bytes."""
+"""Checksum algorithms by name; :func:`checksum_of` selects the bytes to which they are applied."""
 
 
 def checksum_of(
@@ -206,8 +209,8 @@ def checksum_of(
         kind: The algorithm.
         signal: Signal of the checksum, 8 bits.
         prefix: Bytes that the checksum covers before those of the frame.
-        left_out: Whether the byte of the checksum is left out, which requires a signal of a whole
-            byte; else the checksum counts as zero.
+        left_out: Whether the byte of the checksum is omitted, which requires a signal of a whole
+            byte; otherwise the checksum counts as zero.
     """
     algorithm = CHECKSUMS[kind]
     if not left_out:

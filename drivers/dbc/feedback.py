@@ -38,7 +38,7 @@ class Feedback:
         self.restart_time()
 
     def restart_time(self) -> None:
-        """Restart the count of overflows of the drive's time."""
+        """Restart the count of overflows of the drive's time stamp."""
         time = self._inputs.get("time")
         self._time = Unwrapper(1 if time is None else 1 << time.signal.width)
 
@@ -57,7 +57,7 @@ class Feedback:
         ]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits that the drive reports next.
+        """Return the limits in the next frames of the drive.
 
         Raises:
             LinkError: The drive sends no frames.
@@ -70,7 +70,7 @@ class Feedback:
     def fault_code(self, *, again: bool = False) -> None:
         """Wait for the fault code, if none has been received yet or if ``again`` is true.
 
-        For a drive that sends the fault code only in answer to a command, the function waits once.
+        For a drive that sends the fault code only in answer to a command, this method waits once.
         """
         quantity = self._inputs.get("fault_code")
         if quantity is None or quantity.message == self._channel.wiring.status_message:
@@ -166,7 +166,7 @@ class Feedback:
     def _silent(self, slot: Slot, refused: int) -> LinkError:
         bad = slot.refused - refused
         why = (
-            f"{bad} had a wrong length, checksum or counter: check the map"
+            f"{bad} had a wrong length, checksum or counter: check these in the map"
             if bad
             else "check the supply and the bus of the drive"
         )

@@ -1,4 +1,4 @@
-"""Reads a DBC file: returns its messages, and the signals of each with their bit positions.
+"""Reads the messages of a DBC file, and the signals of each message with their bit positions.
 
 No other module uses the library ``cantools``.
 """
@@ -31,7 +31,7 @@ _MARKS: Final = (
     (codecs.BOM_UTF16_LE, ("utf-16",)),
     (codecs.BOM_UTF16_BE, ("utf-16",)),
 )
-"""Encoding that belongs to each byte order mark."""
+"""Byte order marks with the encoding that belongs to each."""
 _ENCODINGS: Final = ("utf-8", "cp1252", "cp932", "gb18030", "big5")
 """Encodings that are tried, in this order, if a file has no byte order mark."""
 _ODD: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
@@ -50,7 +50,7 @@ class Layout:
         size: Number of bytes.
         period_s: Cycle time in the DBC (``GenMsgCycleTime``), s, or None if the DBC has none.
         signals: Signals by name.
-        obstacle: Reason why the message cannot be used; empty if it can.
+        obstacle: Reason why the message cannot be used; empty if it can be used.
     """
 
     name: str
@@ -64,11 +64,12 @@ class Layout:
 def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
     """Read a DBC file.
 
-    Signals that overlap, or that do not fit into their message, are faults of that message alone:
-    the file is read, and each such message is named with its fault.
+    Signals that overlap, or that do not fit into their message, are faults of this message only:
+    the file is read, and the fault is returned.
 
     Returns:
-        The database, and the fault of each message that has one, by its place in the database.
+        The database, and the fault of each faulty message, by the index of the message in the
+        database.
 
     Raises:
         ConfigurationError: The file cannot be read; the message gives ``file:line:column`` of a
@@ -80,8 +81,8 @@ def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
 
 @lru_cache(maxsize=4)
 def _loaded(data: bytes) -> tuple[Database, dict[int, str]]:
-    """Return a database with the faults of its messages; the result is kept, because a run reads
-    its file several times.
+    """Return a database with the faults of its messages; the result is cached, because a run reads
+    the file several times.
     """
     database = _load(data)
     faults = {at: _fault(message) for at, message in enumerate(database.messages)}
@@ -89,7 +90,7 @@ def _loaded(data: bytes) -> tuple[Database, dict[int, str]]:
 
 
 def _fault(message: Message) -> str:
-    """Return what is wrong with the bits of a message; empty if nothing is wrong."""
+    """Return a text on the error in the bits of a message; empty without an error."""
     try:
         message.refresh(strict=True)
     except DbcError as error:
@@ -100,13 +101,13 @@ def _fault(message: Message) -> str:
 
 
 def read_dbc(path: Path) -> dict[str, Layout]:
-    """Read the messages of a DBC file that a drive can send or receive.
+    """Read those messages of a DBC file that a drive can send or receive.
 
     Returns:
         Message name to layout.
 
     Raises:
-        ConfigurationError: As :func:`load_dbc`.
+        ConfigurationError: The file cannot be read, as in :func:`load_dbc`.
     """
     with _explained(path):
         return dict(_layouts(_content(path)))
@@ -118,13 +119,14 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise ConfigurationError(
-            f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
+            f"{path}: the file cannot be read: {error.strerror}; state the path of the drive's DBC "
+            "file"
         ) from error
 
 
 @lru_cache(maxsize=4)
 def _layouts(data: bytes) -> Mapping[str, Layout]:
-    """Return the layouts of a file by message name; the result is kept, because a run reads its
+    """Return the layouts of a file by message name; the result is cached, because a run reads the
     file several times.
     """
     database, faults = _loaded(data)
@@ -151,30 +153,30 @@ def _explained(path: Path) -> Iterator[None]:
 
 
 class _NotTextError(Exception):
-    """The bytes are not the text of a DBC file."""
+    """The bytes of the file are not the text of a DBC file."""
 
 
 def _load(data: bytes) -> Database:
     """Parse a DBC file with the first encoding for which the syntax is correct.
 
-    The names that a map uses are ASCII. Bytes that no encoding can decode are in comments and
-    labels, and are replaced. The encodings of East Asia are tried last: the second byte of a
-    character may be a backslash, which another encoding would read as an escape of the following
-    quote.
+    The names that a map uses are ASCII; other characters are in comments and labels, and bytes that
+    no encoding can decode are replaced. The encodings of East Asia are needed because in them the
+    second byte of a character may be a backslash, which another encoding would read as an escape of
+    the following quotation mark.
 
     Raises:
         DbcError: The syntax is wrong in every encoding; the error is that of the first encoding
             that can decode the file.
-        _NotTextError: There is a zero byte.
+        _NotTextError: The file contains a zero byte.
     """
     encodings = next((names for mark, names in _MARKS if data.startswith(mark)), _ENCODINGS)
     if encodings is _ENCODINGS and (zero := data.find(0)) >= 0:
-        raise _NotTextError(f"byte {zero} has the value zero; name the drive's DBC file")
+        raise _NotTextError(f"byte {zero} is zero; state the path of the drive's DBC file")
     first: DbcError | None = None
     for encoding in encodings:
         try:
-            # Wrong bytes show that a text is not UTF-8; the other encodings accept almost all
-            # bytes, so that the syntax decides.
+            # Invalid bytes show that a text is not UTF-8; all other encodings accept almost all
+            # bytes, so that the encoding is selected by the syntax.
             strict = encodings is _ENCODINGS and encoding == "utf-8"
             text = data.decode(encoding, "strict" if strict else "replace").removeprefix("\ufeff")
         except UnicodeDecodeError:
@@ -195,8 +197,8 @@ def _load(data: bytes) -> Database:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Hide the warnings of ``cantools`` from the terminal; a fault of a message is reported as the
-    reason why the message cannot be used.
+    """Hide the warnings of ``cantools`` from the terminal, because a fault of a message is reported
+    as the reason why the message cannot be used.
     """
     log, handler = logging.getLogger("cantools"), logging.NullHandler()
     log.addHandler(handler)
@@ -224,8 +226,8 @@ def _layout(message: Message, fault: str) -> Layout:
 
 
 def _period_s(cycle_time_ms: object) -> float | None:
-    """Return a cycle time. The result is None if the attribute is not a number, which ``cantools``
-    does not check.
+    """Return a cycle time, s, or None if the attribute is not a number, which ``cantools`` does not
+    check.
     """
     if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:
         return None

@@ -1,4 +1,4 @@
-"""Limits of a drive with its own CAN frames: converts, writes and verifies them.
+"""Converts, writes and verifies the limits of a drive with its own CAN frames.
 
 Limits are written over the bus, or set with the maker's tool and stated in the bench file.
 """
@@ -23,7 +23,7 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
     "current": ("torque_N_m", "current_A"),
     "following_error": ("following_error_rad",),
 }
-"""Fields of :class:`~drivers.interfaces.ServoLimits` that each limit of the map contains."""
+"""Name of each limit in the map to the fields of :class:`~drivers.interfaces.ServoLimits`."""
 _HELD: Final = {
     "angle_min_rad": "angle_min_deg",
     "angle_max_rad": "angle_max_deg",
@@ -40,13 +40,13 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True)
 class DbcDrive:
-    """Data of the bench file about the drive, other than its signals.
+    """Data of the bench file about a drive, without its signals.
 
     Attributes:
-        identity: Identity of the drive; signals of the map override ``serial_number`` and
-            ``revision``.
-        held: Limits set in the drive with its maker's tool; limits that the drive reports over the
-            bus replace these limits.
+        identity: Identity of the drive; if the map has signals of serial number and revision, their
+            values replace ``serial_number`` and ``revision``.
+        held: Limits that are set in the drive with the maker's tool; limits that the drive reports
+            over the bus replace these limits.
         gear_ratio: Motor turns per joint turn.
         torque_constant_N_m_A: Torque constant, N m/A, which converts a torque signal into a
             current.
@@ -64,12 +64,16 @@ class DbcDrive:
 
 
 def taken(wiring: Wiring) -> frozenset[str]:
-    """Return the fields of the limits that are writable over the bus and that the drive reports."""
+    """Return the fields of the limits that can be written over the bus and that the drive
+    reports.
+    """
     return frozenset(field for name in wiring.reported for field in FIELDS[name])
 
 
 def places(wiring: Wiring) -> dict[str, str]:
-    """Return the place of each limit: its signal, or its key under ``servo.held``."""
+    """Return where the value of each limit is found: its signal, or its key under
+    ``servo.held``.
+    """
     found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
     for name, limit in wiring.limits.items():
         quantity = limit.held or limit.set
@@ -96,8 +100,8 @@ def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
 
 
 def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
-    """Return the drive's limits at the joint as the drive reports them, else as the bench file
-    states them.
+    """Return the limits of the drive at the joint: the reported value, or the value in the bench
+    file for a limit that the drive does not report.
     """
     gear, limits = drive.gear_ratio, drive.held
     if "angle_min" in told:
@@ -117,7 +121,8 @@ def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
 def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
     """Return the resolution at the joint of each signal that reports a limit.
 
-    Zero for limits that the drive does not report, and for floating-point signals.
+    The resolution is zero for limits that the drive does not report, and for floating-point
+    signals.
     """
     units = {
         name: 0.0 if quantity.signal.real else abs(quantity.gain)
@@ -140,7 +145,7 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
     becomes wider.
 
     Raises:
-        ConfigurationError: A limit does not fit its signal.
+        ConfigurationError: A limit does not fit into its signal.
     """
     frames = {name: bytes(message.size) for name, message in wiring.settings.items()}
     for name, limit in wiring.limits.items():
@@ -149,7 +154,7 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
             bits = quantity.signal.pack(_tighter(name, quantity, wanted[name]))
         except (ValueError, OverflowError) as error:
             raise ConfigurationError(
-                f"limit {name}: {error}; tighten this limit in the bench file"
+                f"limit {name}: {error}; state a tighter limit in the bench file"
             ) from error
         frames[quantity.message] = quantity.signal.insert(frames[quantity.message], bits)
     return frames
@@ -160,7 +165,7 @@ def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
     upward = (name in _LOWER) is (quantity.gain > 0)
     if quantity.signal.real:
         return _tighter_real(raw, quantity.signal.width, upward)
-    # The margin keeps a value that is a whole number of units unchanged.
+    # The margin ensures that a value of a whole number of units is not changed by a rounding error.
     return math.ceil(raw - _ROUNDING) if upward else math.floor(raw + _ROUNDING)
 
 
@@ -181,7 +186,8 @@ def verify(
     limits: Mapping[str, BoundLimit],
     who: str,
 ) -> None:
-    """Check that the drive reports the written limits within two of its units, and no wider limit.
+    """Check that the drive reports the written limits to within two units of the signals, and no
+    wider limit.
 
     Raises:
         ConfigurationError: The message states each limit that differs.
@@ -191,7 +197,7 @@ def verify(
         unit = abs(limits[name].set.gain)
         room = found - wanted[name] if name in _LOWER else wanted[name] - found
         if not -_ROUNDING * max(1.0, abs(wanted[name])) <= room <= 2 * unit:
-            wrong.append(f"{name} reads {found:g} after writing {wanted[name]:g}")
+            wrong.append(f"{name} reads {found:g} after {wanted[name]:g} was written")
     if wrong:
         raise ConfigurationError(
             f"{who} does not accept these limits (at the motor, SI units): {'; '.join(wrong)}; "
@@ -202,8 +208,8 @@ def verify(
 def require_room(
     limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str
 ) -> None:
-    """Check that limits which only the maker's tool can set are not tighter than those of the bench
-    file.
+    """Check that the limits that only the maker's tool can set are not tighter than those of the
+    bench file.
 
     Raises:
         ConfigurationError: A limit of the drive is tighter than that of the bench file, so that the
@@ -222,7 +228,6 @@ def require_room(
     ]
     if tight:
         raise ConfigurationError(
-            f"limits looser than those set in {who}: {', '.join(tight)}; lower these limits in "
-            "the bench file, or raise those of the drive with its maker's tool and state them "
-            "under servo.held"
+            f"these limits are wider in the bench file than in {who}: {', '.join(tight)}; state "
+            "tighter limits in the bench file"
         )

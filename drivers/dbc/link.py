@@ -19,7 +19,7 @@ from drivers.port_errors import close_all
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
 _ASK_S: Final = 0.02
-"""Time after which a remote frame is repeated."""
+"""Time after which a remote frame is repeated if no answer has arrived, s."""
 
 
 class DbcLink(CanopenLink):
@@ -43,7 +43,7 @@ class DbcLink(CanopenLink):
 
         Raises:
             LinkError: The bus cannot be opened.
-            ConfigurationError: Two devices use one identifier.
+            ConfigurationError: Two devices use the same CAN identifier.
         """
         for conflict in self.conflicts():
             raise ConfigurationError(conflict)
@@ -68,8 +68,8 @@ class DbcLink(CanopenLink):
                 if identifier in taken or (owner := self._canopen_owner(identifier)):
                     who = "another drive" if identifier in taken else owner
                     yield (
-                        f"identifier {hexadecimal(identifier)} of {channel.label} is also that of "
-                        f"{who}: change one of them"
+                        f"{channel.label} and {who} both use the CAN identifier "
+                        f"{hexadecimal(identifier)}: change one of the two"
                     )
             taken.update(channel.slots)
 
@@ -119,10 +119,10 @@ class DbcLink(CanopenLink):
         return all([channel.answered for channel in self._channels])
 
     def command(self, channel: DbcChannel) -> None:
-        """Send a drive its order at once, outside the cycle.
+        """Send a drive its order immediately, outside the control cycle.
 
         Raises:
-            LinkError: The bus refuses it.
+            LinkError: The bus refuses the frame.
         """
         for identifier, data in channel.frames(all_now=True):
             self.send(identifier, data)
@@ -140,10 +140,10 @@ class DbcLink(CanopenLink):
                 break
 
     def stop(self, channel: DbcChannel) -> None:
-        """Send a drive its stop frame at once.
+        """Send a drive its stop frame immediately.
 
         Raises:
-            LinkError: The bus refuses it.
+            LinkError: The bus refuses the frame.
         """
         self.send(*channel.stop_frame())
 
@@ -151,7 +151,7 @@ class DbcLink(CanopenLink):
         """Request a message that a drive sends only in answer to a remote frame.
 
         Raises:
-            LinkError: The bus refuses it.
+            LinkError: The bus refuses the frame.
         """
         if slot.message.remote:
             self.send(slot.message.identifier | REMOTE_FLAG, b"")

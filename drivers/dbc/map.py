@@ -2,9 +2,9 @@
 
 The bench file contains the map.
 
-Signals are named ``Message.Signal`` as in the DBC. The units are those of the DBC, with its factor
-and offset applied; ``scale`` and ``sign`` convert the values to SI. After this conversion position,
-velocity, torque and target refer to the motor.
+Signals are named ``Message.Signal`` as in the DBC. The units are those of the DBC, after its factor
+and offset were applied; ``scale`` and ``sign`` convert the values to SI units. After this
+conversion position, velocity, torque and target are those of the motor.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STATES: Final[Mapping[StateName, ServoState]] = {
     "fault reaction": ServoState.FAULT_REACTION,
     "fault": ServoState.FAULT,
 }
-"""States of the program by their names in the map."""
+"""Names of the states in the map, with the state of CiA 402 that corresponds to each."""
 
 Assignments = Mapping[str, str | int | float]
 """Value that each signal must have: a label of the DBC, or a raw number."""
@@ -44,10 +44,11 @@ class Quantity:
         scale: SI units per unit of the DBC value, after factor and offset of the DBC.
         sign: -1 reverses the direction.
         offset: Value that is added after the scale, SI.
-        wraps_after: For position and target: change, in rad, after which the signal has the same
-            value again. The program then counts the jumps of a position, from its first value on;
-            between two frames the position must change by less than half of `wraps_after`. A target
-            is sent as the value in the signal's range that means the same angle.
+        wraps_after: For position and target: change, in rad, after which the signal has its former
+            value again. The program then counts the overflows of a position from its first value
+            on; between two frames the position must change by less than half of `wraps_after`. A
+            target is sent as that value in the range of the signal that is equivalent to the
+            target.
     """
 
     signal: str
@@ -59,20 +60,20 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Signals that the drive reports; one of ``current`` and ``torque`` is needed.
+    """Signals that the drive reports; either ``current`` or ``torque`` is needed.
 
     Attributes:
         position: Motor angle, rad.
         velocity: Motor speed, rad/s.
-        temperature: Temperature of the drive, deg C; left out if the drive reports none. Without it
-            the program does not check the temperature limit.
-        supply_voltage: Supply voltage, V; left out if the drive reports none. Without it the
-            program does not check the limits of the supply voltage.
+        temperature: Temperature of the drive, deg C; omitted if the drive reports none. Without
+            this signal the program does not check the temperature limit.
+        supply_voltage: Supply voltage, V; omitted if the drive reports none. Without this signal
+            the program does not check the limits of the supply voltage.
         current: Motor current, A.
         torque: Motor torque, N m.
-        voltage: Motor voltage, V; if it is left out, the recording contains NaN.
-        time: Time of the drive's clock, s, modulo the range of its signal; if it is left out, the
-            time of arrival is used.
+        voltage: Motor voltage, V; if this signal is omitted, the recording contains NaN.
+        time: Time of the drive's clock, s, modulo the range of its signal; if this signal is
+            omitted, the time of arrival is used.
         fault_code: The drive's fault code. A code other than 0 counts as a fault in every state.
         serial_number: The drive's serial number.
         revision: The drive's firmware or hardware revision.
@@ -98,9 +99,9 @@ class Status:
     Attributes:
         signal: `Message.Signal` as in the DBC file.
         states: Values of the signal for each state: labels of the DBC, or numbers.
-        asked: Whether the drive sends frames only in answer to a command. The program then repeats
-            the current order, which is `disable` until a run enables the drive; `rig check` does so
-            too.
+        asked: Whether the drive sends frames only in answer to a command. The program, in `rig
+            check` too, then repeats the current order, which is `disable` until a run enables the
+            drive.
     """
 
     signal: str
@@ -113,16 +114,16 @@ class Orders:
     """The orders of the program, each with the values of signals to send: labels of the DBC, or
     numbers.
 
-    If an order sets the target signal, its frames do not contain the program's target. A message
-    that only orders name is sent once with each of these orders; with its own ``period_ms`` it is
-    sent periodically.
+    If an order sets the target signal, its frames do not contain the target of the program. A
+    message that occurs in orders only is sent once with each of these orders, or periodically if it
+    has a ``period_ms``.
 
     Attributes:
         disable: Switches the power off.
         stop: Brakes, then switches the power off.
         reset: Clears a fault.
-        enable: Order for each state that the drive reports; one step at a time until the drive
-            runs.
+        enable: Order for each state that the drive reports; the orders are sent one after another
+            until the drive runs.
     """
 
     disable: Assignments
@@ -148,12 +149,12 @@ class StopFrame:
 @dataclass(frozen=True)
 class LimitSignals:
     """The signal with which a limit is written, and the signal with which the drive reports the
-    limit; both in the same units.
+    limit, in one unit.
 
     Attributes:
         set: The signal with which the limit is written.
-        held: The signal that reports the limit; left out if the drive does not report it. Such a
-            limit is written, but counts as a limit that only this program checks.
+        held: The signal that reports the limit; omitted if the drive does not report the limit. The
+            limit is then written, but counts as a limit that only this program checks.
     """
 
     set: Quantity
@@ -189,15 +190,16 @@ class Protection:
         algorithm: How the checksum is computed.
         prefix: Bytes that the checksum covers before those of the message: an identifier, a length
             or a data ID.
-        own_byte: `zero`: the checksum covers its own byte, as zero; `left out`: the checksum does
-            not cover its own byte.
-        period_ms: Period of the message; 0 for every control cycle (an input: in answer to each
-            command). If it is left out, the period is the cycle time of the DBC, or 0 if the DBC
-            has none; a message that only orders name is then sent once with each of these orders.
+        own_byte: `zero`: the checksum covers its own byte with the value zero; `left out`: the
+            checksum does not cover its own byte.
+        period_ms: Period of the message; 0 for every control cycle (for an input: in answer to each
+            command). If this key is omitted, the period is the cycle time in the DBC, or 0 without
+            a cycle time; but a message that occurs in orders only is then sent once with each of
+            these orders.
         remote: Whether the message is an input that the drive sends only in answer to a remote
             frame: the program then sends a remote frame every `period_ms`.
-        counter_last: Value of the counter that 0 follows; if it is left out, the greatest value of
-            the signal.
+        counter_last: Greatest value of the counter, after which 0 follows; if this key is omitted,
+            the greatest value of the signal.
     """
 
     counter: str | None = None

@@ -24,10 +24,10 @@ class BoundOrders:
     """The orders of a map.
 
     Attributes:
-        orders: Orders by their name in the map, other than those toward power.
-        enable: Orders toward power, by state of the drive.
+        orders: Orders that do not lead toward power, by their name in the map.
+        enable: Orders that lead toward power, by state of the drive.
         cyclic: Messages that are sent periodically.
-        once: Messages that are sent only with an order that names them.
+        once: Messages that are sent only with an order that contains them.
     """
 
     orders: Mapping[str, Order]
@@ -42,8 +42,8 @@ def bind_orders(spec: DbcMap, names: Names, written: Iterable[str]) -> BoundOrde
     Args:
         spec: The map.
         names: The DBC.
-        written: Signals ``Message.Signal`` that the program writes in every cycle; the target is
-            the first.
+        written: Signals ``Message.Signal`` that the program writes in every cycle, the target
+            first.
     """
     places = order_places(spec)
     named = {
@@ -69,7 +69,7 @@ def bind_orders(spec: DbcMap, names: Names, written: Iterable[str]) -> BoundOrde
 
 def order_places(spec: DbcMap) -> list[tuple[Place, Assignments]]:
     """Return the place in the map and the values of each order: disable, stop, reset, then the
-    orders toward power.
+    orders that lead toward power.
     """
     orders = spec.orders
     return [
@@ -111,19 +111,19 @@ def _order(
                 names.report(
                     place,
                     f"sets the target {layout.name}.{signal.name} or another page of its message, "
-                    "so that a running drive would never receive a target: leave it out",
+                    "so that a running drive would never receive a target: remove this value",
                 )
         elif number and shared and not own_target:
             names.report(
                 place,
                 f"sets {layout.name}.{signal.name}, which the program writes in every cycle: "
-                "leave it out",
+                "remove this value",
             )
     return Order(images.frames, own_target)
 
 
 def _require_free(spec: DbcMap, names: Names, place: Place, layout: Layout, signal: Signal) -> None:
-    """Report an order that sets a counter or checksum, which the program fills in."""
+    """Report an order that sets a counter or a checksum, because the program computes both."""
     guard = spec.messages.get(layout.name)
     for role in ("counter", "checksum"):
         if guard is None or (filled := getattr(guard, role)) is None:
@@ -132,8 +132,8 @@ def _require_free(spec: DbcMap, names: Names, place: Place, layout: Layout, sign
         if other is not None and other.covers & signal.covers:
             names.report(
                 place,
-                f"overlaps the {role} of message {layout.name!r}, which the program fills in: "
-                f"leave it out",
+                f"overlaps the {role} of message {layout.name!r}, which the program computes: "
+                "remove this value",
             )
 
 
@@ -155,7 +155,7 @@ class _Images:
         self.frames.setdefault(layout.name, bytes(layout.size))
 
     def covered(self, layout: Layout) -> int:
-        """Return the bits set in a message, read as one big-endian number."""
+        """Return the bits of a message that have been set, read as one big-endian number."""
         return self._covered.get(layout.name, 0)
 
     def other_page(self, layout: Layout, signal: Signal) -> bool:
@@ -173,7 +173,7 @@ class _Images:
         self.begin(layout)
         if self.other_page(layout, signal):
             self._names.report(
-                place, f"is on another page of {layout.name!r} than the rest of this order"
+                place, f"is on another page of {layout.name!r} than other signals of this order"
             )
         frame = signal.insert(self.frames[layout.name], bits)
         covers = signal.covers
@@ -202,8 +202,8 @@ class _Images:
 
 
 def _quiet(layouts: Mapping[str, Layout], name: str) -> tuple[Layout, Signal] | None:
-    """Look up ``Message.Signal`` without a report, because a missing name has been reported
-    already.
+    """Look up ``Message.Signal`` without a report, because an unknown name has been reported
+    before.
     """
     message, _, part = name.partition(".")
     layout = layouts.get(message)

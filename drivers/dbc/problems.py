@@ -9,7 +9,7 @@ from drivers.dbc.codec import Signal
 from drivers.dbc.file import Layout
 
 Place = tuple[str | int, ...]
-"""Keys from the top of the map to the faulty value."""
+"""Keys that lead from the top of the map to a faulty value."""
 Problem = tuple[Place, str]
 
 
@@ -28,8 +28,8 @@ class DbcMapError(Exception):
 
 
 class Names:
-    """Looks up the names of a map in a DBC, and collects the problems, so that all are reported
-    together.
+    """Looks up the names of a map in a DBC, and collects the problems, so that all problems are
+    reported together.
 
     Attributes:
         problems: The problems found so far.
@@ -63,7 +63,7 @@ class Names:
         """
         message, dot, signal = name.partition(".")
         if not dot:
-            self.report(place, f"{name!r} must be written Message.Signal")
+            self.report(place, f"{name!r} must have the form Message.Signal")
             return None
         layout = self.layout(place, message)
         found = None if layout is None else self.part(place, layout, signal)
@@ -88,7 +88,9 @@ class Names:
         return not signal.real
 
     def raw(self, place: Place, signal: Signal, value: str | int | float) -> int | None:
-        """Return the raw value of a label, or a number that fits the signal."""
+        """Return the raw value of a label or number; report a value that does not fit into the
+        signal.
+        """
         if isinstance(value, str):
             raw = next((raw for raw, label in signal.labels.items() if label == value), None)
             if raw is None:
@@ -102,7 +104,7 @@ class Names:
             return value
         what = f"is outside {low} to {high}, the range of {signal.name!r}"
         if not isinstance(value, int):
-            what = f"is not a whole number, which signal {signal.name!r} needs"
+            what = f"is not a whole number, as signal {signal.name!r} requires"
         self.report(place, f"{value} {what}")
         return None
 
@@ -119,11 +121,13 @@ class Names:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a text with the known names that are closest to a mistyped name, or with all names."""
+    """Return a text with the known names that are most similar to an unknown name, or with all
+    known names.
+    """
     names = sorted(known)
     close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(
         name, names, n=3
     )
     if close:
         return f"did you mean {' or '.join(repr(k) for k in close)}?"
-    return f"known are {', '.join(names)}" if names else "none is known"
+    return f"known names are {', '.join(names)}" if names else "no name is known"

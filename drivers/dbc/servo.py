@@ -36,7 +36,7 @@ _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
 class DbcServo(Servo):
-    """A drive with its own frames. Only :meth:`enable` leads toward power.
+    """A drive with its own CAN frames. Only :meth:`enable` changes its state toward power.
 
     Args:
         link: The link to the drive.
@@ -87,7 +87,7 @@ class DbcServo(Servo):
 
         Raises:
             LinkError: The drive sends no frames.
-            StateError: The map does not contain the status value.
+            StateError: The map does not contain the status value that the drive reports.
         """
         self._feedback.fault_code()
         self._feedback.await_frame(self._wiring.status_message)
@@ -95,19 +95,19 @@ class DbcServo(Servo):
         if state is None:
             raw = self._wiring.status.raw(self._status.data)
             raise StateError(
-                f"{self._channel.label} reports status {raw:g}, which the map does not contain: "
-                "add it to the map"
+                f"{self._channel.label} reports the status {raw:g}, which the map does not "
+                "contain: add this value under servo.status.states"
             )
         return state
 
     def _told(self) -> ServoState:
-        """Return the state after the next fault code; a code may arrive later than the state."""
+        """Return the state after the next fault code, which may arrive later than the state."""
         self._feedback.fault_code(again=True)
         return self.state()
 
     def read_limits(self) -> ServoLimits:
-        """Return the limits of the drive as the drive reports them, else as the bench file states
-        them.
+        """Return the limits of the drive: the reported value, or the value in the bench file for a
+        limit that the drive does not report.
 
         Raises:
             LinkError: The drive sends no frames.
@@ -119,8 +119,8 @@ class DbcServo(Servo):
         return dbc_limits.steps(self._wiring, self._drive)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield an error for each limit that does not fit its signal, or that exceeds the limit set
-        with the maker's tool.
+        """Yield an error for each limit that does not fit into its signal, or that exceeds the
+        limit set with the maker's tool.
         """
         wiring, drive = self._wiring, self._drive
         yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
@@ -132,8 +132,8 @@ class DbcServo(Servo):
         """Write the limits that can be written over the bus, and verify all limits of the drive.
 
         Raises:
-            ConfigurationError: The drive reports another value than the written one, or a limit
-                that was set with the maker's tool is tighter, so that the drive would stop first.
+            ConfigurationError: The drive reports another value than the written value, or a limit
+                that was set with the maker's tool is tighter than that of the bench file.
             LinkError: The drive sends no frames.
         """
         wanted = dbc_limits.encode(limits, self._drive)
@@ -165,8 +165,8 @@ class DbcServo(Servo):
         return self._channel.fault()
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error for a cycle that is too slow for the drive's watchdog, and for a position
-        that does not fit the target signal.
+        """Yield an error for a cycle time that is too long for the drive's watchdog, and for a
+        position that does not fit into the target signal.
 
         The method does not wait for a message that the drive sends only in answer to a command.
         """
@@ -176,19 +176,19 @@ class DbcServo(Servo):
             yield from refusal(self._target_bits, position)
 
     def prepare(self, cycle_s: float) -> None:
-        """Set the cycle time, and wait until every message of the drive has been received complete.
-        Nothing is energised.
+        """Set the cycle time, and wait until every message of the drive has been received without
+        error. The drive is not energised.
 
         Raises:
-            ConfigurationError: The cycle is too slow for the drive's watchdog or differs from
-                another device's, or the drive's position does not fit the target signal.
+            ConfigurationError: The cycle time is too long for the drive's watchdog or differs from
+                that of another device, or the drive's position does not fit into the target signal.
             StateError: The drive is energised.
-            LinkError: A message is not received, or is never complete.
+            LinkError: A message is not received, or never without error.
         """
         state = self.state()
         if state.energised:
             raise StateError(
-                f"the drive is in state '{state.value}': disable it before preparing it"
+                f"the drive is in state '{state.value}': disable it before it is prepared"
             )
         self._require_watchdog(cycle_s)
         channel = self._channel
@@ -202,7 +202,7 @@ class DbcServo(Servo):
         self._stage(self._feedback.value("position"))
 
     def enable(self) -> None:
-        """Energise and hold the present position, with process data exchanged throughout.
+        """Energise and hold the present position; process data are exchanged meanwhile.
 
         Raises:
             StateError: The drive is not prepared, the command is not allowed in the present state,
@@ -215,7 +215,7 @@ class DbcServo(Servo):
         if state in _FAULTS:
             raise self._channel.fault()
         if state not in self._wiring.enable:
-            raise StateError(f"'enable' is not allowed in state '{state.value}': use disable first")
+            raise StateError(f"'enable' is not allowed in state '{state.value}': disable first")
         try:
             self._walk()
         except DeviceError:
@@ -240,10 +240,10 @@ class DbcServo(Servo):
         """Brake with the drive's own ramp; the method never switches the power on.
 
         Raises:
-            StateError: The drive does not stop and is not stopped already.
+            StateError: The drive does not reach a stopped state, and is in none already.
             LinkError: The drive cannot be reached.
         """
-        # The cyclic order is changed first, so that no later exchange can undo the stop.
+        # The periodic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
         self._link.stop(self._channel)
         self._command(self._wiring.stop)
@@ -254,7 +254,7 @@ class DbcServo(Servo):
         )
 
     def reset_fault(self) -> None:
-        """Clear a fault. Afterwards the drive is de-energised; motion does not restart.
+        """Reset a fault. Afterwards the drive is de-energised and does not move.
 
         Raises:
             StateError: There is no fault to reset, or the fault occurs again.
@@ -279,7 +279,7 @@ class DbcServo(Servo):
         """Set the joint angle that the next exchange sends.
 
         Raises:
-            ConfigurationError: The angle is beyond the range of its signal.
+            ConfigurationError: The angle is beyond the range of the target signal.
         """
         self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
 
@@ -287,22 +287,22 @@ class DbcServo(Servo):
         """Set a joint torque that the drive adds to the torque of its controller; the map must have
         a signal for it.
 
-        While the drive is not ordered to run, a torque offset of zero is sent instead.
+        Unless the drive is ordered to run, a torque offset of zero is sent.
 
         Raises:
-            ConfigurationError: The map has no such signal, or the torque does not fit it.
+            ConfigurationError: The map has no torque offset, or its signal is too small.
         """
         quantity = self._wiring.torque_offset
         if quantity is None:
             raise ConfigurationError(
-                f"this drive has no torque offset, but {torque_N_m:g} N m are requested: run "
-                "without feed-forward, or state the signal under servo.torque_offset"
+                f"the map of this drive has no torque offset, but {torque_N_m:g} N m are "
+                "requested: run without feed-forward"
             )
         try:
             bits = quantity.bits(torque_N_m / self._drive.gear_ratio)
         except ValueError as error:
             raise ConfigurationError(
-                f"torque offset {torque_N_m:g} N m at the joint: {error}; check the scales"
+                f"torque offset of {torque_N_m:g} N m at the joint: {error}; check its scale"
             ) from error
         self._channel.push(bits)
 
@@ -315,7 +315,7 @@ class DbcServo(Servo):
         position = self._feedback.value("position")
         following = 0.0
         if state is ServoState.OPERATION_ENABLED:
-            # The drive has reached the target of the previous exchange now.
+            # At this time the drive has reached the target of the previous exchange.
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) / drive.gear_ratio
         return ServoSample(
@@ -336,8 +336,8 @@ class DbcServo(Servo):
         if watchdog_s is not None and slowest > watchdog_s / 2:
             raise ConfigurationError(
                 f"a command is sent every {slowest * 1e3:g} ms, but the drive stops after "
-                f"{watchdog_s * 1e3:g} ms without a command; commands must be at most half of "
-                "this time apart: raise cycle_Hz"
+                f"{watchdog_s * 1e3:g} ms without a command; the time between two commands must "
+                "be at most half of this time: raise cycle_Hz"
             )
 
     def _stage(self, motor_rad: float) -> None:
@@ -354,7 +354,7 @@ class DbcServo(Servo):
             return self._wiring.target.bits(motor_rad)
         except ValueError as error:
             raise ConfigurationError(
-                f"target {motor_rad:g} rad at the motor: {error}; check the scales"
+                f"target of {motor_rad:g} rad at the motor: {error}; check its scale"
             ) from error
 
     def _command(self, *orders: Order) -> None:
@@ -387,13 +387,12 @@ class DbcServo(Servo):
             if not in_time:
                 shown = "unknown" if state is None else state.value
                 raise StateError(
-                    f"the drive is still in state '{shown}' after {self._timeout_s:g} s of "
-                    f"enabling: "
-                    "check its supply and its enable input"
+                    f"the drive is still in state '{shown}', {self._timeout_s:g} s after the "
+                    "command to enable: check its supply and its enable input"
                 )
             if channel.fresh and state is not None and state in wiring.enable:
-                # Each step sends its order once, because a message that is sent only with an order
-                # must not be repeated.
+                # The order of each state is sent once, because a message that is sent only with an
+                # order must not be repeated.
                 if state is not step:
                     channel.order(wiring.enable[state])
                     step = state

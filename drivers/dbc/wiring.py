@@ -19,11 +19,11 @@ class BoundMessage:
         name: Name in the DBC.
         identifier: CAN identifier.
         size: Number of bytes.
-        counter: Signal of the life counter, if any.
-        checksum: Signal of the checksum, if any.
+        counter: Signal of the life counter, or None without a counter.
+        checksum: Signal of the checksum, or None without a checksum.
         algorithm: Function that computes the checksum of a frame; the result does not depend on the
             present value of the checksum.
-        turn: Number of values of the life counter.
+        turn: Number of values of the life counter, after which it starts again at 0.
         period_s: Sending period, s; 0 for every control cycle.
         remote: Whether the drive sends the message only in answer to a remote frame.
     """
@@ -76,10 +76,10 @@ class BoundQuantity:
         return self.signal.reader(self.gain, self.bias)
 
     def bits(self, value: float) -> int:
-        """Return the bits of a value in SI.
+        """Return the bits of a value in SI units.
 
         Raises:
-            ValueError: The value does not fit the signal; the message states the range.
+            ValueError: The value does not fit into the signal; the message states the range.
         """
         raw = (value - self.bias) / self.gain
         if self.wraps_after is not None and math.isfinite(raw):
@@ -108,7 +108,7 @@ class BoundLimit:
 
 
 Images = Mapping[str, bytes]
-"""Frame of each message by name, with the values set and zeros elsewhere."""
+"""Frame of each message by name; all bits that no value sets are zero."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Wiring:
         pages: Pages of multiplexed messages that the map uses, by key.
         sampled: Names of the received messages, and keys of the pages, that make up a sample.
         sent: Messages that the host sends periodically, by name.
-        once: Messages that the host sends only with an order that names them, by name.
+        once: Messages that the host sends only with an order that contains them, by name.
         settings: Messages that contain limits, by name.
         inputs: Quantities by name in the map.
         limits: Limits that can be written, by name in the map.
@@ -144,11 +144,11 @@ class Wiring:
         states: State of each raw status value.
         asked: Whether the drive sends messages without a period only in answer to a command.
         target: Signal of the commanded position.
-        torque_offset: Signal of the torque offset, if there is one.
+        torque_offset: Signal of the torque offset, or None without a torque offset.
         disable: Order that switches the power off.
-        stop: Brakes.
+        stop: Order that brakes.
         reset: Order that clears a fault.
-        enable: Orders toward power, by state.
+        enable: Orders that lead toward power, by state.
         stop_message: Message of the stop frame.
         stop_image: Data of the stop frame, without counter and checksum.
     """

@@ -1,8 +1,9 @@
-"""Encodes and decodes frames of the maxon EPOS4 over RS-232 and USB, and their services. No I/O.
+"""Encodes and decodes frames of the maxon EPOS4 over RS-232 and USB, and the services in them. This
+module has no input and output.
 
-A frame is ``90 02 opcode length data CRC``: length in 16-bit words, everything little-endian, every
-90h after the start pair doubled, the CRC included (EPOS4 Communication Guide, "USB & RS232
-Communication").
+A frame is ``90 02 opcode length data CRC``. The length is in 16-bit words, all fields are
+little-endian, and every byte 90h after the first two bytes is doubled, also in the CRC (EPOS4
+Communication Guide, "USB & RS232 Communication").
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ _HEAD: Final = 2
 _CRC: Final = 2
 MAX_WORDS: Final = 255
 SEGMENT_BYTES: Final = 255
-"""Most data bytes of one segment; their number is one byte in the guide."""
+"""Greatest number of data bytes of one segment; the length field has one byte."""
 
 WRITE_BYTES: Final = 30
 READ_BYTES: Final = 32
-"""Most bytes on the line for one WriteObject and one ReadObject with its answer: every byte that
-can be 90h is.
+"""Greatest number of bytes on the line for one ReadObject or WriteObject with its answer, if every
+byte that can be 90h is 90h.
 """
 _BITS_PER_BYTE: Final = 10
 
@@ -45,7 +46,7 @@ class Opcode(IntEnum):
 
 
 class Frame(NamedTuple):
-    """One frame: opcode and data, a whole number of words."""
+    """One frame: opcode, and data of a whole number of words."""
 
     opcode: int
     data: bytes
@@ -54,9 +55,9 @@ class Frame(NamedTuple):
 OBJECT: Final = struct.Struct("<BHB")
 """Node identifier, index and subindex."""
 TOTAL: Final = struct.Struct("<I")
-"""Bytes of a whole object."""
+"""Number of bytes of an object that is transferred in segments."""
 ERROR: Final = struct.Struct("<I")
-"""First field of every answer: 0, or an error code."""
+"""First field of every answer: 0 if the request was accepted, or an error code."""
 NMT: Final = struct.Struct("<HH")
 """Node identifier and command specifier."""
 TOGGLE: Final = 0x01
@@ -74,7 +75,8 @@ def crc(words: bytes) -> int:
 
 
 def encode(opcode: int, data: bytes) -> bytes:
-    """Return a frame as sent over the line; ``data`` of odd length is padded with a dummy byte.
+    """Return the bytes of a frame as sent over the line; ``data`` of odd length is padded with a
+    dummy byte.
 
     Raises:
         ValueError: More than 255 words.
@@ -84,7 +86,8 @@ def encode(opcode: int, data: bytes) -> bytes:
     count = len(data) // 2
     if count > MAX_WORDS:
         raise ValueError(
-            f"{len(data)} bytes do not fit a frame, limit {2 * MAX_WORDS}: send segments"
+            f"{len(data)} bytes do not fit into a frame, which has at most {2 * MAX_WORDS}: send "
+            "segments"
         )
     body = bytes([opcode, count]) + data
     body += crc(body).to_bytes(2, "little")
@@ -94,12 +97,12 @@ def encode(opcode: int, data: bytes) -> bytes:
 class FrameDecoder:
     """Decodes received bytes into whole frames; never raises.
 
-    A frame with a wrong CRC or broken byte stuffing is dropped, and the search for the next frame
-    starts right after the start of the dropped frame, so that a good frame behind or inside the
-    damage is found.
+    A frame with a wrong CRC or wrong byte stuffing is dropped. The search for the next frame
+    continues after the first two bytes of the dropped frame, so that a good frame behind or within
+    the damaged bytes is found.
 
     Attributes:
-        bad: Frames dropped so far.
+        bad: Number of frames dropped so far.
     """
 
     def __init__(self) -> None:
@@ -124,7 +127,7 @@ class FrameDecoder:
                 frames.append(frame)
                 at = end
         else:
-            # The last byte may be the first half of a start.
+            # The last byte may be the first of the two start bytes of the next frame.
             at = max(at, len(buffer) - (buffer[-1:] == _DLE))
         del buffer[:at]
         return frames
@@ -135,8 +138,8 @@ class FrameDecoder:
 
 
 def _parse(buffer: bytearray, start: int) -> tuple[int, Frame | None]:
-    """Decode the frame with its opcode at ``start``; return the end of the frame (0 if the frame is
-    incomplete), and the frame, or None if the frame is bad.
+    """Decode the frame whose opcode is at ``start``; return the end of the frame (0 if the frame is
+    incomplete), and the frame (None if the frame is bad).
     """
     wanted = _HEAD + _CRC
     if len(buffer) - start >= _HEAD:
@@ -171,5 +174,7 @@ def segment(chunk: bytes, toggle: int, last: bool) -> bytes:
 
 
 def cycle_bits(writes: int, reads: int) -> int:
-    """Return the longest bit times of a control cycle with this many objects."""
+    """Return the greatest number of bit times of a control cycle that writes and reads so many
+    objects.
+    """
     return _BITS_PER_BYTE * (writes * WRITE_BYTES + reads * READ_BYTES)

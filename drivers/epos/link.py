@@ -1,4 +1,6 @@
-"""EPOS4 drives on a serial line, strictly half duplex: one request at a time, then its answer."""
+"""Link to EPOS4 drives on a serial line; each request is sent after the answer to the previous
+request has arrived.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ _LINE: Final = 0
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
 _LONGEST_WAIT_NS: Final = 50_000_000
-"""Longest single wait for bytes, ns; the guard is fed between waits."""
+"""Greatest duration of one wait for bytes, ns; between waits the guard is told that the program is
+alive.
+"""
 _ACCEPTED: Final = ERROR.pack(0)
 _SUBINDICES: Final = (1, 2, 3, 4)
 
@@ -33,24 +37,24 @@ _SUBINDICES: Final = (1, 2, 3, 4)
 class EposSerialLink(Link):
     """A serial line with this program as its only master.
 
-    An answer does not name its request: after a lost answer, a late answer could be mistaken for
-    the answer to the next request. After a lost answer the link therefore synchronises again: it
-    requests a part of the drive's identity, and drops all answers that arrive before this part.
+    An answer does not contain its request: after a lost answer, a late answer could be mistaken for
+    the answer to the next request. Therefore, after a lost answer, the link is resynchronised: it
+    requests a part of the drive's identity (a mark), and drops all answers before this part.
 
-    The protocol has no watchdog in the drive: if the control loop stops, the drive keeps holding
-    its last target.
+    The protocol has no watchdog in the drive: if the control loop stops, the drive continues to
+    hold its last target.
 
     Args:
-        clock: Real or simulated clock, matching the port.
+        clock: Real or simulated clock, as the port.
         connect: Opens the port.
         name: Name of the line in messages.
-        answer_s: Time-out of an answer outside the cycle.
-        guard: Guard that is armed while a drive may be under power, or None for none.
-        silence_s: Longest time without a complete answer of a drive in the cycle.
+        answer_s: Time-out of an answer outside the control cycle, s.
+        guard: Guard that is armed while a drive may be energised, or None without a guard.
+        silence_s: Greatest time without a complete answer of a drive in the control cycle, s.
 
     Attributes:
         cycle: Number of exchanges so far.
-        lost: Requests without a good answer so far.
+        lost: Number of requests without a good answer so far.
     """
 
     has_watchdog = False
@@ -82,10 +86,12 @@ class EposSerialLink(Link):
         self._answer_ns = 0
 
     def add_node(self, node_id: int, eds: Path) -> EposSerialNode:
-        """Declare the drive on the line, or a drive behind the CAN gateway of that drive.
+        """Declare the drive on the line, or a drive that is reached through the CAN gateway of the
+        drive on the line.
 
         Raises:
-            ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
+            ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
+                read.
         """
         require_node(node_id, self._nodes)
         dictionary = read_eds(eds, node_id)
@@ -96,11 +102,11 @@ class EposSerialLink(Link):
         """Open the port. Nothing is sent.
 
         Raises:
-            LinkError: It cannot be opened.
+            LinkError: The port cannot be opened.
         """
         if self._port is not None:
             return
-        advice = "check the port, the adapter and the rights to use it"
+        advice = "check the name of the port, the adapter, and your permission to use it"
         self._port = opened(self._connect, self._name, advice)
         self._in_step = False
         self._marks.clear()
@@ -112,7 +118,8 @@ class EposSerialLink(Link):
             close_all(port.close)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, the same for all devices, and read the marks for resynchronisation.
+        """Set the cycle time, which must be the same for all devices, and read the marks for
+        resynchronisation.
 
         Raises:
             ConfigurationError: Another device has a different cycle time.
@@ -124,10 +131,10 @@ class EposSerialLink(Link):
         self._learn_marks()
 
     def exchange(self) -> None:
-        """Write every drive's outputs and read its inputs, at most for 80 % of the cycle.
+        """Write the outputs and read the inputs of every drive, for at most 80 % of the cycle.
 
-        A lost answer ends the cycle: the remaining requests are not sent, and their values do not
-        change.
+        A lost answer ends the exchange: the remaining requests are not sent, and their values do
+        not change.
 
         Raises:
             LinkError: The line is gone, or a drive was silent for too long.
@@ -167,9 +174,10 @@ class EposSerialLink(Link):
             opcode: The service.
             data: Its fields.
             what: Name of the request in messages.
-            repeat: Repeat if the answer is lost; only for requests that may be executed twice.
-            insist: Send it even while the line is out of step, as the drive may still receive it;
-                for stops.
+            repeat: Whether the request is repeated if its answer is lost; only for requests that
+                may be executed twice.
+            insist: Whether the request is sent even if the line is not synchronised, because the
+                drive may still receive it; for commands that stop the drive.
 
         Raises:
             LinkError: No good answer.
@@ -185,7 +193,7 @@ class EposSerialLink(Link):
                 return answer
         raise LinkError(
             f"{self._name}, {what}: no correct answer within "
-            f"{attempts * self._answer_wait_ns / NS:g} s; check power, cable, rate and node "
+            f"{attempts * self._answer_wait_ns / NS:g} s; check power, cable, bit rate and node "
             "identifier"
         )
 
@@ -208,10 +216,10 @@ class EposSerialLink(Link):
         return None
 
     def _find_step(self, deadline_ns: int) -> bool:
-        """Resynchronise: ensure that no old answer is pending."""
+        """Resynchronise the line: ensure that no answer to an earlier request can still arrive."""
         if self._marks:
-            # The marks are requested in turn, so that a late one is not mistaken for the one just
-            # requested.
+            # The marks are requested in turn, so that a late answer with an earlier mark is not
+            # mistaken for the requested mark.
             self._marks.rotate(1)
             request, wanted = self._marks[0]
             self._send(request)
@@ -219,7 +227,8 @@ class EposSerialLink(Link):
                 if found[-1].data == wanted:
                     self._in_step = True
                     return True
-                # A line that is never silent always has more to read.
+                # The time is checked too, because on a line with continuous noise there are always
+                # more bytes.
                 if self.clock.now_ns() >= deadline_ns:
                     break
             return False
@@ -230,13 +239,16 @@ class EposSerialLink(Link):
         return True
 
     def _learn_marks(self) -> None:
-        """Read differing parts of the drives' identities as marks to detect old answers."""
+        """Read several different parts of the drives' identities as marks, by which answers to
+        earlier requests are detected.
+        """
         marks: dict[bytes, bytes] = {}
         for node in self._nodes.values():
             for subindex in _SUBINDICES:
                 fields = OBJECT.pack(node.node_id, IDENTITY, subindex)
                 answer = self.request(Opcode.READ_OBJECT, fields, node.label)
-                # Zero and error codes may also be answers of other objects.
+                # Zero and error codes are no marks, because they may be answers to requests of
+                # other objects.
                 if answer.startswith(_ACCEPTED) and any(answer):
                     marks[answer] = encode(Opcode.READ_OBJECT, fields)
         self._marks = deque((request, answer) for answer, request in marks.items())

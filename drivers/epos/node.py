@@ -1,4 +1,4 @@
-"""One EPOS4 on a serial line: its objects, and its share of the cycle."""
+"""One EPOS4 drive on a serial line: access to its objects, and its part of the control cycle."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from drivers.objects import ObjectAddress, PdoLayout
 
 CYCLE_WRITES: Final = 1
 CYCLE_READS: Final = 4
-"""Objects per control cycle of a servo: target, state, position, current and one of the others
-in turn.
+"""Number of objects that are read in a control cycle: state, position, current, and one of all
+other objects in turn.
 """
 
 _HOST_TIME: Final = (0x1013, 0)
@@ -61,7 +61,9 @@ class _Input:
         self.value = value
 
     def take(self, answer: bytes) -> bool:
-        """Store an answer; a refusal or a wrong length updates nothing and returns False."""
+        """Store the value in an answer; if the answer is a refusal or has a wrong length, change
+        nothing and return False.
+        """
         if len(answer) != _ANSWER_BYTES or not answer.startswith(_ACCEPTED):
             return False
         self.value = self.layout.unpack_from(answer, ERROR.size)[0]
@@ -73,20 +75,21 @@ class EposSerialNode(ObjectAccess):
     :class:`~drivers.objects.ProcessChannel`.
 
     There is no SYNC: objects are sampled one after another. Every cycle writes the outputs (the
-    controlword only if changed) and reads the first input layout. The objects of the other layouts
-    are read in turn, one object per cycle, the slower objects in every other turn only. The time
-    stamp 1013h is not read; the host's time of the cycle's first request replaces it.
+    controlword only if it has changed) and reads the objects of the first input layout. The objects
+    of all other layouts are read in turn, one object per cycle; of the objects with a longer
+    period, one is read in each turn. The time stamp 1013h is not read; the host's time of the first
+    request in the cycle replaces it.
 
-    The position is read one object before the current, so the current's mean ends too late. The
-    mean of the current is replaced by the mean that ends with the position, assuming a constant
-    current within a cycle. The position is used as read; its delay after the time stamp is the same
-    in every cycle, except for doubled bytes.
+    The position is read one object before the current, so that the period of the mean current ends
+    after the position. The mean of the current is therefore replaced by the mean over a period that
+    ends at the position, if the current is constant within a cycle. The position is not changed;
+    its delay after the time stamp is constant, except for doubled bytes.
 
     Attributes:
-        node_id: 1 to 127.
+        node_id: Node identifier, 1 to 127.
         cycle: Number of the last exchange.
-        monitored: True once process data is running.
-        heard_ns: Time of the last complete answer.
+        monitored: Whether process data are exchanged.
+        heard_ns: Time of the last complete answer, ns.
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
@@ -113,12 +116,14 @@ class EposSerialNode(ObjectAccess):
 
     @property
     def fresh(self) -> bool:
-        """Whether everything that was due at the last exchange was written and read."""
+        """Whether all objects of the last exchange were written and read."""
         return self._complete
 
     @property
     def sync_us(self) -> int:
-        """Host's time of the cycle's first request, microseconds modulo 2^32."""
+        """Time of the first request in the cycle on the clock of the host, microseconds modulo
+        2^32.
+        """
         return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
@@ -134,14 +139,14 @@ class EposSerialNode(ObjectAccess):
     def map_process_data(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
     ) -> None:
-        """Start the node, and list the objects that every cycle writes and reads.
+        """Start the node, and store the list of the objects that every cycle writes and reads.
 
-        Inputs start with values read here.
+        The first values of the inputs are read by single requests.
 
         Raises:
             ConfigurationError: Another device has a different cycle time, or an object is not in
                 the EDS or no integer.
-            ObjectAccessError: The device refuses one.
+            ObjectAccessError: The device refuses the read of an object.
             LinkError: No answer.
         """
         self.monitored = self._complete = False
@@ -156,7 +161,7 @@ class EposSerialNode(ObjectAccess):
             for layout in outputs
         }
         self._word = None
-        self._layouts = {}  # nothing can be sampled until all values were read
+        self._layouts = {}  # there is no sample until all values have been read
         self._values = {
             address: self._input(address)
             for layout in inputs
@@ -177,13 +182,15 @@ class EposSerialNode(ObjectAccess):
             output.value = value
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Refuse the command: on a line without a watchdog no command may outlast this program.
+        """Refuse the command, because without a watchdog a command of speed or torque would
+        continue after the end of this program.
 
         Raises:
             ConfigurationError: Always.
         """
         raise ConfigurationError(
-            f"{self.label}: over a serial line only positions are commanded; use servo.mode csp"
+            f"{self.label}: over a serial line a drive can be commanded by positions only; set "
+            "servo.mode: csp"
         )
 
     def latest(self, number: int) -> tuple[int, ...]:
@@ -200,14 +207,16 @@ class EposSerialNode(ObjectAccess):
         )
 
     def watch(self, limit_s: float) -> None:
-        """Arm the link's guard; the protocol has no watchdog, see :attr:`Link.has_watchdog`.
+        """Arm the guard of the link, because the protocol has no watchdog
+        (:attr:`Link.has_watchdog`).
 
         Args:
-            limit_s: Requested time-out, s. A process is less punctual than a drive, so the guard
-                acts after twice this time, and after no less than three cycles.
+            limit_s: Requested time-out, s. The guard is a process, whose timing is less exact than
+                that of a drive; therefore it acts after twice this time, and after at least three
+                cycles.
 
         Raises:
-            LinkError: A guard is required, but there is none.
+            LinkError: The link has no guard.
         """
         if self._line.guard is not None:
             self._line.guard.arm(max(_GUARD_FACTOR * limit_s, _GUARD_CYCLES * self._cycle_s))
@@ -218,11 +227,12 @@ class EposSerialNode(ObjectAccess):
             self._line.guard.release()
 
     def exchange(self, cycle: int, ask: Callable[[bytes], bytes | None]) -> None:
-        """Write and read the objects of this cycle; stops at a lost answer.
+        """Write and read the objects of this cycle, up to the first lost answer.
 
         Args:
-            cycle: Its number.
-            ask: Sends a frame and returns the data of its answer, None if it is lost.
+            cycle: Number of the cycle.
+            ask: Function that sends a frame and returns the data of its answer, or None if the
+                answer is lost.
         """
         self.cycle = cycle
         self._complete = False
@@ -256,8 +266,8 @@ class EposSerialNode(ObjectAccess):
         mean, ended_ns = current.value, current.asked_ns
         if self._before is not None:
             before, began_ns = self._before
-            # The time may not have advanced: in simulated time on a line without delay, or after a
-            # clock step.
+            # The time may be the same: in simulated time on a line without delay, or after a clock
+            # step.
             if ended_ns > began_ns:
                 late = (ended_ns - position.asked_ns) / (ended_ns - began_ns)
                 current.value = round(mean + late * (before - mean))
@@ -269,8 +279,8 @@ class EposSerialNode(ObjectAccess):
 
 
 def _turns(layouts: Sequence[PdoLayout]) -> list[ObjectAddress]:
-    """Return the order in which objects are read: the objects of every cycle, then one of the
-    slower objects, and so on.
+    """Return the order in which the objects of these layouts are read, one per cycle: all objects
+    of layouts with a period of one cycle, then one object of the other layouts, and so on.
     """
     quick = [
         a for layout in layouts if layout.every == 1 for a in layout.objects if a != _HOST_TIME

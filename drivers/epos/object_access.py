@@ -28,7 +28,9 @@ _REASONS: Final = {
 
 
 class Guard(Protocol):
-    """Switches the power off if this program dies or hangs, because the drive has no watchdog."""
+    """Interface of the process that switches the power off if this program ends or hangs, because
+    the drive has no watchdog.
+    """
 
     def arm(self, limit_s: float) -> None:
         """Arm the guard; the guard acts if :meth:`feed` is not called for this time, s.
@@ -39,17 +41,17 @@ class Guard(Protocol):
         ...
 
     def feed(self) -> None:
-        """Show that the control loop is alive; called before every request.
+        """Tell the guard that the control loop is alive; called before every request.
 
         The method takes little time, and does nothing while the guard is not armed.
 
         Raises:
-            LinkError: It has taken over, or is gone: the line must not be used.
+            LinkError: The guard has taken over the line, or has ended: the line must not be used.
         """
         ...
 
     def release(self) -> None:
-        """Disarm the guard, after it is verified that the drive is off."""
+        """Disarm the guard, after the caller has verified that the power is off."""
         ...
 
 
@@ -77,9 +79,9 @@ class ObjectAccess:
     """Reads and writes the objects of one node.
 
     Args:
-        node_id: 1 to 127.
+        node_id: Node identifier, 1 to 127.
         dictionary: Objects of the node, from the EDS.
-        line: The line it is on.
+        line: Link of the line to which the node is connected.
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
@@ -96,7 +98,8 @@ class ObjectAccess:
         """Read an integer object.
 
         Raises:
-            ConfigurationError: The EDS has no such object, or it is no integer of at most 32 bits.
+            ConfigurationError: The EDS has no such object, or the object is no integer of at most
+                32 bits.
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
@@ -119,7 +122,8 @@ class ObjectAccess:
         data = answer[TOTAL.size + 1 :][:length]
         toggle = 0
         while len(data) < total:
-            # A repeated request would skip a segment.
+            # The request is not repeated after a lost answer, because a repeated request would skip
+            # a segment.
             answer = self._request(
                 Opcode.SEGMENT_READ, bytes([toggle, 0]), index, subindex, repeat=False
             )
@@ -148,7 +152,7 @@ class ObjectAccess:
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the EDS contains an object; every object can be read in every cycle.
+        """Return whether the EDS contains an object. Every object can be process data.
 
         Nothing is sent.
         """
@@ -159,25 +163,29 @@ class ObjectAccess:
         return True
 
     def stated(self, index: int, subindex: int) -> int | None:
-        """Return the default value of an object in the EDS. Sends nothing."""
+        """Return the default value of an object in the EDS, or None without a default value,
+        without sending anything.
+        """
         item = self._dictionary.get_variable(index, subindex)
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
 
     def require_watchable(self) -> None:
-        """Do nothing, because the protocol has no watchdog and the link's guard replaces it."""
+        """Do nothing, because the guard of the link replaces the watchdog, which the protocol
+        lacks.
+        """
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and its type can hold a value; the errors are those of
-        :meth:`write`.
+        """Check that the EDS has an object and that a value fits the type of the object; the errors
+        are those of :meth:`write`.
 
         Nothing is sent.
         """
         self._written(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; the request is sent even while an old answer may be pending on
-        the line; the errors are those of :meth:`write`.
+        """Write an integer object; the request is sent even if the answer to an earlier request may
+        still arrive. The errors are those of :meth:`write`.
         """
         self._request(
             Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
@@ -189,7 +197,8 @@ class ObjectAccess:
         except struct.error as error:
             name = variable(self._dictionary, index, subindex).name
             raise ConfigurationError(
-                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({name})"
+                f"{self.label}: the value {value} does not fit into object "
+                f"{index:04X}h:{subindex:02X}h ({name})"
             ) from error
         return OBJECT.pack(self.node_id, index, subindex) + data.ljust(VALUE_BYTES, b"\0")
 
@@ -223,12 +232,13 @@ class ObjectAccess:
         (error,) = ERROR.unpack_from(answer)
         if error:
             reason = _REASONS.get(error) or SdoAbortedError.CODES.get(error, "unknown reason")
-            raise ObjectAccessError(index, subindex, error, f"{self.label} refuses: {reason}")
+            raise ObjectAccessError(
+                index, subindex, error, f"{self.label} refuses the access: {reason}"
+            )
         return answer[ERROR.size :]
 
     def _malformed(self, index: int, subindex: int, length: int) -> LinkError:
         return LinkError(
             f"{self.label}, object {index:04X}h:{subindex:02X}h: an answer of {length} bytes does "
-            f"not belong to the "
-            "request; check that nothing else uses the line"
+            "not belong to the request; check that no other program uses the line"
         )

@@ -15,9 +15,9 @@ RESTART_S: Final = 0.2
 
 
 class SimulatedAmt21:
-    """A multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
+    """A simulated multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
 
-    The encoder ignores requests for 0.2 s after a reset and after setting its zero.
+    The encoder ignores requests for 0.2 s after a reset and after its zero was set.
 
     Args:
         clock: Simulated time.

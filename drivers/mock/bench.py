@@ -61,8 +61,8 @@ def simulated_bench(
         encoder_node: CANopen node identifier of the encoder.
         transmitter_node: Node identifier of the pressure transmitter, or None for a bench without
             one.
-        rating: Rated values of the drive; 15 A unless given.
-        traits: What the drive differs in from the simulated drive's own kind.
+        rating: Rated values of the drive; a rated current of 15 A unless given.
+        traits: Differences of the drive from the usual simulated drive.
 
     Returns:
         The bench, at rest at angle 0, with power off; all devices are in PRE-OPERATIONAL after

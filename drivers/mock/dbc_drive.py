@@ -1,7 +1,7 @@
 """Simulated servo drive with its own CAN frames (``dbc_drive.dbc``), states and watchdog.
 
 The drive does not use CANopen. This module packs frames with its own code, not with the codec under
-test: an error of the codec would otherwise be made twice and stay hidden.
+test, because otherwise drive and codec would have the same errors, and tests would not detect them.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class DbcDrive:
         self._take_limits(COMMISSIONED)
 
     def fail(self, code: int) -> None:
-        """Go into fault with the code of an internal cause."""
+        """Go into fault with the fault code of an internal cause."""
         self.fault_code = code
         if self.state in POWERED:
             self._enter(State.BRAKING)
@@ -180,8 +180,8 @@ class DbcDrive:
             return
         self._heard_life = life
         now = self._clock.now_ns()
-        # The time is rounded to whole milliseconds, so that a command that another frame delayed
-        # does not make the motion uneven.
+        # The time is rounded to whole milliseconds, so that a command that was delayed by another
+        # frame does not make the motion uneven.
         step_ns = min(max(round((now - self._commanded_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
         self._commanded_ns = now
         self._reading = self._sampler.latch(now)
@@ -314,8 +314,8 @@ class DbcDrive:
         self._info.start(self._clock.now_ns() + _INFO_NS)
 
     def _in_turn(self, send: Callable[[], None]) -> None:
-        """Send a frame at once; while commands arrive, send the frame after the next answer, when
-        the bus is free for long enough.
+        """Send a frame immediately; but while commands arrive, send the frame after the next
+        answer, when the bus is free for long enough.
         """
         if self._clock.now_ns() - self._commanded_ns < _IDLE_NS:
             self._waiting.append(send)

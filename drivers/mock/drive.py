@@ -47,7 +47,7 @@ _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
 _NO_LIMIT: Final = 0xFFFFFFFF
-"""607Fh of a drive whose speed is not limited."""
+"""Value of 607Fh in a drive whose speed is not limited."""
 _VOLTAGE_ENABLED: Final = 0x0010
 _REMOTE: Final = 0x0200
 _TARGET_REACHED: Final = 0x0400
@@ -56,12 +56,12 @@ _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
 _MS: Final = 1_000_000
 _LONGEST_PERIOD: Final = 20
-"""Greatest time between targets that a drive interpolates over if it measures it, ms."""
+"""Greatest time between targets for a drive that measures this time to interpolate, ms."""
 _WHOLE: Final = 1e-6
 """Tolerance, in units, for a value that should be a whole number of units."""
 _AT_LIMIT: Final = 0.98
-"""Ratio to the limit from which a current counts as limited; less than 1, because the measured mean
-contains noise.
+"""Ratio of the mean current to its limit from which the current counts as limited; less than 1,
+because the measured mean contains noise.
 """
 
 
@@ -90,7 +90,7 @@ class QuickStop(IntEnum):
 
 
 class SimulatedDrive(SimulatedNode):
-    """A position servo, in cyclic synchronous position mode unless ``traits`` offer others.
+    """A simulated servo, in cyclic synchronous position mode unless ``traits`` offer others.
 
     Positions are motor encoder counts; speeds and accelerations are counts per second (squared)
     unless ``traits`` say otherwise; 6078h is the mean current since the last SYNC, per
@@ -99,13 +99,13 @@ class SimulatedDrive(SimulatedNode):
     :data:`POWERED`.
 
     Attributes:
-        traits: What it differs in from other drives.
+        traits: Differences of this drive from other drives.
         power_state: State of the power drive system.
         entered: Function that is called with each new state at the time of the change.
         speed_unit: Counts per second of one unit of 606Ch and 607Fh; see :meth:`use_speed_unit`.
         deaf_to: Orders that the drive ignores.
-        homing: Homing, and the zero that it has set.
-        current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
+        homing: Homing of the drive, and the zero that the last homing has set.
+        current_sign: Sign of 6077h and 6078h for a torque that increases the position.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class SimulatedDrive(SimulatedNode):
         values[key(0x6075)] = self._rated_current_mA
         values[key(0x6076)] = self._rated_torque
         if _ON_ABORT not in self.objects.entries:
-            values[_ON_ABORT] = 0  # a drive without the object has no such reaction
+            values[_ON_ABORT] = 0  # a drive without 6007h does not react to a lost master
         self._own.restore(values, self._rated_current_mA * 1e-3)
         for index in (0x6084, 0x6085):
             values[key(index)] = round(values[key(index)] / self._mover.acceleration_unit)
@@ -188,7 +188,7 @@ class SimulatedDrive(SimulatedNode):
         self._enter(State.SWITCH_ON_DISABLED)
 
     def use_speed_unit(self, counts_per_s: float) -> None:
-        """Report and accept speeds in another unit from now on, as drives of some makes do."""
+        """From now on, report and accept speeds in another unit, as drives of some makes do."""
         values = self._values
         for address in (key(0x607F), key(0x6084), key(0x6085)):
             if values[address] != _NO_LIMIT:
@@ -197,7 +197,7 @@ class SimulatedDrive(SimulatedNode):
         self.speed_unit = self._mover.speed_unit = counts_per_s
 
     def halt(self) -> None:
-        """Switch the power off at once."""
+        """Switch the power off immediately."""
         self._enter(State.SWITCH_ON_DISABLED)
 
     def refresh(self) -> None:
@@ -211,7 +211,7 @@ class SimulatedDrive(SimulatedNode):
         self._watch_following(reading)
 
     def supervise(self) -> None:
-        """Check the following error while no SYNC comes."""
+        """Check the following error while no SYNC arrives."""
         self._watch_following(self._sampler.peek(self._clock.now_ns()))
 
     def _watch_following(self, reading: Reading) -> None:
@@ -235,12 +235,12 @@ class SimulatedDrive(SimulatedNode):
         self._show_status()
 
     def fail(self, code: int) -> None:
-        """Go into fault with the code of an internal cause: send EMCY, then react by 605Eh."""
+        """Go into fault by an internal cause: send ``code`` by EMCY, then react by 605Eh."""
         self._fault(code, PROFILE)
         self._show_status()
 
     def connection_lost(self, code: int) -> None:
-        """React to the loss of the master as 6007h defines; no reaction in states without power."""
+        """React to the loss of the master by 6007h, but not in states without power."""
         if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
             return
         match self._values[_ON_ABORT]:

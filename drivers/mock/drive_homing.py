@@ -13,7 +13,7 @@ from drivers.mock.wires.timer import Timer
 
 HM: Final = 6
 METHODS: Final = (17, 18, 35, 37)
-"""What 60E3h lists."""
+"""Homing methods that object 60E3h lists."""
 REACHED: Final = 0x0400
 ATTAINED: Final = 0x1000
 ERROR: Final = 0x2000
@@ -29,21 +29,24 @@ _START: Final = 1 << 4
 _STEP_NS: Final = 1_000_000
 _TOO_LITTLE_A: Final = 0.2
 _BLOCKED_DEG: Final = 1.0
-"""Lag of the joint from which it counts as blocked; half the following error window if less."""
+"""Lag of the joint behind the target from which the joint counts as blocked, deg; half of the
+following-error limit if this is less.
+"""
 
 
 def check_method(_subindex: int, value: int) -> None:
-    """Refuse a method that the drive does not have.
+    """Refuse a homing method that the drive does not have.
 
     Raises:
-        SdoAbortError: The method is another.
+        SdoAbortError: The drive does not have this method.
     """
     if value not in METHODS:
         raise SdoAbortError(OUT_OF_RANGE)
 
 
 class Homing:
-    """Moves the machine to a switch by itself, and sets the zero of the drive's position.
+    """Homing of the simulated drive: moves the machine to a switch, and sets the zero of the
+    drive's position.
 
     The limit switches are closed where the true joint angle is beyond them.
 
@@ -52,14 +55,14 @@ class Homing:
         clock: Simulated time.
         values: The drive's dictionary.
         counts_per_rad: Motor counts per radian of the motor.
-        speed_unit: Returns the unit of the drive's speeds, counts/s.
-        acceleration_unit: Returns the unit of its accelerations, counts/s^2.
+        speed_unit: Function that returns the unit of the drive's speeds, counts/s.
+        acceleration_unit: Function that returns the unit of its accelerations, counts/s^2.
 
     Attributes:
         shift: Drive position less the motor's counts.
         switches_deg: Joint angles of the limit switches, or None for switches that never close.
         endless: Whether a homing never ends.
-        jammed: Whether the motor has too little torque to move the joint, as if that were jammed.
+        jammed: Whether the motor has too little torque to move the joint, as with a jammed joint.
     """
 
     def __init__(
@@ -90,8 +93,8 @@ class Homing:
         return self._bits
 
     def begin(self, counts: int) -> None:
-        """Hold still when the power is switched on in homing mode; the homing starts at a rising
-        edge of bit 4.
+        """Hold the position when the power is switched on in homing mode; the homing starts at a
+        rising edge of bit 4.
         """
         self._bits = REACHED
         self._word = self._values[_CONTROLWORD]

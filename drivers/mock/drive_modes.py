@@ -30,7 +30,7 @@ _TARGET_SPEED: Final = key(0x60FF)
 _NEW: Final = 1 << 4
 _PROFILE_NS: Final = 1_000_000
 _BIT_12: Final = 0x1000
-"""Of the statusword: the drive follows its target, or has taken a set-point."""
+"""Bit of the statusword: the drive follows its target, or has accepted a set-point."""
 
 
 class Mover:
@@ -46,7 +46,7 @@ class Mover:
         current_A: Motor current of one unit of torque.
 
     Attributes:
-        homing: Homing, and the zero that it has set.
+        homing: Homing of the drive, and the zero that the last homing has set.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Mover:
         self.homing.stop()
 
     def follow(self, period_ns: int) -> bool:
-        """Obey the targets; returns whether a limit changed them."""
+        """Follow the targets; return whether a limit has changed a target."""
         move: Callable[[int], bool] | None = {
             CSP: self._position,
             CSV: self._spin,
@@ -181,7 +181,7 @@ class Mover:
         deceleration = values[_PROFILE_DECELERATION] * self.acceleration_unit
         greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * self.speed_unit
         left = self._goal - self.demand
-        # The speed from which whole steps of the deceleration end at the set-point.
+        # This is the speed from which whole steps of the deceleration end at the set-point.
         half = deceleration * dt / 2.0
         allowed = min(math.sqrt(half * half + 2.0 * deceleration * abs(left)) - half, greatest)
         wanted = math.copysign(allowed, left) if left else 0.0

@@ -25,8 +25,8 @@ _TURNS: Final = 4096
 
 
 class SimulatedEncoder(SimulatedNode):
-    """A multi-turn encoder: 6004h = (direction x joint counts, scaled, + preset offset) modulo
-    6002h.
+    """A simulated multi-turn encoder: 6004h = (direction x scaled joint counts + preset offset)
+    modulo 6002h.
 
     Attributes:
         distort: Function that changes the joint counts as a faulty sensor does, or None for a

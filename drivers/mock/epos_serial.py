@@ -32,7 +32,9 @@ WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _TARGET: Final = 0x607A
 _MEANS: Final = (0x6077, 0x6078)
-"""Torque and current, means since they were read last; so is a current of the drive's own."""
+"""Torque and current, which are means since the last read; a maker's own object of the current is
+one too.
+"""
 _VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4

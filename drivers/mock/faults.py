@@ -34,7 +34,7 @@ class _Rule:
 class WireFaults:
     """Loses, repeats, delays and corrupts frames on a simulated bus.
 
-    Several faults may be active at once.
+    Several faults may be active at the same time.
 
     ``count`` is the number of affected frames, :data:`FOR_GOOD` for all frames from now on. A CAN
     controller repeats frames with a wrong CRC, so that a receiver never receives them; the injected
@@ -102,7 +102,9 @@ class WireFaults:
         )
 
     def bus_off(self, for_s: float | None) -> None:
-        """Put the host's controller into the state bus-off, for a time or permanently."""
+        """Put the host's controller into the state bus-off, for a time (s) or permanently
+        (None).
+        """
         self._bus.down = True
         if for_s is not None:
             self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._recover)

@@ -25,7 +25,7 @@ class _Rule:
 class LineFaults:
     """Loses, corrupts, delays and repeats messages on a simulated serial line.
 
-    Several faults may be active at once.
+    Several faults may be active at the same time.
 
     ``from_host`` selects requests (True), answers (False) or both (None); ``count`` is the number
     of affected messages, 0 for all messages from now on.
@@ -47,7 +47,7 @@ class LineFaults:
         self._add(from_host, count, lambda _data, _host: b"")
 
     def drop_byte(self, from_host: bool | None, count: int, at: int) -> None:
-        """Lose one byte, counted from 0; in a shorter message, lose the last byte."""
+        """Lose byte number ``at``, counted from 0; in a shorter message, lose the last byte."""
 
         def change(data: bytes, _host: bool) -> bytes:
             place = min(at, len(data) - 1)
@@ -56,8 +56,8 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def flip(self, from_host: bool | None, count: int, bit: int) -> None:
-        """Invert one bit, counted from the lowest bit of the first byte; in a shorter message,
-        invert a bit of the last byte.
+        """Invert bit number ``bit``, counted from the lowest bit of the first byte; in a shorter
+        message, invert a bit of the last byte.
         """
 
         def change(data: bytes, _host: bool) -> bytes:
@@ -97,7 +97,7 @@ class LineFaults:
         self._add(True, count, change)
 
     def cut(self, for_s: float | None) -> None:
-        """Unplug the line, for a time or permanently."""
+        """Unplug the line, for a time (s) or permanently (None)."""
         self._line.cut = True
         if for_s is not None:
             self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._mend)

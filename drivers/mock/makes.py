@@ -1,10 +1,11 @@
-"""Drives of common makes: which objects of the simulated drive their EDS files lack, which other
-objects they have, and in which units.
+"""Drives of common makes: which objects of the simulated drive their EDS files lack, and which
+other objects they have, with their units.
 
-A simulated drive with such a description has only the objects of the description. The lists follow
+A simulated drive of a make has only the objects of the make's EDS file. The lists follow
 files of the makers, shortened to the objects that a servo uses; the lists of Nanotec, Copley and
-Technosoft follow the manuals of these makers. These lists and the drivers' data on makes are
-written independently of each other, so that each tests the other.
+Technosoft follow the manuals of these makers. These lists and the data on makes in
+:mod:`drivers.canopen.device_data` are written independently of each other, so that a test can
+compare them.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.traits import HM, PP, Shown, Traits, current_A, supply_V, temperature_C
 
 _OWN: Final = frozenset({0x2100, 0x2101, 0x60E3})
-"""Of the simulated drive only; its list of homing methods is rare."""
+"""Objects that no drive of a make has by default: objects of the simulated drive only, and the list
+of homing methods, which few drives have.
+"""
 MAKES: Final[Mapping[str, Traits]] = {
     "EPOS4": Traits(
         0xFB,
@@ -104,12 +107,12 @@ MAKES: Final[Mapping[str, Traits]] = {
         acceleration_counts_s2=1000.0**2 / 65536.0,
     ),
 }
-"""Make to what it differs in."""
+"""Make to the differences of its drives from the simulated drive."""
 LACKS: Final[Mapping[str, frozenset[int]]] = {name: make.lacks for name, make in MAKES.items()}
-"""Make to the indices that are missing."""
+"""Make to the indices of the objects that its drives lack."""
 _HEAD: Final = re.compile(r"\[([0-9A-Fa-f]{4})(?:sub[0-9A-Fa-f]+)?\]\s*$")
 _STANDARD: Final = frozenset({(0x6078, 0)})
-"""Objects of CiA 402 that some make has in a unit of its own."""
+"""Objects of CiA 402 that drives of some make have in another unit."""
 _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 """Struct code to data type of CiA 301."""
 

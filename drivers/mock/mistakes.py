@@ -24,9 +24,10 @@ class Mistake:
     """One mistake.
 
     Attributes:
-        words: What is wrong.
-        spoil: Builds it into the devices of a bench, given the joint encoder that is in use.
-        change: Builds it into the machine.
+        words: Description of the mistake.
+        spoil: Function that injects the mistake into the devices of a bench, of which the used
+            joint encoder is an argument.
+        change: Function that injects the mistake into the machine.
     """
 
     words: str
@@ -48,7 +49,7 @@ def _motor(**factors: float) -> Callable[[Machine], Machine]:
 
 
 def _never_lost(_: int) -> None:
-    """Do nothing when the master is gone."""
+    """Do nothing when the master is lost."""
 
 
 MISTAKES: Final[Mapping[str, Mistake]] = {

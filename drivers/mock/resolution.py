@@ -1,4 +1,4 @@
-"""Resolution of the motor encoder as a drive states it."""
+"""Resolution of the motor encoder, as a drive states it in object 608Fh."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ class Sampler:
     :attr:`time_ns`, which is at most one loop period before the requested time.
 
     Attributes:
-        machine: The machine; call :meth:`advance` before a command to it.
+        machine: The machine; :meth:`advance` must be called before a command to the machine.
         time_ns: Simulated time up to which the machine is integrated.
     """
 
@@ -51,8 +51,8 @@ class Sampler:
         return reading
 
     def latch(self, now_ns: int) -> Reading:
-        """Return the reading at ``now_ns``, with current and voltage averaged since the last call,
-        and start new means.
+        """Return the reading at ``now_ns``, with current and voltage averaged since the last call
+        of this method, and start new means.
         """
         reading = self.peek(now_ns)
         span = self._pending_ns

@@ -14,8 +14,8 @@ _MODE_DISPLAY = key(0x6061)
 
 
 class Sensor(Protocol):
-    """A simulated encoder of any kind; ``distort`` is the function with which a fault changes the
-    counts, None without fault.
+    """A simulated encoder of any kind; ``distort`` is the function by which a fault changes the
+    counts, or None without a fault.
     """
 
     distort: Callable[[int], int] | None
@@ -27,7 +27,9 @@ class Sensor(Protocol):
 
 
 def flip_bit(encoder: Sensor, bit: int, count: int) -> None:
-    """Invert one bit of the position in the next ``count`` readings (0: in all)."""
+    """Invert one bit of the position in the next ``count`` readings, or in all readings if
+    ``count`` is 0.
+    """
     left = count or None
 
     def distort(counts: int) -> int:
@@ -47,7 +49,7 @@ def jump(encoder: Sensor, by_counts: int) -> None:
 
 
 def freeze(encoder: Sensor) -> None:
-    """Keep the position of the next reading in all later readings, while time stamps advance."""
+    """Return the position of the next reading in all later readings, while time stamps advance."""
     held: int | None = None
 
     def distort(counts: int) -> int:
@@ -70,7 +72,7 @@ def on_motor_shaft(encoder: Sensor, machine: SimulatedMachine) -> None:
 
 
 def refuse_mode(drive: SimulatedDrive) -> None:
-    """Accept writing of 6060h without effect: 6061h reports no mode."""
+    """Accept that 6060h is written, but without effect, so that 6061h reports no mode."""
     drive.objects.values[_MODE_DISPLAY] = 0
     ignored: Callable[[int, int], None] = lambda _subindex, _value: None  # noqa: E731
     drive.objects.written[0x6060] = ignored

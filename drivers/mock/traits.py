@@ -1,4 +1,4 @@
-"""Lists the differences between simulated CiA 402 drives: identity, units, objects of their own,
+"""Records of the differences between simulated CiA 402 drives: identity, units, additional objects,
 modes.
 """
 
@@ -11,7 +11,7 @@ from drivers.mock.canopen.dictionary import DeviceDictionary, Entry, key
 from drivers.mock.plant.machine import Reading
 
 Quantity = Callable[[Reading], float]
-"""What an object shows, in SI units or deg C."""
+"""Function that returns the quantity that an object contains, in SI units or deg C."""
 PP, HM, CSP, CSV, CST = 1 << 0, 1 << 5, 1 << 7, 1 << 8, 1 << 9
 """Bits of 6502h: modes that a drive offers."""
 
@@ -37,10 +37,10 @@ class Shown:
 
     Attributes:
         address: Index and subindex.
-        code: Struct code of its type.
-        quantity: What it shows, or None for the rated current.
-        unit: Unit of its value.
-        mappable: Whether it can be process data.
+        code: Struct code of the type of the object.
+        quantity: Quantity that the object contains, or None for the rated current.
+        unit: Unit of the value of the object.
+        mappable: Whether the object can be process data.
     """
 
     address: tuple[int, int]
@@ -52,21 +52,21 @@ class Shown:
 
 @dataclass(frozen=True)
 class Traits:
-    """One kind of drive.
+    """Properties of one kind of simulated drive.
 
     Attributes:
-        vendor_id: 1018h:01h.
-        product_code: 1018h:02h.
-        lacks: Indices that it lacks of those of the simulated drive.
-        own: Objects that it has besides.
-        rpm: Whether its speeds are in revolutions per minute.
-        speed_counts_per_s: Unit of its speeds otherwise.
-        acceleration_counts_s2: Unit of its accelerations, where it is not one of its speeds per
-            second.
-        acceleration_turns_s2: The same, in motor turns.
-        rated_torque_unit_N_m: Unit of 6076h.
-        modes: 6502h.
-        shown: Addresses of the objects that it shows to its bus, or None for all.
+        vendor_id: Vendor, 1018h:01h.
+        product_code: Product code, 1018h:02h.
+        lacks: Indices of the objects of the usual simulated drive that this drive lacks.
+        own: Additional objects.
+        rpm: Whether speeds are in revolutions per minute.
+        speed_counts_per_s: Unit of speeds unless ``rpm``, counts/s.
+        acceleration_counts_s2: Unit of accelerations if it is not the unit of speeds per second,
+            counts/s^2.
+        acceleration_turns_s2: Unit of accelerations, in motor turns per second squared.
+        rated_torque_unit_N_m: Unit of the rated torque 6076h, N m.
+        modes: Modes of operation, the value of 6502h.
+        shown: Addresses of the objects that can be accessed over the bus, or None for all objects.
     """
 
     vendor_id: int = 0x7FF
@@ -97,7 +97,7 @@ class OwnObjects:
     """The objects of :class:`Traits` in a dictionary.
 
     Attributes:
-        measured: Key, quantity and unit of what is measured.
+        measured: Key, quantity and unit of each object with a measured value.
     """
 
     traits: Traits
@@ -121,7 +121,7 @@ class OwnObjects:
             objects.remove_except(self.traits.shown)
 
     def restore(self, values: dict[int, int], rated_current_A: float) -> None:
-        """Set what never changes."""
+        """Set the values that do not change."""
         values[key(0x1018, 1)] = self.traits.vendor_id
         values[key(0x1018, 2)] = self.traits.product_code
         values[key(0x6502)] = self.traits.modes

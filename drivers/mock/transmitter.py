@@ -25,8 +25,8 @@ _OVERLOAD: Final = 0x02
 
 
 class SimulatedTransmitter(SimulatedNode):
-    """A transmitter: 9130h is the pressure at the last SYNC, with noise; 6150h reports a pressure
-    out of range.
+    """A simulated transmitter: 9130h is the pressure at the last SYNC, with noise; 6150h reports
+    whether the pressure is out of range.
     """
 
     def __init__(
@@ -61,8 +61,8 @@ def transmitted(
     """Return a transmitter's readings of exact pressures, shape (n,).
 
     Returns:
-        The readings in whole units of :data:`PRESSURE_UNIT_PA`, and whether each is limited to the
-        range.
+        The readings in whole units of :data:`PRESSURE_UNIT_PA`, and a mask of the readings that are
+        limited to the range.
     """
     noise = 0.0 if rng is None else transmitter.noise_Pa * rng.standard_normal(len(pressure_Pa))
     reading = pressure_Pa + noise

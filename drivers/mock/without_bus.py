@@ -1,4 +1,4 @@
-"""Simulates recordings of a bench without its bus: the same samples, two hundred times faster.
+"""Simulates recordings of a bench without its bus, with the same samples, two hundred times faster.
 
 If no frame is lost or late, the bus determines only the timing, which is the same in every cycle:
 drive and encoder latch at the SYNC, and the drive interpolates to the target of that SYNC within
@@ -18,7 +18,9 @@ from drivers.mock.resolution import encoder_resolution
 from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
 SLOW_EVERY = 10
-"""Cycles between two frames with supply voltage and temperature, as configured by the host."""
+"""Period, in cycles, of the frames with supply voltage and temperature, as the host configures
+it.
+"""
 
 Channel = NDArray[np.float64]
 
@@ -28,8 +30,8 @@ class Samples(NamedTuple):
 
     ``velocity`` is the drive's estimate at the joint; ``angle`` is that of the joint encoder, and
     ``motor_angle`` that of the motor encoder. ``current`` and ``voltage`` are means over the cycle
-    that ends at the sample. ``pressure`` is the pressure downstream of the valve while no gas
-    generator burns.
+    that ends at the sample. While no gas generator burns, ``pressure`` is the pressure downstream
+    of the valve.
     """
 
     time: Channel

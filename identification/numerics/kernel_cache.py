@@ -1,10 +1,11 @@
 """Cache on disk for the machine code of kernels compiled by numba.
 
 This cache corrects three faults of numba's own cache. Numba's cache refuses to compile a kernel if
-no cache folder is writable. It raises an error if the disk is full. Numba's cache does not
-recompile a kernel if another module changes a kernel or a constant that was compiled into it. With
-the cache of this module, an error of the cache only costs a compilation, and the name of a cache
-file contains a digest of everything that is compiled into the kernel.
+no cache folder is writable. Numba's cache raises an error if the disk is full. Numba's cache does
+not recompile a kernel if another module changes a kernel or a constant that was compiled into the
+first kernel. With the cache of this module, the consequence of an error of the cache is one more
+compilation, and the name of a cache file contains a digest of everything that is compiled into the
+kernel.
 
 `identification` and `drivers.mock.plant` never import each other. Each of these two packages has a
 copy of this file, and a test verifies that the copies are equal.
@@ -53,7 +54,7 @@ class KernelCache:
         return None if self._files is None else str(self._files.cache_path)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return the compiled code of a signature, or None if it is missing or damaged."""
+        """Return the compiled code of a signature, or None if the code is missing or damaged."""
         try:
             found = self._opened().load_overload(signature, target)
             if found is None:
@@ -74,7 +75,8 @@ class KernelCache:
         except OSError as error:
             _say_not_kept(f"{self.cache_path}: {error.strerror}")
         except RuntimeError:
-            # The message of numba states a kernel's name, which does not help an operator.
+            # The message of numba is replaced, because it states the name of a kernel, which does
+            # not help an operator.
             _say_not_kept("no cache folder is writable")
 
     def enable(self) -> None:
@@ -144,7 +146,7 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
 def _home(value: ModuleType | type) -> str:
     """Return the top-level package of a module or a class.
 
-    Other packages are not part of the digest, as they change only with their version.
+    Code of other packages is not part of the digest, because it changes only with their version.
     """
     return (value.__module__ if isinstance(value, type) else value.__name__).partition(".")[0]
 
@@ -161,8 +163,8 @@ def _content(value: Any) -> bytes:
 class _TemporaryFolder:
     """Cache locator of numba for a private folder among the temporary files.
 
-    No other user may write the folder, since its machine code is executed. numba tries its own
-    locators first.
+    No other user may have write access to the folder, because its machine code is executed. The
+    locators of numba are tried first.
     """
 
     def __init__(self, function: FunctionType, file: str) -> None:
@@ -202,7 +204,7 @@ class _TemporaryFolder:
         return hashlib.sha256(self._source.read_bytes()).hexdigest()
 
     def get_disambiguator(self) -> str:
-        """Return a string that differs for equal function names in equally named modules."""
+        """Return a string that distinguishes functions of equal name in modules of equal name."""
         folder = hashlib.sha256(os.fsencode(self._source.resolve().parent)).hexdigest()[
             :_DIGEST_DIGITS
         ]
@@ -239,13 +241,13 @@ class _Files(FunctionCache):
 
 
 def _user() -> int:
-    # Windows has no user numbers.
+    # On Windows users have no numbers.
     return os.geteuid() if hasattr(os, "geteuid") else 0
 
 
 def _say_compiling() -> None:
-    """Log once, for all kernels, that compiling makes a first start slow, if a person may be
-    waiting.
+    """Log once for all kernels, if a person may be waiting, that compiling makes the first start
+    slow.
     """
     if not _COMPILING.is_set() and sys.stderr is not None and sys.stderr.isatty():
         _COMPILING.set()

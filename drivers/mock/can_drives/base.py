@@ -55,7 +55,7 @@ class CanDrive(ABC):
         """Start receiving and sending, as after power-on."""
 
     def fail(self, code: int) -> None:
-        """Go into fault with the code of an internal cause."""
+        """Go into fault with the fault code of an internal cause."""
         self.fault_code = code
         self._switch(False)
 
@@ -73,7 +73,7 @@ class CanDrive(ABC):
             self._watchdog.start(now + WATCHDOG_NS)
 
     def _sample(self) -> None:
-        """Sample the sensors, as the drive does at each command."""
+        """Sample the sensors, as the drive does when it receives a command."""
         self._latched = self._sampler.latch(self._clock.now_ns())
 
     def _target(self, motor_rad: float, torque_N_m: float = 0.0) -> None:
@@ -93,8 +93,8 @@ class CanDrive(ABC):
         self._machine.feed(torque_N_m / self._machine.constants.motor.torque_constant_N_m_A)
 
     def _reading(self) -> Reading:
-        """Return the reading of the last command, or a new reading if the last command is too
-        old.
+        """Return the reading that was taken at the last command, or a new reading if the last
+        command is too old.
         """
         now = self._clock.now_ns()
         return self._latched if now - self._fed_ns < _IDLE_NS else self._sampler.peek(now)

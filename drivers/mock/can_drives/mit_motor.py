@@ -28,7 +28,7 @@ _LEAST_GAIN: Final = 1
 
 
 class MitMotor(CanDrive):
-    """The motor. The motor sends nothing until it receives a frame."""
+    """A simulated motor, which sends nothing until it receives a frame."""
 
     lost_code: ClassVar[int] = COMMUNICATION_LOST
 

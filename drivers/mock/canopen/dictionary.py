@@ -30,7 +30,7 @@ _ENDS: Final = {
     else (0, (1 << 8 * size) - 1)
     for code, size in ((code, struct.calcsize(code)) for code in _CODES.values())
 }
-"""The smallest and the largest value of each struct code."""
+"""Least and greatest value of each struct code."""
 
 
 class SdoAbortError(Exception):
@@ -92,7 +92,7 @@ class DeviceDictionary:
         texts: Texts of the string objects by key.
         checks: Hooks ``(subindex, value)`` by index.
         written: Hooks ``(subindex, value)`` by index.
-        deaf: Indices whose writes are acknowledged and ignored.
+        deaf: Indices of objects to which writes are acknowledged but ignored.
     """
 
     def __init__(self, eds: Path, node_id: int) -> None:
@@ -105,8 +105,8 @@ class DeviceDictionary:
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
-        """Remove all objects but these (index and subindex), as for a device that does not have
-        them on its bus; the device still uses their values internally.
+        """Remove all objects except these (index and subindex), as in a device that does not offer
+        the removed objects on its bus; the device still uses the removed values internally.
         """
         self.entries = {
             number: entry
@@ -182,8 +182,8 @@ class DeviceDictionary:
 
 @lru_cache(maxsize=8)
 def _load(eds: Path, node_id: int) -> Mapping[int, Entry]:
-    # Reading an EDS takes some 20 ms, and a series of simulated benches reads the same two files
-    # repeatedly.
+    # To read an EDS takes some 20 ms, and a series of simulated benches reads two EDS files again
+    # and again.
     variables = _variables(canopen.import_od(str(eds), node_id))
     return {key(variable.index, variable.subindex): _entry(variable) for variable in variables}
 

@@ -99,7 +99,7 @@ class SimulatedNode:
         self._send_emergency(code, bits, info)
 
     def clear_errors(self) -> None:
-        """Report by EMCY frame that there is no error any more."""
+        """Report by an EMCY frame that all errors are cleared."""
         if self.objects.integer(0x1001):
             self._values[key(0x1001)] = 0
             self._send_emergency(0, 0, b"")
@@ -132,8 +132,8 @@ class SimulatedNode:
         self._process_data.send_changes()
 
     def stamp(self, time_ns: int) -> None:
-        """Put the device's own time (1013h, microseconds modulo 2^32) at ``time_ns`` into the
-        dictionary.
+        """Put the time of the device's own clock at ``time_ns`` (1013h, microseconds modulo 2^32)
+        into the dictionary.
         """
         self._values[_TIME_STAMP] = (time_ns // 1000 + self._clock_offset_us) & 0xFFFFFFFF
 
@@ -235,7 +235,7 @@ class SimulatedNode:
         """React to the loss of the master; ``code`` is the error code, 0 after an NMT stop."""
 
     def halt(self) -> None:
-        """Bring the device into its safe state at once, before a restart."""
+        """Bring the device into its safe state immediately, before a restart."""
 
     def restore(self) -> None:
         """Reset the internal state to that after power-on; the dictionary already contains its

@@ -215,5 +215,5 @@ class ProcessData:
 
 
 def _pick_one(number: int, values: dict[int, int]) -> tuple[int]:
-    # An itemgetter of a single key returns the value itself instead of a tuple.
+    # An itemgetter of a single key would return the value itself, not a tuple of one value.
     return (values[number],)

@@ -95,7 +95,7 @@ class SdoServer:
         self._transfer = None
         sized = command & 0x01
         if command & 0x02:
-            # A request without a size means as many bytes as the object has.
+            # A request that states no size contains as many bytes as the object has.
             size = (
                 4 - (command >> 2 & 0x03) if sized else self._dictionary.entry(index, subindex).size
             )

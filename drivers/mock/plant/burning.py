@@ -1,8 +1,8 @@
 """Integrates the simulated machine over time, with the load of a weight or of a gas generator.
 
 The machine may have injected effects. While the gas generator burns (Fig. 5, 11), valve angle and
-pressure determine the contact force (eq. 10) and thereby the friction at the valve; the valve angle
-in turn determines the pressure.
+pressure determine the contact force (eq. 10), and the contact force determines the friction at the
+valve. The valve angle also affects the pressure.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def advance_loaded(
     noise: Vector,
     path: Vector,
 ) -> None:
-    """Advance ``loops`` drive-loop periods; the arguments are those of the two kernels, ``y`` and
-    ``g`` those of the gas generator.
+    """Advance ``loops`` drive-loop periods; the arguments are those of the kernels of machine and
+    gas generator, of which ``y`` and ``g`` belong to the gas generator.
 
-    The force is taken at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100
-    microseconds. Steps are counted from ignition, so that the result does not depend on how the
-    time is divided among calls.
+    In each gas step the contact force is that at the start of the step; at 50 deg/s the force
+    changes by 0.5 N in 100 microseconds. Steps are counted from ignition, so that the result does
+    not depend on how the time is divided among calls.
     """
     burns = y[MASS] > 0.0
     done = 0

@@ -64,8 +64,8 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
-    """Return the conditions of the next step: factors on throat, burning area, burning rate and
-    heat, and the leak, m^2.
+    """Return the conditions of the next step: factors on throat area, burning area, burning rate
+    and heat, and the area of the leak, m^2.
     """
     throat, burning, rate, heat, leak = (
         g[THROAT_SHARE],
@@ -177,8 +177,8 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     p1, q1 = solve_stage(mass, volume, _GAMMA * h, grown, early, energy, pressure, g)
     first = 1.0 - _GAMMA
     base = mass + first * h * ((g[DENSITY] + made * p1) * q1 - early * p1)
-    # If the step is far longer than the settling time, the second stage would start below zero:
-    # take one implicit Euler step instead.
+    # If the step is far longer than the settling time, the second stage would start below zero; one
+    # implicit Euler step then replaces the two stages.
     share = first if base > 0.0 else 0.0
     base = base if base > 0.0 else mass
     p2, q2 = solve_stage(
@@ -200,7 +200,7 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
 
 @inlined
 def contact_force(pressure: float, throat: float, g: Vector) -> float:
-    """Return F_P = (p_g - p_c0) A_s, eq. 10, N; zero if the difference is negative."""
+    """Return the contact force F_P = (p_g - p_c0) A_s (eq. 10), N, or zero if p_g is below p_c0."""
     return float(
         max(pressure - g[BACK_PRESSURE], 0.0) * (math.pi * g[OPENING] * g[OPENING] - throat)
     )

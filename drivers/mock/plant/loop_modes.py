@@ -22,7 +22,7 @@ def close_loops(d: Vector, cascade: Loops, position: bool, speed: bool) -> None:
 
 
 def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
-    """Command a joint speed from now on; the position loop stays open."""
+    """Command a joint speed until the next command; the position loop stays open."""
     if s[loops.MODE] != loops.OFF:
         s[loops.MODE] = loops.TRACK
         s[loops.TARGET_LEFT] = math.inf

@@ -42,8 +42,8 @@ _NO_PATH = np.zeros(0)
 class Reading(NamedTuple):
     """Sensor values of drive and joint encoder at one instant.
 
-    ``current_A`` and ``voltage_V`` are means since the previous latch; the others are values at the
-    instant.
+    ``current_A`` and ``voltage_V`` are means since the previous sampling; all other values are
+    those at the instant.
     """
 
     motor_counts: int
@@ -58,8 +58,8 @@ class Reading(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """The exact state of the machine, for tests and for benches with exact channels; no bus
-    transmits it.
+    """The exact state of the machine, for tests and for benches with exact channels; this state is
+    not sent over the bus.
     """
 
     angle_rad: float
@@ -89,8 +89,8 @@ class SimulatedMachine:
         """Build a machine at rest.
 
         Args:
-            machine: Its constants.
-            rng: Generator of the noise of its current sensor.
+            machine: Constants of the machine.
+            rng: Random generator of the noise of the current sensor.
             any_size: Whether effects may have sizes outside the ranges of the catalogue.
         """
         self.constants = machine
@@ -128,8 +128,8 @@ class SimulatedMachine:
         self._load()
 
     def ignite(self) -> None:
-        """Load the valve with the gas generator instead of a weight; it burns steadily at once,
-        until another load is set.
+        """Load the valve with the gas generator in place of a weight; the gas generator burns
+        steadily from the start until another load is set.
         """
         self._label_kg, self._force_N = 0.0, None
         self._y = lit(self.constants, self._g, self._angle())
@@ -188,7 +188,7 @@ class SimulatedMachine:
             self._x[extra.FALLING] = 0.0 if of_speed else at_rest
 
     def limit_current(self, current_A: float) -> None:
-        """Lower the current limit of the drive; it never exceeds that of the control loops."""
+        """Set the current limit of the drive, which is at most that of the control loops."""
         self._d[loops.CURRENT_LIMIT] = min(self.constants.loops.current_limit_A, current_A)
 
     def power(self, on: bool) -> None:
@@ -215,7 +215,7 @@ class SimulatedMachine:
         close_loops(self._d, self.constants.loops, position, speed)
 
     def spin(self, speed_rad_s: float) -> None:
-        """Command a joint speed from now on, without the position loop."""
+        """Command a joint speed until the next command, without the position loop."""
         spin(self._s, self._d, speed_rad_s)
 
     def rest(self, seconds: float) -> None:
@@ -238,8 +238,8 @@ class SimulatedMachine:
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
     def feed(self, current_A: float) -> None:
-        """Add a current to the command of the control loops from now on, while the machine follows
-        targets.
+        """Add a current to the current command of the control loops, until the next call, while the
+        machine follows targets.
         """
         if self._s[loops.MODE] == loops.TRACK:
             self._s[loops.OFFSET] = current_A
@@ -337,7 +337,8 @@ class SimulatedMachine:
         """Return the present sensor values, and start new means of current and voltage.
 
         Raises:
-            ConfigurationError: The equations diverge with these constants: the angles are NaN.
+            ConfigurationError: With these constants the equations diverge, so that the angles are
+                NaN.
         """
         s = self._s
         theta = float(s[loops.THETA])
@@ -361,9 +362,8 @@ class SimulatedMachine:
             )
         except (ValueError, OverflowError) as error:
             raise ConfigurationError(
-                f"the equations of the simulated machine diverge (angle {theta:g} rad); look in "
-                f"the section `mock` of "
-                "the bench file for a value with a wrong exponent or unit"
+                f"the equations of the simulated machine diverge (angle {theta:g} rad); look for a "
+                "value with a wrong exponent or unit in the section `mock` of the bench file"
             ) from error
         return Reading(
             motor,

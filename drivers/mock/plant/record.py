@@ -48,8 +48,8 @@ class Latches(NamedTuple):
     shape (n,).
 
     ``current_A`` and ``voltage_V`` are means over the cycle that ends at the SYNC; ``run_s`` is the
-    running time of the machine. ``pressure_Pa`` is exact; it is the pressure downstream of the
-    valve while no gas generator burns.
+    running time of the machine. ``pressure_Pa`` is exact; while no gas generator burns, it is the
+    pressure downstream of the valve.
     """
 
     motor_counts: NDArray[np.float64]
@@ -81,7 +81,7 @@ def record_cycles(
 ) -> None:
     """Run one cycle for each joint angle of ``targets``: advance, sample, set the target.
 
-    As on the bus, the target sent with a SYNC is reached by interpolation one cycle later.
+    As with a bus, the target that is sent with a SYNC is reached by interpolation one cycle later.
     """
     for k in range(len(targets)):
         part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]

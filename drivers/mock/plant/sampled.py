@@ -1,7 +1,7 @@
 """Simulates a machine and samples its exact signals in every period of the drive's loops.
 
-Besides the drive's own loops, a host may close the position loop or send a course of torque: its
-torques arrive at given periods, and the drive makes each of them until the next one arrives.
+In place of the drive's own loops, a host may close the position loop or send a course of torque:
+torques arrive in given loop periods, and the drive produces each torque until the next one arrives.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class Sent(NamedTuple):
     """Inputs in every loop period, arrays of shape (n,).
 
     Attributes:
-        angle_rad: Joint angle sent.
-        torque_N_m: Torque that a host plans, in addition to its law.
-        sends: 1 where the host sends a torque, else 0.
-        encoder_error_rad: Error of the drive's encoder before its count is taken, at the joint.
+        angle_rad: Commanded joint angle.
+        torque_N_m: Torque that a host plans, in addition to the torque of its control law.
+        sends: 1 in periods in which the host sends a torque, else 0.
+        encoder_error_rad: Error of the drive's encoder before quantisation, at the joint.
     """
 
     angle_rad: NDArray[np.float64]
@@ -71,7 +71,7 @@ class Sampled(NamedTuple):
         current_A: Current in the winding.
         mean_current_A: Mean current in the period.
         voltage_V: Voltage that the drive commands for the period.
-        terminal_V: Mean voltage at the motor in the period: with the sag of the supply and the
+        terminal_V: Mean voltage at the motor in the period, less the drop of the supply and the
             dead time, which opposes the mean current.
         supply_V: Voltage of the supply in the period.
         rotor_rad: Angle of the motor's shaft over the gear ratio.
@@ -104,11 +104,11 @@ class SampledMachine(SimulatedMachine):
         """Build a machine.
 
         Args:
-            machine: Its constants.
-            rng: Generator of the noise of its current sensor.
+            machine: Constants of the machine.
+            rng: Random generator of the noise of the current sensor.
             count_rad: Step of the encoder with which the drive closes its loops, at the joint; 0
                 for an exact encoder.
-            run_s: Running time before, which drifts of friction follow.
+            run_s: Running time before the simulation, on which drifts of friction depend.
             heat_K: Temperature of the winding above ambient.
         """
         super().__init__(machine, rng, any_size=True)
@@ -146,9 +146,9 @@ class SampledMachine(SimulatedMachine):
 
         Args:
             sent: The inputs.
-            law: Stiffness (N m/rad) and damping (N m s/rad) with which a host computes its torque
-                from the angle sent and from angle and speed as the drive measured them a loop
-                period before; None where the drive closes its own loops.
+            law: Stiffness, N m/rad, and damping, N m s/rad, with which a host computes its torque
+                from the commanded angle and from angle and speed that the drive measured one loop
+                period before; None if the drive closes its own loops.
         """
         out = np.zeros((SAMPLED, len(sent.angle_rad)))
         noise = self._take_noise(len(sent.angle_rad))
@@ -160,7 +160,7 @@ class SampledMachine(SimulatedMachine):
 
 
 class _Vectors(NamedTuple):
-    """Vectors of a machine, as :func:`drivers.mock.plant.burning.advance_loaded` takes them."""
+    """Vectors of a machine, the arguments of :func:`drivers.mock.plant.burning.advance_loaded`."""
 
     s: Vector
     x: Vector

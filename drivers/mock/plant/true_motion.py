@@ -33,13 +33,14 @@ def simulate(
         duration_s: Length of the simulation, s.
         rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
         weight_kg: Mass on the lever.
-        contact_force_N: Contact force F_P, instead of a weight.
-        burning: Whether a gas generator, steady at the first angle, loads the valve instead.
+        contact_force_N: Contact force F_P in place of that of a weight, N.
+        burning: Whether a gas generator, steady at the first angle, loads the valve in place of a
+            weight.
         rng: Random generator; needed only if the machine has current noise.
 
     Returns:
-        ``time``, ``command``, ``angle``, ``velocity`` (joint), ``current`` (at the instant),
-        ``mean_current`` (over the period that ends there), ``voltage``, ``pressure`` and
+        ``time``, ``command``, ``angle``, ``velocity`` (of the joint), ``current`` (at the sample),
+        ``mean_current`` (over the period that ends at the sample), ``voltage``, ``pressure`` and
         ``contact_force``; each of shape (n,), SI units.
 
     Raises:
@@ -50,7 +51,8 @@ def simulate(
     loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
     if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
         raise ValueError(
-            f"the loop rate {machine.loops.rate_Hz:g} Hz is not a multiple of {rate_Hz:g} Hz"
+            f"the loop rate {machine.loops.rate_Hz:g} Hz is not a multiple of the sample rate "
+            f"{rate_Hz:g} Hz"
         )
     n = round(duration_s * rate_Hz) + 1
     time = np.arange(n) / rate_Hz
@@ -80,7 +82,9 @@ def simulate(
 def _load(
     plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
 ) -> None:
-    """Load the valve with a burning gas generator, else a contact force, else a weight."""
+    """Load the valve with a burning gas generator, with a contact force if it is given, or with a
+    weight.
+    """
     if burning:
         plant.ignite()
     elif contact_force_N is None:

@@ -56,7 +56,7 @@ class Port:
         self._bus.reroute()
 
     def ignore(self, identifier: int) -> None:
-        """Remove the handler of an identifier; no error if there is none."""
+        """Remove the handler of an identifier; it is no error if there is no handler."""
         self.handlers.pop(identifier, None)
         self._bus.reroute()
 
@@ -136,8 +136,8 @@ class SimulatedBus(can.BusABC):
                         handler(data)
                 if sender is not self._host and not self.down:
                     self._received.append(raw_frame((now, identifier, data, False)))
-            # The receivers have queued their answers by now, so that all answers take part in the
-            # next arbitration.
+            # At this point the receivers have queued their answers, so that all answers take part
+            # in the next arbitration.
             if not contenders:
                 self._sender = None
                 return
@@ -170,10 +170,11 @@ class SimulatedBus(can.BusABC):
         self._host.send(identifier, data)
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return the received frames; if there is none, simulated time advances until one arrives.
+        """Return the received frames; if there is none, simulated time advances until a frame
+        arrives.
 
-        Frames without a gap between them are returned together, as from a controller's buffer, each
-        with its arrival time.
+        Frames without a gap between them are returned together, as from the buffer of a controller,
+        each with its arrival time.
 
         Raises:
             OSError: The bus is closed.
@@ -235,4 +236,6 @@ class SimulatedBus(can.BusABC):
         return True
 
     def _send_periodic_internal(self, *args: object, **kwargs: object) -> can.CyclicSendTaskABC:
-        raise NotImplementedError("the simulated bus has no threads: send from the control loop")
+        raise NotImplementedError(
+            "the simulated bus has no threads for periodic frames: send them from the control loop"
+        )

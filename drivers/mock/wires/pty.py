@@ -45,7 +45,7 @@ class Ports:
 
         Bytes are lost if the host does not read and the buffer is full, as in a real adapter.
         """
-        # Imported here, as Windows has no pseudo-terminals.
+        # Imported here, because Windows has no pseudo-terminals.
         import pty
         import tty
 
@@ -71,7 +71,7 @@ class Ports:
         return port
 
     def open_server(self, connected: Callable[[], Station]) -> int:
-        """Serve any number of connections to a TCP port of 127.0.0.1; return the port number.
+        """Accept any number of connections to a TCP port of 127.0.0.1; return the port number.
 
         Args:
             connected: Function that is called at each connection and returns the station for it.
@@ -95,7 +95,7 @@ class Ports:
                 os.close(descriptor)
 
     def babble(self, name: str | int, data: bytes) -> None:
-        """Send bytes to the host program that do not come from a station."""
+        """Send bytes to the host program that no station has sent."""
         for descriptor in self._ends[name]:
             if descriptor in self._stations:
                 _write(descriptor, data)

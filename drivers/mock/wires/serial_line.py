@@ -1,4 +1,4 @@
-"""A serial line in simulated time: each byte takes its time at the baud rate; no wall clock."""
+"""A serial line in simulated time, on which each byte takes its time at the bit rate."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class Station(Protocol):
 class SimulatedLine:
     """The line with the interface of the host: a :class:`~drivers.serial_port.BytePort`.
 
-    Reading advances the clock.
+    To read advances the clock.
 
-    A message arrives as a whole at the time of its last byte; the station answers at the same time.
+    A message arrives as a whole at the time of its last byte, and the station answers at this time.
 
     Args:
         clock: Simulated time.
         baud: Bit rate, bit/s, with 8N1.
         station: The device at the far end.
-        echo: Whether the host's adapter echoes its own bytes.
+        echo: Whether the host's adapter returns the bytes that it sends (echo).
 
     Attributes:
         station: The device at the far end.
@@ -67,7 +67,8 @@ class SimulatedLine:
         self._clock.call_at(arrival, lambda: self._arrived(data))
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes; if there is none, simulated time advances until one arrives.
+        """Return the received bytes; if there is none, simulated time advances until a byte
+        arrives.
 
         Raises:
             OSError: The line is closed.

@@ -39,7 +39,7 @@ class LawicelAdapter:
         self._buffer += data
         answers = bytearray()
         *lines, rest = self._buffer.split(_OK)
-        # A line without an end does not belong to this protocol.
+        # Bytes of more than the longest command without an end do not belong to this protocol.
         self._buffer = rest if len(rest) <= _MAX_LINE else bytearray()
         for line in lines:
             answers += self._obey(bytes(line))

@@ -17,7 +17,7 @@ class SteppedClock:
         self._ahead_ns = 0
 
     def step(self, by_s: float) -> None:
-        """Jump forward, or back if ``by_s`` is negative."""
+        """Let the host's time jump forward by ``by_s`` s, or back if ``by_s`` is negative."""
         self._ahead_ns += round(by_s * NS)
 
     def now_ns(self) -> int:
@@ -25,5 +25,5 @@ class SteppedClock:
         return self._base.now_ns() + self._ahead_ns
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Wait for the time that remains to the deadline at the time of the call."""
+        """Wait for the time that, at the call of this method, remains to the deadline."""
         self._base.sleep_until_ns(deadline_ns - self._ahead_ns)

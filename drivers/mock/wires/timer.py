@@ -16,7 +16,7 @@ class Timer:
         self._generation = 0
 
     def start(self, when_ns: int) -> None:
-        """Run the action at ``when_ns``; this replaces an earlier start."""
+        """Run the action at ``when_ns``; an earlier call of this method has no effect any more."""
         self._generation += 1
         generation = self._generation
 

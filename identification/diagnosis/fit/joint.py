@@ -39,9 +39,7 @@ CLOSING_STEPS, CLOSING_EXCESS = 3, 0.02
 the predicted mean-square torque mismatch from which a closing step is tried.
 """
 CLOSING_SHARES = (1.0, 0.5)
-"""Shares of a closing step that are tried, because a whole step may increase the mismatch of the
-breakaway equation.
-"""
+"""Shares of a closing step that are tried: a whole step may worsen the breakaway equation."""
 LEAST_CLOSING_GAIN = 0.1
 """Least share of the excess of the attained torque mismatch that a closing step must remove."""
 DAMPING = 0.3
@@ -49,9 +47,7 @@ DAMPING = 0.3
 MOST_FAILURES = 2
 """Greatest number of steps that may increase the cost."""
 GRID_REACHES = (1.0, 0.2)
-"""Half widths of the grid over a nonlinear parameter in the first rounds, relative to the width of
-its search.
-"""
+"""Half widths of the first grids of a nonlinear parameter, over the half width of its search."""
 GRID_POINTS = 9
 GRID_REFINEMENTS = 3
 MOST_OWN_STEPS, LEAST_STEP_SHARE = 4, 1.0 / 64.0
@@ -127,8 +123,7 @@ def fit(
             if failures > MOST_FAILURES:
                 break
         assert best is not None
-        # Regressors that depend on the nominal values make the problem nonlinear in the nominal
-        # parameters.
+        # Regressors that depend on the nominal values make the problem nonlinear in them.
         follow = share if any(e.term.follows for e in best.effects) else 1.0
         nominal = best.nominal.moved(follow * step.linear_step, step.speed_step, share)
         effects = (
@@ -140,8 +135,7 @@ def fit(
     assert best is not None
     best = _closing_steps(views, unit, best, step)
     if before is None:
-        # The blocks of the first round are too long: errors of the start values have longer
-        # correlation times.
+        # Blocks of the first round are too long: errors of the start values are correlated longer.
         best = replace(best, stack=stack_of(best.equations, best.nominal))
     # The residual of the stack still contains the effects of known size, which have no column.
     left = replace(best.stack, residual=best.residual)
@@ -306,8 +300,7 @@ class _SingleEffect(NamedTuple):
 
 
 def _single_effect(stack: Stack, effects: Sequence[Added], k: int) -> _SingleEffect:
-    # Rows to which neither this effect nor the effects connected with it contribute have a constant
-    # cost.
+    # Rows to which neither this effect nor connected effects contribute have a constant cost.
     stack = stack.only(connected(effects[k].term.columns, [e.term.columns for e in effects]))
     here = {e.name for e in stack.equations}
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])

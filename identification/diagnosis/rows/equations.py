@@ -229,9 +229,7 @@ def between_samples(equation: Equation) -> float:
 
 
 def least_noise(equation: Equation) -> float:
-    """Return the least possible noise of the rows of an equation, that is, the rounding error of
-    the samples.
-    """
+    """Return the least possible noise of an equation's rows: the rounding error of the samples."""
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
     if equation.name != "transmission":
         return least

@@ -23,11 +23,11 @@ from drivers.mock.plant.parts.friction import (
     friction,
 )
 
-# Slots after the nominal friction vector in the working copy.
+# Slots of the working friction vector after those of the nominal friction vector.
 SIDE, VISCOUS_SIDE, DRAG, LAGGED, WORK_SIZE = range(FRICTION_SIZE, FRICTION_SIZE + 5)
 
 _BRISTLE_DAMPING = 0.2
-"""Damping ratio of the joint on its bristles while it sticks; an assumption."""
+"""Assumed damping ratio of the oscillation of a sticking joint on its bristles."""
 
 
 @inlined
@@ -69,7 +69,7 @@ def bristle_level(speed: float, p: Vector, moment: float) -> float:
 def step_slipping(
     omega: float, before: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float]:
-    """Advance J domega/dt = torque - friction by ``h``; friction may depend on the direction.
+    """Advance J domega/dt = torque - friction by ``h`` s; friction may depend on the direction.
 
     With the same friction in both directions the result is that of
     :func:`drivers.mock.plant.parts.friction.step_velocity`.
@@ -113,8 +113,8 @@ def step_bristles(
     """Advance a joint with bristle friction (LuGre model, Canudas de Wit et al. 1995) by ``h``.
 
     dz/dt = omega - sigma_0 |omega| z / g(omega); friction = sigma_0 z + sigma_1 dz/dt + viscous
-    part, with sigma_1 fading with speed. The step is linearly implicit, and therefore stable for
-    any stiffness.
+    part, with a sigma_1 that falls with speed. The step is linearly implicit, and therefore stable
+    for any stiffness.
 
     Args:
         omega: Speed, rad/s.

@@ -1,8 +1,8 @@
 """Injected effects in the gas generator: deposits, tapered grain, erosion, heat loss, leak.
 
-The module also has effects that are in no catalogue (decoys).
+The module also has effects that are in no catalogue.
 
-Slots are relative to the start of the injected part of the gas vector and of the gas state.
+Slots are counted from the start of the injected part of the gas vector and of the gas state.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def chill(cooled: float, warmed: float, g: Vector, at: int) -> float:
 
 @inlined
 def settled_chill(burnt: float, enthalpy: float, g: Vector, at: int) -> float:
-    """Return the relative temperature loss of the gas if ``burnt`` kg/s of fresh gas mix at once
-    and the walls are cold.
+    """Return the relative temperature loss of the gas if ``burnt`` kg/s of fresh gas mix
+    immediately and the walls are cold.
     """
     return float(g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy))
 

@@ -88,8 +88,8 @@ CONSTANTS_AT = OUTSIDE_END
 def move_joint(
     omega: float, held: float, bristles: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float, float]:
-    """Advance the joint speed by ``h``; return speed, final friction, bristles and friction
-    work.
+    """Advance the joint speed by ``h`` s; return speed, friction at the end of the step, deflection
+    of the bristles, and work of friction.
     """
     if e[table.PRESLIDING_STIFFNESS] > 0.0:
         new, bristles, drag = step_bristles(omega, bristles, torque, h, w, e)
@@ -112,8 +112,8 @@ def integrate(
 ) -> float:
     """Integrate one loop period at constant voltage and return the charge, A s.
 
-    A machine with one mass uses the splitting of the nominal kernel. With two masses, the angles
-    advance half a step, then the speeds a step, then the angles half a step.
+    A machine with one mass is integrated by the splitting of the nominal kernel. With two masses,
+    the angles advance by half a step, then the speeds by a step, then the angles by half a step.
     """
     h = d[LOOP_S] / d[STEPS]
     at = CONSTANTS_AT
@@ -122,8 +122,8 @@ def integrate(
     steady = e[at + STEADY_LOAD]
     gear, rotor_inertia, damping = e[at + GEAR], e[at + ROTOR_INERTIA], e[at + SHAFT_DAMPING]
     per_ampere, per_speed = d[TORQUE_PER_AMPERE], d[EMF_PER_SPEED]
-    # All variables that change are local to the loop, so that the compiler may keep the effect
-    # vector in registers.
+    # All variables that change are local variables, so that the compiler can keep the effect vector
+    # in registers.
     omega, theta, current = s[OMEGA], x[JOINT], s[CURRENT]
     rotor, turning = s[THETA], x[ROTOR_SPEED]
     effective, bristles = x[TORQUE_CURRENT], x[BRISTLES]
@@ -144,8 +144,8 @@ def integrate(
             current = winding(
                 current, voltage, per_speed * flux * turning, resistance, dead, decay, e
             )
-        # The mean of the lagging current determines the torque over the step; the current at the
-        # end is half a step later.
+        # The torque over the step is that of the mean lagged current; the lagged current at the end
+        # of the step is half a step later.
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)

@@ -20,7 +20,7 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 _STOP_DAMPING_S = 2e-3
-"""Ratio of an end stop's damping to its stiffness, s; an assumption, for a rubber pad."""
+"""Ratio of an end stop's damping to its stiffness, s, which is assumed for a rubber pad."""
 
 
 @inlined

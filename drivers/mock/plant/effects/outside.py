@@ -1,4 +1,6 @@
-"""Injected effects that are in no catalogue: a diagnosis must locate them without naming them."""
+"""Injected effects that are in no catalogue: a diagnosis must locate such an effect, and must not
+identify an effect of the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -83,8 +85,8 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 """Slot and range of each parameter of each effect."""
 
 _ROOT_FLOOR = 1e-4
-"""Speed, rad/s, below which a drag proportional to the square root of the speed is linear, so that
-its slope is finite.
+"""Speed, rad/s, below which a drag proportional to the square root of the speed is replaced by a
+linear drag, so that its slope is finite.
 """
 
 

@@ -42,12 +42,12 @@ def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[s
     for name, given in effects.items():
         parameters = _EVERY.get(name)
         if parameters is None:
-            yield (name,), f"no such effect; known are {', '.join(_EVERY)}"
+            yield (name,), f"there is no such effect; known effects are {', '.join(_EVERY)}"
             continue
         needed = [key for key, parameter in parameters.items() if parameter.default is None]
         for missing in needed:
             if missing not in given:
-                yield (name,), f"{missing} is missing; {name} needs {', '.join(needed)}"
+                yield (name,), f"parameter {missing} is missing; {name} needs {', '.join(needed)}"
         for key, value in given.items():
             if key not in parameters:
                 yield (name, key), f"{name} has no such parameter; it has {', '.join(parameters)}"
@@ -59,16 +59,17 @@ def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[s
 
 
 def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray[np.float64]:
-    """Pack a machine's effects, except those of its gas generator; empty if there are none.
+    """Pack the effects of a machine, except those of its gas generator; the vector is empty without
+    effects.
 
     Args:
         machine: The machine.
-        any_size: Whether values may be outside their ranges, which suit a machine of the valve's
-            size.
+        any_size: Whether values may be outside their ranges, which are stated for a machine of the
+            size of the paper's valve.
 
     Raises:
-        ValueError: An effect or parameter is unknown or out of range, or the rotor's inertia leaves
-            none for the joint.
+        ValueError: An effect or a parameter is unknown, a value is out of range, or the rotor's
+            inertia is not less than the total inertia.
     """
     wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects, any_size)]
     if wrong or (text := too_light(machine)):
@@ -93,7 +94,9 @@ def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray
 
 
 def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Return an effect vector without effects, for the kernel with injected effects."""
+    """Return an effect vector in which all effects are absent, for the kernel with injected
+    effects.
+    """
     e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
     e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
     e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
@@ -107,9 +110,9 @@ def too_light(machine: constants.Machine) -> str | None:
     if not _TWO_MASS & machine.effects.keys() or 0.0 < rotor < total:
         return None
     return (
-        f"the rotor has {rotor:g} kg m^2 at the joint, of {total:g} in total, and an elastic "
-        f"transmission needs inertia on both sides; set it between 0 and "
-        f"{total / machine.motor.gear_ratio**2:g} kg m^2 at the motor"
+        f"the inertia of the rotor is {rotor:g} kg m^2 at the joint, of {total:g} kg m^2 in total, "
+        "but an elastic transmission needs inertia on both sides; set the rotor's inertia between "
+        f"0 and {total / machine.motor.gear_ratio**2:g} kg m^2 at the motor"
     )
 
 

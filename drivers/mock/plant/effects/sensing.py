@@ -26,8 +26,8 @@ Histories = NDArray[np.float64]
 
 @inlined
 def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> float:
-    """Return the value at the time ``delay_s`` before that of the newest value, interpolated
-    between loop periods; ``loop`` is the index of the newest value.
+    """Return the value that was ``delay_s`` before the newest value, interpolated between loop
+    periods; ``loop`` is the index of the newest value.
     """
     back = delay_s / period_s
     whole = math.floor(back)
@@ -39,8 +39,8 @@ def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> fl
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Sample the joint encoder, and return the charge (A s) that the logged mean current of this
-    period states.
+    """Sample the joint encoder, and return the charge, A s, that corresponds to the logged mean
+    current of this period.
     """
     x[LOOP] += 1.0
     at = int(x[LOOP]) & (HISTORY - 1)

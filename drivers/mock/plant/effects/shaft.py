@@ -19,11 +19,11 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 HARD_N_M_RAD = 1e6
-"""Default stiffness of teeth and shaft: 20 N m twist the shaft by 20 microradian, one encoder
-count.
+"""Default stiffness of teeth and shaft; a torque of 20 N m twists the shaft by 20 microradian, one
+count of the encoder.
 """
 DAMPING_RATIO = 0.08
-"""Damping ratio of rotor against joint on the spring of the shaft; an assumption."""
+"""Assumed damping ratio of the oscillation of rotor against joint on the spring of the shaft."""
 
 
 @inlined
@@ -65,8 +65,8 @@ def deflection(play: float, e: Vector) -> float:
 
 @inlined
 def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
-    """Return the deflection (rad) and the play (N m) of a coupling with hysteresis in series with
-    the shaft's spring.
+    """Return the deflection, rad, and the state of the play operator, N m, of a coupling with
+    hysteresis in series with the shaft's spring.
 
     The coupling is rate-independent and dissipative. A play operator of half width ``torque_Nm``
     follows the torque. The deflection is proportional to the output of the operator,

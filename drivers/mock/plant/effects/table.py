@@ -1,7 +1,7 @@
 """Table of the injectable effects of the catalogue: parameters, ranges, places in a vector.
 
-All sizes are at the joint, after the gear, unless the name of a parameter states otherwise. Effects
-that are in no catalogue are in :mod:`drivers.mock.plant.effects.outside`.
+All values are at the joint, after the gear, unless the name of a parameter states otherwise.
+Effects that are in no catalogue are in :mod:`drivers.mock.plant.effects.outside`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-# Layout of the effect vector for compiled code; 0 switches any effect off.
+# Layout of the effect vector for compiled code; an effect whose size is 0 is absent.
 (
     COGGING_TORQUE,
     COGGING_ORDER,

@@ -22,18 +22,18 @@ from drivers.mock.plant.parts.compiled import Vector, inlined
 from drivers.mock.plant.parts.friction import DM, DMU, FRICTION_SIZE, MC, MOMENT, OMEGA_SF, SIGMA_2
 
 _RENEWAL_RAD = 1e-3
-"""Sliding distance after which the increase of static friction by time at rest is lost; an
-assumption.
+"""Assumed sliding distance after which the increase of static friction during a rest is lost,
+rad.
 """
 _SMOOTHED_S = 2.5e-3
-"""Time constant with which the drag of ``x_acceleration_drag`` follows the acceleration, s; an
-assumption.
+"""Assumed time constant with which the drag of ``x_acceleration_drag`` follows the acceleration,
+s.
 """
 
 
 @inlined
 def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
-    """Write the friction vector ``w`` of one loop period, all elements but the inertia."""
+    """Write all elements of the friction vector ``w`` of one loop period except the inertia."""
     theta = x[JOINT]
     for k in range(FRICTION_SIZE - 1):
         w[k] = p[k]

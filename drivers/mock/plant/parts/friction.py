@@ -52,8 +52,8 @@ def step_velocity(
     """Advance J domega/dt = torque - friction by ``h``.
 
     While the joint slides, the step is trapezoidal and implicit in friction. A joint whose speed
-    would pass through zero stops. A joint at rest stays exactly at rest until the torque exceeds
-    the static limit, so that it neither creeps nor chatters. The step has one solution if h < 2 J /
+    would change its sign stops. A joint at rest stays exactly at rest until the torque exceeds the
+    static limit, so that it neither creeps nor oscillates. The step has one solution if h < 2 J /
     |steepest negative slope|.
 
     Args:

@@ -57,8 +57,8 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Compute position P and velocity PI once; return the limited current command with its offset,
-    A.
+    """Compute position P and velocity PI controller once; return the limited current command with
+    the added current, A.
     """
     measured = s[THETA] + s[FLICKER]
     if d[COUNT] > 0.0:
@@ -87,14 +87,16 @@ def current_command(s: Vector, d: Vector) -> float:
     wanted = d[VELOCITY_GAIN] * (velocity_error + integral) / d[TORQUE_PER_AMPERE] + s[OFFSET]
     if (
         abs(wanted) <= limit or wanted * velocity_error < 0.0
-    ):  # anti-windup: integrate only if this leads away from the limit
+    ):  # anti-windup: integrate only if the integral moves away from the limit
         s[VELOCITY_INTEGRAL] = integral
     return float(min(max(wanted, -limit), limit))
 
 
 @inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
-    """Compute the current PI once; return the limited voltage for the next loop period, V."""
+    """Compute the PI controller of the current once; return the limited voltage for the next loop
+    period, V.
+    """
     error = wanted - (s[CURRENT] + noise)
     integral = s[VOLTAGE_INTEGRAL] + d[CURRENT_GAIN] * d[CURRENT_INTEGRAL_GAIN] * d[LOOP_S] * error
     voltage = d[CURRENT_GAIN] * error + integral
@@ -108,9 +110,9 @@ def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
 def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, decay: float) -> None:
     """Integrate eq. 1 over one loop period at constant voltage.
 
-    Strang splitting: half a step of the current (exact for a given speed), a step of the speed
-    (trapezoidal, implicit in friction), half a step of the current. The mean torque on the shaft is
-    exactly Km i times the logged mean current. ``decay`` is exp(-R h / 2 L).
+    The method is Strang splitting: half a step of the current (exact for a given speed), a step of
+    the speed (trapezoidal, implicit in friction), half a step of the current. The mean torque on
+    the shaft is exactly Km i times the logged mean current. ``decay`` is exp(-R h / 2 L).
     """
     h = d[LOOP_S] / d[STEPS]
     omega = s[OMEGA]
