@@ -236,7 +236,8 @@ class Recording:
         for channel, values in self.channels.items():
             if channel not in CHANNELS:
                 raise RecordingError(
-                    f"{self.name}: unknown channel {channel!r}; known are {', '.join(CHANNELS)}"
+                    f"{self.name}: unknown channel {channel!r}; the known channels are "
+                    f"{', '.join(CHANNELS)}"
                 )
             if values.shape != (n,):
                 raise RecordingError(

@@ -236,7 +236,7 @@ def test_no_encoder_is_a_link_error(host: SerialHost) -> None:
 def test_answers_that_disagree_at_rest_stop_preparation(host: SerialHost) -> None:
     values = iter(range(0, 3000, 100))
     host.amt21.distort = lambda counts: counts + next(values)
-    with pytest.raises(ConfigurationError, match="should agree to 2 counts"):
+    with pytest.raises(ConfigurationError, match="must agree to 2 counts"):
         host.encoder.prepare(host.cycle_s)
 
 

@@ -79,9 +79,9 @@ def test_a_link_over_any_interface_raises_link_errors_and_goes_on(
     link = CanopenLink(RealClock(), lambda: PythonCanPort(bus, RealClock()), "CAN at can0")
     node = link.add_node(1, DRIVE_EDS)
     link.open()
-    with pytest.raises(LinkError, match=r"CAN at can0 cannot receive: \S.*; check the interface"):
+    with pytest.raises(LinkError, match=r"can0 cannot receive frames: \S.*; check the interface"):
         link.pump(lambda: False, 1.0)
-    with pytest.raises(LinkError, match=r"CAN at can0 cannot send: \S.*; check cabling"):
+    with pytest.raises(LinkError, match=r"CAN at can0 cannot send a frame: \S.*; check cabling"):
         link.heartbeat()
     assert link.pump(lambda: node.nmt_state == 5, 1.0)
     bus.on_shutdown = make()
@@ -158,7 +158,7 @@ def test_a_server_that_reads_nothing_is_an_error_within_the_limit() -> None:
                 part.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         port = PythonCanPort(bus, RealClock())
         longest = 0.0
-        words = r"did not accept a frame within 0\.1 s"
+        words = r"did not accept a frame for sending within 0\.1 s"
         with pytest.raises(OSError, match=words):  # noqa: PT012  (it is not known which of them finds no room)
             while True:
                 began = time.monotonic()

@@ -36,11 +36,12 @@ WORDS = {
 }
 REFUSED = {
     Command.ENABLE: (
-        "'enable' is not allowed in state '{}': disable the drive, or reset its fault, first"
+        "'enable' is not allowed in state '{}': disable the drive first; if it is in fault, reset "
+        "the fault first"
     ),
     Command.RESET_FAULT: (
-        "'reset fault' is not allowed in state '{}': disable the drive first; there is "
-        "no fault to reset, or the reaction to the fault is not over"
+        "'reset fault' is not allowed in state '{}': a fault can be reset only in state 'fault', "
+        "after the drive's reaction to the fault has ended; disable the drive first"
     ),
 }
 TOWARD_POWER = [
@@ -73,9 +74,9 @@ def test_the_statusword_is_read_as_the_standard_says(word: int) -> None:
         return
     with pytest.raises(StateError) as caught:
         decode_state(word)
-    assert (
-        str(caught.value)
-        == f"statusword {word:04X}h shows no state of CiA 402: check the process data mapping"
+    assert str(caught.value) == (
+        f"statusword {word:04X}h has no combination of bits that is a state of CiA 402: check the "
+        "mapping of the process data"
     )
 
 

@@ -259,7 +259,7 @@ def test_preparing_under_power_is_refused() -> None:
         make(drive).prepare(CYCLE_S)
     assert (
         str(caught.value)
-        == "the drive is in state 'operation enabled': disable it before preparing it"
+        == "the drive is in state 'operation enabled': disable it before it is prepared"
     )
     assert drive.take() == []
 
@@ -310,8 +310,7 @@ def test_a_drive_without_the_torque_offset_is_refused(error: Exception) -> None:
     with pytest.raises(ConfigurationError) as caught:
         prepared(drive, torque_offset=True)
     assert (
-        str(caught.value)
-        == f"drive 1 has no torque offset 60B2h ({error}): run without feed-forward"
+        str(caught.value) == f"drive 1: no torque offset 60B2h ({error}): run without feed-forward"
     )
     assert caught.value.__cause__ is error
 
@@ -385,7 +384,7 @@ def test_a_drive_in_fault_is_not_enabled(state: State) -> None:
     assert str(caught.value) == (
         "drive fault 8611h: drive 1 is in fault: following error: the axis did not keep up with "
         "the target; "
-        "check for a jam and the limits, then reset"
+        "check whether the axis is jammed, then reset the fault"
     )
     assert drive.take() == []
 
@@ -447,8 +446,8 @@ def test_a_drive_that_does_not_come_up_is_given_a_second() -> None:
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert str(caught.value) == (
-        "the drive is still in state 'switch on disabled' after 1 s of enabling: check its supply "
-        "and its enable input"
+        "the drive is still in state 'switch on disabled', 1 s after the command to enable: check "
+        "its supply and its enable input"
     )
     first, *_, last = [at for _, at in drive.take("exchange")[1:]]
     # The first and the last look are a second apart, but for the cycle that starts it.
@@ -459,7 +458,7 @@ def test_the_time_to_come_up_can_be_set() -> None:
     drive = Drive()
     servo = prepared(drive, state_timeout_s=0.1)
     drive.follows = False
-    with pytest.raises(StateError, match=r"after 0\.1 s of enabling"):
+    with pytest.raises(StateError, match=r"0\.1 s after the command to enable"):
         servo.enable()
     assert drive.cycle == 26
 
@@ -474,7 +473,7 @@ def test_a_drive_whose_mode_does_not_come_is_switched_on_and_not_enabled() -> No
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert str(caught.value) == (
-        "mode of operation 6061h still reads 3 in state 'switched on', 1 s after 8 (cyclic "
+        "in state 'switched on' the active mode 6061h still reads 3, 1 s after mode 8 (cyclic "
         "synchronous position) was written to 6060h: check in the drive's manual how this mode is "
         "selected"
     )
@@ -573,8 +572,8 @@ def test_a_drive_that_does_not_obey_is_given_a_second(verb: str, wanted: str) ->
         getattr(servo, verb)()
     shown = ServoState[drive.state.name].value
     assert str(caught.value) == (
-        f"the drive reports '{shown}' 1 s after the command, expected {wanted}: switch the supply "
-        "of the drive off by hand"
+        f"1 s after the command the drive reports the state '{shown}', but {wanted} is expected: "
+        "switch the supply of the drive off by hand"
     )
     # Read every millisecond, the last time as the time is up; a reset reads the state before it
     # begins.
@@ -635,7 +634,7 @@ def test_a_reset_ends_in_no_other_state() -> None:
     drive.clock.call_at(
         drive.clock.now_ns() + 500_000_000, lambda: setattr(drive, "state", State.READY)
     )
-    with pytest.raises(StateError, match="reports 'ready to switch on' 1 s"):
+    with pytest.raises(StateError, match="reports the state 'ready to switch on'"):
         servo.reset_fault()
 
 
@@ -655,9 +654,9 @@ def test_a_target_beyond_the_object_is_refused(counts: int) -> None:
     drive.take()
     with pytest.raises(ConfigurationError) as caught:
         servo.set_target(float(counts))
-    assert (
-        str(caught.value)
-        == f"target {float(counts):g} rad is {counts} counts, beyond 32 bits: check the scales"
+    assert str(caught.value) == (
+        f"the target {float(counts):g} rad is {counts} counts, which do not fit into the 32 bits "
+        "of 607Ah: check the scales in the bench file"
     )
     assert drive.take() == []
 
@@ -677,7 +676,8 @@ def test_an_offset_beyond_the_object_is_refused(units: int) -> None:
     with pytest.raises(ConfigurationError) as caught:
         servo.set_torque_offset(float(units))
     assert str(caught.value) == (
-        f"torque offset {float(units):g} N m is {units} per mille of 6076h, beyond 16 bits"
+        f"the torque offset {float(units):g} N m is {units} per mille of the rated torque 6076h, "
+        "which does not fit into the 16 bits of 60B2h"
     )
     assert drive.take() == []
 

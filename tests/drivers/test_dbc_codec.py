@@ -92,7 +92,7 @@ def test_floating_point_signals(tmp_path_factory, value: float, motorola: bool) 
     assert ours.raw(data) == value
     assert ours.reader(2.0, 0.5)(data) == 2.0 * value + 0.5
     assert ours.insert(bytes(8), ours.pack(value)) == data
-    with pytest.raises(ValueError, match="does not fit 32 bits"):
+    with pytest.raises(ValueError, match="does not fit into a floating-point number of 32 bits"):
         ours.pack(1e300)
 
 

@@ -179,7 +179,7 @@ def test_identifiers_may_not_collide(
     link = DbcLink(host.clock, lambda: host.bench.bus, "simulated bus")
     link.add_node(2, ENCODER_EDS)
     link.add_channel(bind(MAP, read_dbc(path)), "the drive")
-    with pytest.raises(ConfigurationError, match=f"of the drive is also that of {owner}"):
+    with pytest.raises(ConfigurationError, match=f"the drive and {owner} both use the CAN identi"):
         link.open()
 
 
@@ -188,7 +188,9 @@ def test_two_drives_need_two_sets_of_identifiers(host: DbcHost) -> None:
     wiring = bind(MAP, read_dbc(DRIVE_DBC))
     link.add_channel(wiring, "one")
     link.add_channel(wiring, "two")
-    with pytest.raises(ConfigurationError, match="of two is also that of another drive"):
+    with pytest.raises(
+        ConfigurationError, match="two and another drive both use the CAN identifier"
+    ):
         link.open()
 
 

@@ -230,7 +230,7 @@ def test_a_code_under_power_ends_the_run_of_the_drive(tmp_path: Path) -> None:
 
 def test_a_state_without_a_fault_code_must_show_faults(tmp_path: Path) -> None:
     spec = replace(MOTOR_MAP, inputs=replace(MOTOR_MAP.inputs, fault_code=None))
-    assert "no value means 'fault'" in problems(tmp_path, spec)["status.states"]
+    assert "no value is stated for 'fault'" in problems(tmp_path, spec)["status.states"]
 
 
 def test_a_torque_offset_goes_with_the_target_and_rests_without_it(tmp_path: Path) -> None:
@@ -261,6 +261,6 @@ def test_orders_may_be_floating_point(tmp_path: Path) -> None:
     spec = ordered(reset={**special(0xFD), "Clear.What": 1.5})
     assert wired(tmp_path, spec, text).reset.frames["Clear"].hex() == "0000c03f"
     found = problems(tmp_path, spec)
-    assert (
-        found["orders.reset.Clear.What"] == "1.5 is not a whole number, which signal 'What' needs"
+    assert found["orders.reset.Clear.What"] == (
+        "1.5 is not a whole number, as signal 'What' requires"
     )

@@ -288,7 +288,7 @@ def test_a_message_that_comes_damaged_is_told_apart() -> None:
     # 25 waits, two frames in each; those before do not count.
     assert str(caught.value) == (
         "house servo sent no valid Motion (191h) in 0.5 s: 50 had a wrong length, checksum or "
-        "counter: check the map"
+        "counter: check these in the map"
     )
 
 
@@ -313,9 +313,9 @@ def test_a_status_that_the_map_does_not_name() -> None:
     bench.state = None
     with pytest.raises(StateError) as caught:
         make(bench).state()
-    assert (
-        str(caught.value)
-        == "house servo reports status 9, which the map does not contain: add it to the map"
+    assert str(caught.value) == (
+        "house servo reports the status 9, which the map does not contain: add this value under "
+        "servo.status.states"
     )
 
 
@@ -326,7 +326,7 @@ def test_preparing_under_power_is_refused() -> None:
         make(bench).prepare(CYCLE_S)
     assert (
         str(caught.value)
-        == "the drive is in state 'operation enabled': disable it before preparing it"
+        == "the drive is in state 'operation enabled': disable it before it is prepared"
     )
     assert bench.take() == [("await", "Status", 0.3)]
 
@@ -343,7 +343,8 @@ def test_commands_that_are_too_rare_for_the_watchdog_are_refused(
         make(bench, replaced(watchdog_s=watchdog_s)).prepare(cycle_s)
     assert str(caught.value) == (
         f"a command is sent every {slowest} ms, but the drive stops after {watchdog_s * 1e3:g} ms "
-        "without a command; commands must be at most half of this time apart: raise cycle_Hz"
+        "without a command; the time between two commands must be at most half of this time: "
+        "raise cycle_Hz"
     )
     assert bench.take() == [("await", "Status", 0.3)]
 
@@ -405,8 +406,7 @@ def test_a_drive_that_brakes_is_not_enabled() -> None:
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert (
-        str(caught.value)
-        == "'enable' is not allowed in state 'quick stop active': use disable first"
+        str(caught.value) == "'enable' is not allowed in state 'quick stop active': disable first"
     )
     assert bench.take() == [("await", "Status", 0.3)]
 
@@ -500,8 +500,8 @@ def test_a_drive_that_does_not_come_up_is_given_a_second(
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert str(caught.value) == (
-        f"the drive is still in state '{shown}' after 1 s of enabling: check its supply and its "
-        f"enable input"
+        f"the drive is still in state '{shown}', 1 s after the command to enable: check its "
+        "supply and its enable input"
     )
     assert bench.cycle == 250
     assert [entry[1] for entry in bench.take("exchange")][-1] == began + FRAME_NS + NS
@@ -511,7 +511,7 @@ def test_the_time_to_come_up_can_be_set() -> None:
     bench = Bench()
     servo = prepared(bench, state_timeout_s=0.1)
     bench.follows = False
-    with pytest.raises(StateError, match=r"after 0\.1 s of enabling"):
+    with pytest.raises(StateError, match=r"0\.1 s after the command to enable"):
         servo.enable()
     assert bench.cycle == 25
 
@@ -607,8 +607,8 @@ def test_a_drive_that_does_not_obey_is_told_for_a_second(
     with pytest.raises(StateError) as caught:
         getattr(servo, verb)()
     assert str(caught.value) == (
-        f"the drive reports '{state.value}' 1 s after the command, expected {wanted}: switch the "
-        "supply of the drive off by hand"
+        f"1 s after the command the drive reports the state '{state.value}', but {wanted} is "
+        "expected: switch the supply of the drive off by hand"
     )
     log = bench.take("command", "await")
     # A status every 10 ms; the orders go out again after each but the last.
@@ -625,7 +625,7 @@ def test_a_target_is_that_of_the_motor() -> None:
     assert bench.take() == [("aim", 250)]
     with pytest.raises(ConfigurationError) as caught:
         servo.set_target(1.5)
-    assert str(caught.value) == "target 125 rad at the motor: Target is outside; check the scales"
+    assert str(caught.value) == "target of 125 rad at the motor: Target is outside; check its scale"
     assert bench.take() == []
 
 
@@ -785,6 +785,7 @@ def test_limits_of_the_makers_tool_must_leave_room() -> None:
     servo.write_limits(wider)
     bench.values["speed"] = 200.0
     with pytest.raises(
-        ConfigurationError, match=r"limits looser than those set in house servo: current 25 A"
+        ConfigurationError,
+        match=r"these limits are wider in the bench file than in house servo: current 25 A",
     ):
         servo.write_limits(ServoLimits(-0.5, 0.5, 2.0, 90.0, 25.0, 0.02, 2, 35.0))

@@ -70,7 +70,7 @@ def test_an_identity_in_the_header_alone_is_found(tmp_path: Path) -> None:
         (GOOD + "vendor_id: 2\n", "a key appears twice"),
         (GOOD + "velocity: rpm\n", "velocity"),
         (GOOD + "velocity_unit: rpms\n", "velocity_unit"),
-        (GOOD + "current_object: [0x6078, 0]\n", "current_object and current_unit_A belong"),
+        (GOOD + "current_object: [0x6078, 0]\n", "current_unit_A is the unit of current_object"),
         (GOOD + "supply_object: [0x12345, 0]\nsupply_unit_V: 1\n", "supply_object"),
         (GOOD + "velocity_unit: rpm\nvelocity_unit_counts_per_s: 1\n", "are both set"),
         (GOOD + "current_object: [1, 0]\ncurrent_unit_A: -1e-3\n", "greater than 0"),

@@ -56,7 +56,8 @@ def test_a_damaged_file_is_said_in_words(tmp_path: Path, content: str, link: str
     eds.write_text(content)
     made = can_link() if link == "can" else EposSerialLink(SimulatedClock(), never)  # type: ignore[arg-type]
     with pytest.raises(
-        ConfigurationError, match=r"EDS file .*own\.eds of node 5 .*; use the device's own EDS file"
+        ConfigurationError,
+        match=r"EDS file .*own\.eds of node 5 .*; use the EDS file of this device",
     ) as e:
         made.add_node(5, eds)
     assert "\n" not in str(e.value)
@@ -126,10 +127,10 @@ OPTIONAL = {
     "606C": "no motor speed (606Ch)",
     "6075": "not checked: rated current (6075h)",
     "6076": "not checked: rated torque (6076h)",
-    "6078": "no motor current (6078h): the current is computed from the torque 6077h",
+    "6078": "no motor current (6078h): the current is computed from the torque (6077h)",
     "1013": "no time stamp (1013h)",
     "60C2": "no interpolation period (60C2h): set the period to 1 ms",
-    "6007": "no reaction to a lost master (6007h)",
+    "6007": "no object for the reaction to a lost master (6007h)",
 }
 
 

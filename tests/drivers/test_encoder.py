@@ -62,7 +62,7 @@ def test_speed_in_units_per_second(host: Host, node) -> None:
 
 def test_resolution_must_be_that_of_the_bench_file(host: Host, node) -> None:
     with pytest.raises(
-        ConfigurationError, match="262144 counts per turn, the bench file states 8192"
+        ConfigurationError, match="262144 counts per turn, but the bench file states 8192"
     ):
         Cia406Encoder(node, EncoderScales(8192)).prepare(host.cycle_s)
 

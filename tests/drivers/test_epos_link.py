@@ -89,7 +89,7 @@ def test_the_twin_answers_short_requests_with_an_error(host: SerialHost, opcode:
 
 
 def test_a_value_that_does_not_fit_is_named(host: SerialHost) -> None:
-    with pytest.raises(ConfigurationError, match="70000 does not fit object 6072h"):
+    with pytest.raises(ConfigurationError, match="70000 does not fit into object 6072h"):
         host.drive.write(0x6072, 0, 70000)
     with pytest.raises(ConfigurationError, match="is no integer"):
         host.drive.read(0x1008)
@@ -307,7 +307,9 @@ def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
 
 def test_another_cycle_is_refused(host: SerialHost) -> None:
     prepared(host)
-    with pytest.raises(ConfigurationError, match=r"cycle of 0.001 s, but its link runs at 0.002 s"):
+    with pytest.raises(
+        ConfigurationError, match=r"cycle time of 0.001 s, but its link has a cycle time of 0.002 s"
+    ):
         host.servo.prepare(0.001)
 
 

@@ -31,7 +31,9 @@ def test_odd_data_gets_a_dummy_byte() -> None:
 
 
 def test_too_much_data_is_refused() -> None:
-    with pytest.raises(ValueError, match="512 bytes do not fit a frame, limit 510"):
+    with pytest.raises(
+        ValueError, match="512 bytes do not fit into a frame, which has at most 510"
+    ):
         encode(0, bytes(511))
 
 

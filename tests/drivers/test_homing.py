@@ -127,7 +127,9 @@ def test_a_quick_stop_ends_it() -> None:
     prepared(host).servo.begin_homing(order(17))
     host.servo.start_homing()
     host.cycles(500)
-    with pytest.raises(StateError, match="its mode stays at homing: take the power off first"):
+    with pytest.raises(
+        StateError, match="its mode of operation cannot be changed from homing: disable it first"
+    ):
         host.servo.end_homing()
     host.servo.quick_stop()
     host.cycles(100)
@@ -176,7 +178,7 @@ def test_what_the_drive_refuses_is_not_energised() -> None:
     host = prepared(make_host())
     with pytest.raises(ObjectAccessError, match="6098h"):
         host.servo.begin_homing(order(1))
-    with pytest.raises(ConfigurationError, match="less than one unit of 6099h"):
+    with pytest.raises(ConfigurationError, match="less than one unit of object 6099h"):
         host.servo.begin_homing(dataclasses.replace(order(17), zero_rad_s=1e-7))
     assert True not in host.powered
 
@@ -188,7 +190,7 @@ def test_a_drive_that_does_not_show_the_mode_is_not_started() -> None:
     objects = host.bench.drive.objects
     objects.written[0x6060] = lambda _sub, _value: None
     objects.values[key(0x6061)] = 8
-    with pytest.raises(StateError, match=r"6061h still reads 8 .* after 6 \(homing\)"):
+    with pytest.raises(StateError, match=r"6061h still reads 8, 1 s after mode 6 \(homing\)"):
         host.servo.begin_homing(order(37))
     assert True not in host.powered
     assert objects.integer(0x6060) == 8
@@ -223,13 +225,13 @@ def test_an_object_of_the_file_that_the_drive_lacks_is_no_offer(index: int) -> N
     del host.bench.drive.objects.entries[key(index)]
     offer = host.servo.homing_offer()
     assert not offer.methods
-    assert f"{index:04X}h is in the device's EDS, but the device does not have it" in offer.words
+    assert f"{index:04X}h is in the device's EDS, but not in the device" in offer.words
 
 
 def test_a_drive_without_the_mode_is_no_offer() -> None:
     assert make_host(traits=Traits(modes=CSP | HM)).servo.homing_offer().methods
     offer = make_host(traits=Traits(modes=CSP)).servo.homing_offer()
-    assert "6502h reads 00000080h, bit 5 is 0: no homing mode" in offer.words
+    assert "6502h reads 00000080h: bit 5, homing mode, is 0" in offer.words
 
 
 def test_a_makers_own_methods_are_negative() -> None:

@@ -122,7 +122,8 @@ def test_pdos_with_fixed_identifiers_are_used_where_the_device_has_them(host: Ho
 def test_a_fixed_identifier_of_another_node_is_refused(host: Host) -> None:
     fix_identifiers(host.bench.drive, (0x1A1, 0x281, 0x381, 0x481))
     with pytest.raises(
-        ConfigurationError, match="identifier 1A1h, which belongs to another node, and 1800h:01h"
+        ConfigurationError,
+        match="identifier 1A1h, which belongs to another node, and object 1800h:01h",
     ):
         host.servo.prepare(host.cycle_s)
 
@@ -167,7 +168,7 @@ def test_a_device_that_sends_no_heartbeat_is_refused(host: Host) -> None:
     drive.objects.written[0x1017] = lambda _sub, _value: drive.objects.values.update(
         {key(0x1017): 0}
     )
-    with pytest.raises(ConfigurationError, match="1017h reads 0 after writing 50 ms"):
+    with pytest.raises(ConfigurationError, match="1017h reads 0 after 50 ms was written"):
         host.servo.prepare(host.cycle_s)
 
 
@@ -316,7 +317,7 @@ def test_an_encoder_of_class_1(host: Host) -> None:
     assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
     assert sample.device_time_s == pytest.approx(host.clock.now_ns() * 1e-9, abs=2e-3)
     wrong = Cia406Encoder(host.encoder._channel, EncoderScales(4096))
-    with pytest.raises(ConfigurationError, match="6501h says 262144 counts per turn"):
+    with pytest.raises(ConfigurationError, match="6501h reads 262144 counts per turn"):
         wrong.prepare(host.cycle_s)
     remove(host.bench.encoder, (0x6501, 0), (0x6502, 0))
     assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == [
@@ -378,7 +379,7 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
             return 0x00B44700
 
     (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
-    assert str(error).endswith("606Ch is in rpm: set servo.velocity_unit: rpm")
+    assert str(error).endswith("the unit of 606Ch is rpm: set servo.velocity_unit: rpm")
     rpm = dataclasses.replace(SCALES, velocity_unit_rad_s=2 * math.pi / 60)
     assert list(velocity_unit.refusals(Stating(), rpm)) == []  # type: ignore[arg-type]
     assert list(velocity_unit.refusals(host.drive, SCALES)) == []
@@ -387,14 +388,26 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
-        (0.0146, "606Ch is in rpm: set servo.velocity_unit: rpm"),
-        (0.0104, "606Ch is in rpm: set servo.velocity_unit: rpm"),
-        (-1.0, "606Ch has the opposite sign of 6064h"),
-        (0.0, "606Ch reads 0 while 6064h changes"),
-        (0.03, "606Ch is in rpm: set servo.velocity_unit: rpm"),
-        (0.1, "606Ch looks like 10 counts per second: set servo.velocity_unit_rad_s: 0.01534, or"),
-        (9.3, "606Ch looks like 0.1 counts per second: set servo.velocity_unit_rad_s: 0.0001534,"),
-        (4.0, "set servo.velocity_unit_rad_s: 0.0003835, about the speed of one unit of 606Ch"),
+        (0.0146, "the unit of 606Ch is rpm: set servo.velocity_unit: rpm"),
+        (0.0104, "the unit of 606Ch is rpm: set servo.velocity_unit: rpm"),
+        (-1.0, "the speed 606Ch has the opposite sign"),
+        (0.0, "the speed 606Ch reads 0 while the position 6064h changes"),
+        (0.03, "the unit of 606Ch is rpm: set servo.velocity_unit: rpm"),
+        (
+            0.1,
+            "the unit of 606Ch is probably 10 counts per second; check the drive's manual, then "
+            "set servo.velocity_unit_rad_s: 0.01534",
+        ),
+        (
+            9.3,
+            "the unit of 606Ch is probably 0.1 counts per second; check the drive's manual, then "
+            "set servo.velocity_unit_rad_s: 0.0001534",
+        ),
+        (
+            4.0,
+            "one unit of 606Ch is about 0.0003835 rad/s; look up the exact unit in the drive's "
+            "manual, or set servo.velocity_unit_rad_s: 0.0003835",
+        ),
     ],
 )
 def test_the_remedy_names_the_unit_that_was_found(host: Host, factor: float, words: str) -> None:
@@ -439,7 +452,7 @@ def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
             return word
 
     (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
-    assert str(error).endswith(f"rad/s: {words}")
+    assert str(error).endswith(f"rad/s in the bench file: {words}")
 
 
 def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:

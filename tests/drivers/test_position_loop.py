@@ -67,8 +67,8 @@ def test_a_missing_value_is_no_command(name: str, value: float) -> None:
     with pytest.raises(ConfigurationError) as caught:
         step(AT_REST, derived(CYCLE_S, 0.2), LIMITS, CYCLE_S, target, angle, speed)
     assert str(caught.value) == (
-        f"the position loop got target {target:g} rad, angle {angle:g} rad, speed {speed:g} "
-        f"rad/s: a value is missing; check the drive's process data"
+        f"the inputs of the position loop are target {target:g} rad, angle {angle:g} rad and speed "
+        f"{speed:g} rad/s, but all must be finite; check the drive's process data"
     )
 
 

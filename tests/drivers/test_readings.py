@@ -219,8 +219,8 @@ def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
     values = can.bench.encoder.objects.values
     values[key(0x6001)], values[key(0x6503)] = 1000, 0x1
     resolution, alarm = can.encoder.refusals(0.001)
-    assert "6001h says 1000 counts per turn, the bench file states 262144" in str(resolution)
-    assert "reports alarms 0001h" in str(alarm)
+    assert "6001h reads 1000 counts per turn, but the bench file states 262144" in str(resolution)
+    assert "reports the alarms 0001h" in str(alarm)
     with pytest.raises(ConfigurationError) as caught:
         can.encoder.prepare(0.001)
     assert str(caught.value) == str(resolution)
@@ -230,7 +230,7 @@ def test_an_amt21_says_that_its_answers_differ(serial: SerialHost) -> None:
     answers = iter(range(0, 100, 10))
     serial.encoder._ask = lambda offset=0: next(answers)  # type: ignore[method-assign]
     (error,) = serial.encoder.refusals(0.002)
-    assert "answers at rest should agree" in str(error)
+    assert "answers of the encoder at rest must agree" in str(error)
 
 
 def test_a_bad_answer_of_an_amt21_is_nan(serial: SerialHost) -> None:
@@ -301,7 +301,7 @@ def test_a_watchdog_of_a_drive_of_its_own_kind_must_outlast_two_commands() -> No
     host = make_dbc_host()
     assert list(host.servo.refusals(0.05)) == []
     (error,) = host.servo.refusals(0.051)
-    assert "at most half of this time apart" in str(error)
+    assert "at most half of this time" in str(error)
     host.link.close()
 
 

@@ -158,7 +158,7 @@ def test_canopen_can_force_a_segmented_download(host: Host) -> None:
 
 def test_refusals_become_errors_that_name_the_object(host: Host) -> None:
     with pytest.raises(
-        ObjectAccessError, match=r"6007h:00h: node 1 refuses: Value range .*06090030h"
+        ObjectAccessError, match=r"6007h:00h: node 1 refuses the access: Value range .*06090030h"
     ) as caught:
         host.drive.write(0x6007, 0, 9)
     assert (caught.value.index, caught.value.code) == (0x6007, 0x06090030)

@@ -286,7 +286,7 @@ def test_an_adapter_that_takes_nothing_is_a_link_error(adapter: Pty) -> None:
     began = time.monotonic()
     with pytest.raises(
         LinkError,
-        match=r"cannot send: the line accepted 0 of 22 bytes within 0\.1 s; check cabling",
+        match=r"cannot send a frame: the line accepted 0 of 22 bytes within 0\.1 s; check cabling",
     ):
         link.send(0x601, bytes(8))
     assert time.monotonic() - began < 1.0
@@ -298,9 +298,9 @@ def test_an_adapter_that_is_pulled_out_is_a_link_error(adapter: Pty) -> None:
     link.open()
     adapter.hang_up()
     for _ in range(2):
-        with pytest.raises(LinkError, match=r"cannot receive: the line is hung up"):
+        with pytest.raises(LinkError, match=r"cannot receive frames: the adapter was unplugged"):
             link.pump(lambda: False, 1.0)
-        with pytest.raises(LinkError, match=r"cannot send: .*Input/output error"):
+        with pytest.raises(LinkError, match=r"cannot send a frame: .*Input/output error"):
             link.send(0x601, bytes(8))
     link.close()
     link.close()
@@ -315,7 +315,7 @@ def test_an_adapter_has_one_program(adapter: Pty) -> None:
     assert adapter.heard()
     with pytest.raises(
         LinkError,
-        match=f"slcan {adapter.path} at 1000000 bit/s cannot be opened: .* held by another",
+        match=f"slcan {adapter.path} at 1000000 bit/s cannot be opened: .* used by another",
     ):
         second.open()
     assert adapter.heard() == b""

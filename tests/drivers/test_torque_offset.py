@@ -148,13 +148,13 @@ def test_a_drive_that_was_not_prepared_for_it_says_so(host: Host) -> None:
     ):
         plain.servo.set_torque_offset(6.0)
     plain.link.close()
-    with pytest.raises(ConfigurationError, match="beyond 16 bits"):
+    with pytest.raises(ConfigurationError, match="does not fit into the 16 bits"):
         enabled(host).servo.set_torque_offset(2000.0)
 
 
 def test_a_drive_with_frames_of_its_own_refuses() -> None:
     host = make_dbc_host()
-    with pytest.raises(ConfigurationError, match=r"servo\.torque_offset"):
+    with pytest.raises(ConfigurationError, match="has no torque offset"):
         host.servo.set_torque_offset(1.0)
     host.link.close()
 
@@ -172,7 +172,7 @@ def test_a_drive_that_lacks_the_object_is_refused_before_power(tmp_path: Path) -
         if hidden:
             del bench.drive.objects.entries[0x60B2 << 8]
         with pytest.raises(
-            ConfigurationError, match=r"has no torque offset 60B2h \(.*\): run without feed-forward"
+            ConfigurationError, match=r"no torque offset 60B2h \(.*\): run without feed-forward"
         ):
             servo.prepare(0.001)
         assert not servo.state().energised

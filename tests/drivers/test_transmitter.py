@@ -92,7 +92,8 @@ def test_a_frame_may_be_lost_but_not_two() -> None:
 def test_another_unit_is_refused() -> None:
     _, _, transmitter = fitted(unit_Pa=1000.0)
     with pytest.raises(
-        ConfigurationError, match="give 100 Pa per unit, the bench file states 1000 Pa"
+        ConfigurationError,
+        match="one unit of the pressure is 100 Pa, but the bench file states 1000 Pa",
     ):
         transmitter.prepare(0.001)
 

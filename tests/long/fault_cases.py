@@ -145,7 +145,7 @@ CASES: Mapping[str, Case] = {
     "drive's heartbeat lost": Case(
         (fault("bus", "lost", frames={"device": "drive", "function": "heartbeat"}, count=0),),
         Must(4, "sent no heartbeat", SILENCE_S),
-        at("prompt prepare", Must(4, "did not report OPERATIONAL", 0.0))
+        at("prompt prepare", Must(4, "did not report the NMT state OPERATIONAL", 0.0))
         | at("hold disable", RIDES),
     ),
     "EMCY": Case((fault("drive", "emcy"),), Must(4, "2310h", BRAKE_S), at("disable", RIDES)),
@@ -157,7 +157,8 @@ CASES: Mapping[str, Case] = {
     "drive restarts": Case(
         (fault("drive", "restart"),),
         Must(4, "restarted", BRAKE_S),
-        at("prompt disable", RIDES) | at("prepare", Must(4, "did not report OPERATIONAL", 0.0)),
+        at("prompt disable", RIDES)
+        | at("prepare", Must(4, "did not report the NMT state OPERATIONAL", 0.0)),
     ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
     "mode refused": Case(

@@ -95,7 +95,7 @@ DBC: Mapping[str, Case] = {
     "encoder's heartbeat lost": Case(
         (fault("bus", "lost", frames={"device": "encoder", "function": "heartbeat"}, count=0),),
         Must(4, "sent no heartbeat", SILENCE_S),
-        at("prompt prepare", Must(4, "did not report OPERATIONAL", 0.0))
+        at("prompt prepare", Must(4, "did not report the NMT state OPERATIONAL", 0.0))
         | at("hold disable", RIDES),
     ),
     "life counter stuck": Case(

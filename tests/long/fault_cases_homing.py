@@ -103,7 +103,7 @@ CASES: Final[Mapping[str, HomingCase]] = {
         within_s=None,
         methods=(17,),
     ),
-    "drive fault": HomingCase(lambda bench, _: bench.drive.fail(0x7320), "7320h|has no fault code"),
+    "drive fault": HomingCase(lambda bench, _: bench.drive.fail(0x7320), "7320h|603Fh. cannot be"),
     "EMCY": HomingCase(lambda bench, _: bench.drive.emergency(0x2310, 0x01), "2310h"),
     "drive restarts": HomingCase(
         lambda bench, _: WireFaults(bench.bus, bench.clock).restart(bench.drive.node_id),

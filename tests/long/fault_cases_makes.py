@@ -86,7 +86,7 @@ def cases(make: str) -> Mapping[str, Case]:
     lacks = MAKES[make].lacks if make in MAKES else frozenset()
     if 0x603F in lacks:
         told = found["drive fault"]
-        nameless = Must(4, "no fault code", 0.0)
+        nameless = Must(4, "fault code .603Fh. cannot be read", 0.0)
         found["drive fault"] = replace(
             told, by_phase={**told.by_phase, **at("prompt prepare", nameless)}
         )

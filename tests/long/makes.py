@@ -194,7 +194,7 @@ def faults(makes: list[str], some: bool) -> int:
             for state in STATES:
                 rows, must = fault_matrix.state_rows(state, Transport(bench, {}))
                 if state == "switch_on_disabled" and make in MAKES and 0x603F in MAKES[make].lacks:
-                    must = replace(must, words="no fault code")
+                    must = replace(must, words="fault code .603Fh. cannot be read")
                 cell = fault_matrix.run_rows(rows, must, bench, folder / state)
                 for problem in cell.problems:
                     found.append(f"{make}: fault in {state}: {problem}")

@@ -179,7 +179,7 @@ def _mistake(
         unit = 0.1 if which else counts / 600
         spoil = lambda mock: mock.drive.use_speed_unit(unit)  # noqa: E731
         told = ("servo.velocity_unit_rad_s", unit * 2.0 * math.pi / counts)
-        return spoil, told, "606Ch looks like 0.1 "
+        return spoil, told, "unit of 606Ch is probably 0.1 "
     if mistake == "sign":
         if which == 0:
             spoil = lambda mock: setattr(mock.drive, "current_sign", -1)  # noqa: E731

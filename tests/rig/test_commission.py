@@ -43,8 +43,8 @@ CORRECTED: dict[str, dict[str, Any]] = {
     "torque_constant": {"machine.torque_constant_N_m_A": 0.06},
 }
 FOUND = {
-    "another_device": ("identity", "says product 999h, its EDS file is for product 402h"),
-    "limits_ignored": ("limits", "the drive does not take this setting"),
+    "another_device": ("identity", "the product 999h, but its EDS file is for the product 402h"),
+    "limits_ignored": ("limits", "the drive does not accept this value"),
     "watchdog_dead": ("watchdog", "after this program went silent"),
     "stop_ignored": ("stop", "did not execute the quick stop"),
     "motor_shaft": ("small move", "both are on the same side of the gear"),

@@ -159,7 +159,7 @@ def test_a_real_drive_needs_its_own_dbc(written: Callable[..., Path], tmp_path: 
     ):
         load_bench(written(real))
     own = ("file: null", "file: own.dbc")
-    with pytest.raises(InputError, match=r"own\.dbc: cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"own\.dbc: the file cannot be read: No such file"):
         load_bench(written(real, own))
     text = DRIVE_DBC.read_text()
     (tmp_path / "own.dbc").write_text(text.replace("SG_ Code :", "SG_ Code"))

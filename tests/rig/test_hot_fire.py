@@ -254,9 +254,8 @@ def test_too_much_pressure_ends_the_run_and_takes_the_power_off(
 def test_a_transmitter_in_another_unit_stops_before_power() -> None:
     bench = bench_with(**{"unit_Pa: 100": "unit_Pa: 1000"})
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "unit"]) == 4
-    assert (
-        "give 100 Pa per unit, the bench file states 1000 Pa" in read_record(Path("unit")).message
-    )
+    told = read_record(Path("unit")).message
+    assert "one unit of the pressure is 100 Pa, but the bench file states 1000 Pa" in told
 
 
 def test_check_names_the_transmitter(capsys: pytest.CaptureFixture[str]) -> None:

@@ -84,7 +84,7 @@ def test_a_drive_that_does_not_notice_a_silent_program_takes_no_speeds(
     assert status(["check", str(path)]) == 2
     told = capsys.readouterr().err
     assert (
-        "cyclic synchronous velocity needs a drive that takes the power off when it receives"
+        "cyclic synchronous velocity needs a drive that takes the power off when the messages"
         in told
     )
     path.write_text(text.replace("servo: {", "servo: {mode: csv, stops_alone: true, ", 1))

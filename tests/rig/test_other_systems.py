@@ -70,7 +70,7 @@ def test_everything_imports_and_recordings_are_worked_on(tmp_path: Path) -> None
 
 def test_a_serial_line_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.serial_port.termios", None)
-    with pytest.raises(OSError, match="this system has no termios, with which serial lines"):
+    with pytest.raises(OSError, match="this system has no termios, which is needed to lock"):
         PySerialPort("/dev/ttyUSB0", 115_200)
 
 

@@ -95,13 +95,13 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
         ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
         (
             [("servo: {", "servo: {eds: poor.eds, ")],
-            "servo.eds: object 6061h:00h is not in the device's EDS; every run needs this object: "
-            "it shows",
+            "servo.eds: object 6061h:00h is not in the device's EDS; every run needs this object, "
+            "because it shows",
         ),
         (
             [("servo: {", "servo: {eds: encoder.eds, ")],
-            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs this object: "
-            "it switches",
+            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs this object, "
+            "because it switches",
         ),
     ],
     ids=[
@@ -152,7 +152,7 @@ def test_frames_of_a_drive_must_not_be_those_of_the_encoder(
     found = bench_findings(load_bench(bench), TODAY)
     assert len(found) == count
     for finding in found:
-        assert "is also that of CANopen node 16: change one of them" in finding.text
+        assert "and CANopen node 16 both use the CAN identifier" in finding.text
         assert not finding.connectable
 
 

@@ -150,7 +150,9 @@ def test_objects_of_the_maker_can_be_named(here: Path) -> None:
 
 def test_an_object_that_the_bench_names_must_be_there(here: Path) -> None:
     document = load_bench(bench("EPOS4", "supply_object: [0x2200, 2], "))
-    with pytest.raises(InputError, match="2200h:02h is not in the device's EDS; the bench file"):
+    with pytest.raises(
+        InputError, match="2200h:02h is not in the device's EDS, although the bench file"
+    ):
         require_startable(document, date(2026, 1, 1), lambda _: None)
 
 
@@ -182,8 +184,8 @@ def test_a_needed_object_is_named_with_what_it_is_for(
     told = capsys.readouterr().err
     assert "bench.yaml:" in told
     assert (
-        "object 607Ah:00h is not in the device's EDS; every run needs this object: it carries"
-        in told
+        "object 607Ah:00h is not in the device's EDS; every run needs this object, because it "
+        "carries" in told
     )
 
 
@@ -250,4 +252,4 @@ def test_the_eds_file_of_another_maker_is_refused(
         servo: Any = devices.servo
         servo._scales = dataclasses.replace(servo._scales, vendor_id=0xFB)
         (found,) = servo.refusals(0.001)
-    assert "the drive says 9Ah, its EDS file FBh" in str(found)
+    assert "the drive reports 9Ah, but the units are those of the vendor FBh" in str(found)
