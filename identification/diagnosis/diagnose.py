@@ -80,8 +80,7 @@ def diagnose(
     inspect: Callable[[Joint], None] | None = None,
     estimate: Estimate | None = None,
 ) -> Diagnosis:
-    """Test whether physics is missing from the nominal model; identify and locate the missing
-    effects.
+    """Test whether effects are missing from the nominal model; identify and locate these effects.
 
     Args:
         dataset: Recordings; those with role ``validate`` are not fitted.

@@ -113,7 +113,7 @@ def test_advance_refuses_a_part_of_a_loop_period() -> None:
 
 
 def test_direct_simulation_refuses_rates_that_do_not_divide() -> None:
-    with pytest.raises(ValueError, match="20000 Hz is not a multiple of 3000 Hz"):
+    with pytest.raises(ValueError, match="20000 Hz: not a multiple of sample rate 3000 Hz"):
         simulate(Machine(), np.sin, 0.1, 3000.0)
 
 

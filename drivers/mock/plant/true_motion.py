@@ -34,8 +34,7 @@ def simulate(
         rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
         weight_kg: Mass on the lever.
         contact_force_N: Contact force F_P in place of that of a weight, N.
-        burning: Whether a gas generator, steady at the first angle, loads the valve in place of a
-            weight.
+        burning: Whether the load is a gas generator, steady at the first angle, not a weight.
         rng: Random generator; needed only if the machine has current noise.
 
     Returns:
@@ -51,8 +50,7 @@ def simulate(
     loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
     if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
         raise ValueError(
-            f"the loop rate {machine.loops.rate_Hz:g} Hz is not a multiple of the sample rate "
-            f"{rate_Hz:g} Hz"
+            f"loop rate {machine.loops.rate_Hz:g} Hz: not a multiple of sample rate {rate_Hz:g} Hz"
         )
     n = round(duration_s * rate_Hz) + 1
     time = np.arange(n) / rate_Hz

@@ -82,8 +82,7 @@ def likelihood_bias(
         joint: The estimate.
         names: Names of the fitted parameters.
         rng: The generator of the noise is spawned from ``rng``, whose stream does not advance.
-        settings: Number of noise series, and criteria for repeating the simulation or dropping a
-            replicate.
+        settings: Number of noise series, and criteria for repetitions and dropped replicates.
         progress: Called with every pair of replicates.
     """
     loop = _loop(joint.motions, settings.headroom)
