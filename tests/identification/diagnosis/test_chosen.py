@@ -37,7 +37,9 @@ def test_a_loaded_stage_at_rest_is_left_out_and_the_rest_is_diagnosed() -> None:
     chosen = choose(dataset, 25.0)
     assert [r.role for r in chosen.dataset.recordings] == ["fit", "fit", *["unused"] * 4]
     (warning,) = chosen.warnings
-    assert warning.startswith("r3, r4, r5, r6: 0 samples in motion")
+    assert warning.startswith(
+        "r3, r4, r5, r6: at a bandwidth of 25 Hz these loaded recordings have 0 "
+    )
     result = diagnose(dataset, bandwidth_Hz=25.0)
     assert warning in result.warnings
     assert result.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)

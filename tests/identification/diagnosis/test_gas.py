@@ -174,8 +174,8 @@ def infeasible(**channels: np.ndarray | None) -> Dataset:
 @pytest.mark.parametrize(
     ("channels", "words"),
     [
-        ({"pressure": None}, "burn_0: no pressure"),
-        ({"angle": None}, "burn_0: no angle"),
+        ({"pressure": None}, "burn_0: the recording has no pressure"),
+        ({"angle": None}, "burn_0: the recording has no angle"),
         ({"pressure": np.linspace(4e6, -1e5, 800)}, "falls to -100000 Pa"),
         ({"pressure": np.full(800, 4e6)}, "pressure channel is constant"),
     ],

@@ -164,7 +164,7 @@ def test_effects_that_explain_enough_are_outside_the_catalogue_with_the_right_re
     assert (judged.verdict is Verdict.OUTSIDE_CATALOGUE) is hysteretic
     texts = texts_of(judged)
     assert len(texts) == hysteretic
-    assert all("since each reversal" in t and "are needed" not in t for t in texts)
+    assert all("since the last reversal" in t and "are needed" not in t for t in texts)
 
 
 def test_a_dropped_effect_that_was_not_allowed_gives_the_reason() -> None:
@@ -200,7 +200,7 @@ def test_a_search_without_effects_says_why_its_best_candidate_was_not_accepted()
         (Kind.CANCELLING, (NAME, "cogging"), "asymmetric Coulomb and cogging would explain"),
         (Kind.INFEASIBLE, (NAME,), "asymmetric Coulomb would explain the mismatch only with"),
         (Kind.TOO_LITTLE, (NAME,), "needs at least 70 %"),
-        (Kind.REVERSALS, (NAME,), "since each reversal"),
+        (Kind.REVERSALS, (NAME,), "since the last reversal"),
     ],
 )
 def test_every_reason_is_told(kind: Kind, names: tuple[str, ...], expected: str) -> None:

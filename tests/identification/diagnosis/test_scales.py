@@ -64,7 +64,7 @@ def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> Non
         views = tuple(scaled(v, travel=travel) for v in joint.equations[0].views)
         equations = tuple(replace(e, views=views) for e in joint.equations)
         beyond.append(implausible(replace(joint, effects=(effect,), equations=equations)))
-    assert beyond[0].startswith("slope_per_rad 4, outside its plausible range")
+    assert beyond[0].startswith("slope_per_rad = 4, outside the plausible range")
     assert not beyond[1]
 
 

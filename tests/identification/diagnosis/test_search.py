@@ -167,7 +167,7 @@ def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("motion", "rest", "said"), [("linear", 3.1, "rest_m 3.1"), ("rotary", 3.1, "")]
+    ("motion", "rest", "said"), [("linear", 3.1, "rest_m = 3.1"), ("rotary", 3.1, "")]
 )
 def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     motion: Literal["linear", "rotary"], rest: float, said: str
@@ -186,7 +186,7 @@ def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     assert implausible(near) == ""
 
 
-@pytest.mark.parametrize(("mass_kg", "said"), [(30.6, "inertia_kgm2 15"), (1.0, "")])
+@pytest.mark.parametrize(("mass_kg", "said"), [(30.6, "inertia_kgm2 = 15"), (1.0, "")])
 def test_the_inertia_of_a_load_is_plausible_for_the_weights_of_the_bench(
     mass_kg: float, said: str
 ) -> None:
@@ -203,7 +203,7 @@ def test_the_inertia_of_a_load_is_plausible_for_the_weights_of_the_bench(
     assert bool(found) == bool(said)
 
 
-@pytest.mark.parametrize(("heavier", "said"), [(1.0, "inertia_kgm2 15"), (10.0, "")])
+@pytest.mark.parametrize(("heavier", "said"), [(1.0, "inertia_kgm2 = 15"), (10.0, "")])
 def test_the_inertia_of_a_load_is_plausible_for_the_inertia_of_the_machine(
     heavier: float, said: str
 ) -> None:
