@@ -161,7 +161,7 @@ def test_a_gear_s_torque_swings_as_its_ratio_does(view: View) -> None:
     term = next(t for t in TERMS if t.name == "gear_mesh_ripple")
     nominal = Nominal(NOMINAL, tuple(NOMINAL), 2.0)
     coefficients = np.array([1e-3 * math.cos(0.4), 1e-3 * math.sin(0.4)])
-    fitted = coefficients @ term.columns["torque"](view, nominal, (23.0,))
+    fitted = coefficients @ term.columns["torque"](view, nominal, (23.0, 1.0))
     assert fitted == pytest.approx(-nominal.torque(view) * (ratio - 1.0), abs=1e-4)
 
 

@@ -162,7 +162,7 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     result = identify(Dataset((recording,)))
     (warning,) = result.warnings
     assert "values are those of the equation error at" in warning
-    assert "imply a torque noise of" in warning
+    assert "the torque noise by the prediction errors" in warning
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
 
@@ -246,7 +246,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert wrong.noise.torque > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
     assert refusal(right, 1.0, 1.0) == ""
-    assert "imply a torque noise" in refusal(wrong, 1.0, 1.0)
+    assert "the torque noise by the prediction errors" in refusal(wrong, 1.0, 1.0)
     assert "a correlation of +0.20 (limit" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
     assert "at a lower likelihood than it starts (change of the deviance +20," in refusal(
         replace(right, likelihood_drop=20.0), 1.0, 1.0
@@ -367,7 +367,7 @@ def test_a_stage_at_rest_is_refused(method: Callable[..., Identification]) -> No
         channels={k: v for k, v in still.channels.items() if k not in ("velocity", "motor_angle")},
     )
     with pytest.raises(
-        RecordingError, match=r"sine: 0 samples are in motion .* at least 40 are needed"
+        RecordingError, match=r"sine: .* 0 samples are in motion; a fit needs at least 40 samples"
     ):
         method(Dataset((still,)), rng=np.random.default_rng(0))
 

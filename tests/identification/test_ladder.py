@@ -99,5 +99,5 @@ def test_rungs_that_bear_a_load_need_one() -> None:
         identify(replace(plain, model=Model(friction="load_dependent")), bandwidth_Hz=100.0)
     with pytest.raises(RecordingError, match="remove all loaded recordings"):
         climb(Dataset((sine(), sine(weight=30.6))), bandwidth_Hz=None, rng=np.random.default_rng(0))
-    with pytest.raises(RecordingError, match="supports stribeck friction only"):
+    with pytest.raises(RecordingError, match="supports only the friction model stribeck"):
         identify_paper(dataset(), bandwidth_Hz=100.0, rng=np.random.default_rng(0))

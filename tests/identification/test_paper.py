@@ -132,7 +132,7 @@ def test_fitness_is_the_norm_of_the_torque_error() -> None:
 def test_inertia_is_given_only_where_its_torque_stands_out_of_the_misfit() -> None:
     slow = fit(Dataset((synthetic("a"),)), 0, generations=3).parameters["J"]
     assert (slow.value, slow.identifiable) == (None, False)
-    assert "misfit" in slow.reason
+    assert "below the torque error of the fit" in slow.reason
     fast = fit(Dataset((synthetic("a", frequency=2.0),)), 0).parameters["J"]
     assert fast.identifiable
     assert fast.value == pytest.approx(TRUTH["J"], rel=0.2)
