@@ -172,8 +172,12 @@ def _mistake(
         unit = counts / 60 if which else 1.0
         spoil = lambda mock: mock.drive.use_speed_unit(unit)  # noqa: E731
         if which:
-            return spoil, ("servo.velocity_unit", "rpm"), "606Ch is in rpm"
-        return spoil, ("servo.velocity_unit", "counts_per_s"), "606Ch is in counts per second"
+            return spoil, ("servo.velocity_unit", "rpm"), "the unit of 606Ch is rpm"
+        return (
+            spoil,
+            ("servo.velocity_unit", "counts_per_s"),
+            "the unit of 606Ch is counts per second",
+        )
     if mistake == TENFOLD:
         servo["velocity_unit"] = "counts_per_s" if which else "rpm"
         unit = 0.1 if which else counts / 600

@@ -40,7 +40,7 @@ def test_the_table_has_size_share_and_what_looks_the_same(
     assert "torque_Nm 0.011 N m" in printed
     assert "cogging 98 %" in printed
     assert "backlash." in printed
-    assert "torque_ripple: The same slow turn" in printed
+    assert "torque_ripple: One slow turn without load" in printed
     written = json.loads(record.read_text())
     assert written["schema"] == "loadrig.observable/1"
     assert [e["shown"] for e in written["effects"]] == [True, True, False]
