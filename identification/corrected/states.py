@@ -30,7 +30,7 @@ def advanced(series: Array, time: Array, time_s: float) -> Array:
     (n,).
 
     Between two samples the series is the cubic through the four nearest samples; in the first and
-    in the last interval it is a straight line.
+    in the last interval, and beside a gap of the times, it is a straight line.
     """
     last = len(series) - 1
     place = np.interp(time + time_s, time, np.arange(last + 1.0))
@@ -40,7 +40,10 @@ def advanced(series: Array, time: Array, time_s: float) -> Array:
     bent = after - 2.0 * here + before
     more = later - 3.0 * after + 3.0 * here - before
     cubic = x * (x - 1.0) * (0.5 * bent + (x + 1.0) / 6.0 * more)
-    inside = (j >= 1) & (j < last - 1)
+    steps = np.diff(time)
+    own, earlier, next_ = (steps[np.clip(j + k, 0, last - 1)] for k in (0, -1, 1))
+    even = np.maximum(np.abs(earlier - own), np.abs(next_ - own)) < 0.1 * own
+    inside = (j >= 1) & (j < last - 1) & even
     return np.asarray(here + x * (after - here) + np.where(inside, cubic, 0.0))
 
 

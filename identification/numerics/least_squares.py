@@ -29,7 +29,7 @@ def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     """
     inner = columns.T @ columns
     length = np.sqrt(np.diag(inner))
-    seen = length >= LEAST_LENGTH
+    seen = ~(length < LEAST_LENGTH)
     if not np.all(seen):
         found = np.zeros(len(length))
         if np.any(seen):

@@ -70,7 +70,7 @@ LINEAR = {
     "compliance": ({"stiffness_Nm_rad": 900.0}, (), (1.0 / 900.0, 0.0, 0.0, 0.0, 0.0)),
     "gear_mesh_ripple": (
         {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0},
-        (23.0,),
+        (23.0, 1.0),
         (1e-3, 0.0),
     ),
     "coupling_hysteresis": (

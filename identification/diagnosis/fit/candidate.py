@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.term import Shape
 from identification.recording import Array
 
@@ -27,7 +28,8 @@ class Candidate:
         shape: Nonlinear parameters of the effect.
         coefficients: Least-squares coefficients, in the units of the term, shape (k,).
         gain: Sum of whitened squares that the effect explains.
-        penalty: Expected sum of whitened squares that the effect explains by chance (Takeuchi).
+        penalty: Expected sum of whitened squares that the effect explains by chance (Takeuchi);
+            computed from single rows if the effect is active in too few blocks.
         statistic: Squared score over its variance by blocks after the fit; about chi-square with k
             degrees of freedom if nothing is missing.
         blocks: Score by block, shape (b, k).
@@ -53,6 +55,11 @@ class Candidate:
         return self.gain - 2.0 * self.penalty
 
     @property
+    def tested(self) -> bool:
+        """Whether the effect is active in enough blocks to be tested by flipping their signs."""
+        return not len(self.weights) or active_blocks(self.weights) >= RULES.least_active
+
+    @property
     def surprise(self) -> float:
         """-log of the probability of at least this statistic."""
         return log_surprise(self.statistic, len(self.coefficients))
@@ -68,6 +75,14 @@ class Candidate:
         gain = 2.0 * self.blocks @ score - np.einsum("j,bjk,k->b", score, self.weights, score)
         spread = float(np.std(gain, ddof=1)) * math.sqrt(len(gain))
         return float(np.sum(gain)) / spread if spread > 0.0 else 0.0
+
+
+def active_blocks(weights: Array) -> float:
+    """Return the number of blocks in which regressors are active, from their inner products by
+    block, shape (b, k, k): the inverse participation.
+    """
+    energy = np.einsum("bkk->b", weights) / weights.shape[1]
+    return 1.0 / float(energy @ energy)
 
 
 def log_surprise(statistic: Array | float, degrees: int) -> float:

@@ -19,6 +19,7 @@ from identification.diagnosis.fit.candidate import (
     FEW_REGRESSORS,
     NO_WEIGHTS,
     Candidate,
+    active_blocks,
     wald_statistic,
 )
 from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
@@ -191,16 +192,16 @@ class Stack:
         shape: Shape,
         columns: Mapping[str, Array],
         positive: Sequence[int] = (),
-        least_active: float = RULES.least_active,
+        one_recording: bool = False,
     ) -> Candidate | None:
         """Return the score of regressors, or None if the regressors are collinear with the nominal
-        model, active in fewer than ``least_active`` blocks, or have a coefficient of unphysical
-        sign.
+        model, active in too few blocks (unless of ``one_recording``), or have a coefficient of
+        unphysical sign.
         """
         if not columns:
             return None
         here = self.only(columns.keys())
-        return here._scored(name, shape, columns, positive, least_active)
+        return here._scored(name, shape, columns, positive, one_recording)
 
     def _scored(
         self,
@@ -208,7 +209,7 @@ class Stack:
         shape: Shape,
         columns: Mapping[str, Array],
         positive: Sequence[int],
-        least_active: float = RULES.least_active,
+        one_recording: bool = False,
     ) -> Candidate | None:
         full = self.whitened(columns)
         # Columns that belong to one recording are zero if this recording does not show the effect.
@@ -222,8 +223,8 @@ class Stack:
         if np.any(diagonal < RULES.collinear_below * before):
             return None
         sums, weights = in_blocks(q, self.residual, self.block, self.blocks)
-        energy = np.einsum("bkk->b", weights) / q.shape[1]
-        if 1.0 / float(energy @ energy) < least_active:
+        enough = active_blocks(weights) >= RULES.least_active
+        if not (enough or one_recording):
             return None
         score = q.T @ self.residual
         coefficients = np.zeros(len(shown))
@@ -232,12 +233,17 @@ class Stack:
             return None
         rest_sums = sums - weights @ score
         few = q.shape[1] <= FEW_REGRESSORS
+        penalty = float(np.sum(rest_sums**2))
+        if not enough:
+            # The fit takes up the whole score of a single block, whose remainder states no chance.
+            rest = self.residual - q @ score
+            penalty = max(penalty, float(np.sum((q * rest[:, None]) ** 2)), float(q.shape[1]))
         return Candidate(
             name=name,
             shape=shape,
             coefficients=coefficients,
             gain=float(score @ score),
-            penalty=float(np.sum(rest_sums**2)),
+            penalty=penalty,
             statistic=wald_statistic(score, rest_sums if few else sums),
             blocks=sums,
             weights=weights if few else NO_WEIGHTS,
@@ -283,8 +289,8 @@ class Stack:
         :meth:`candidate`.
         """
         # An effect that occurs in one recording only is active in few blocks.
-        least = RULES.least_active if term.place is None else 0.0
-        return self.candidate(term.name, shape, self.columns(term, shape), term.positive, least)
+        alone = term.place is not None
+        return self.candidate(term.name, shape, self.columns(term, shape), term.positive, alone)
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:

@@ -88,7 +88,7 @@ def _moved(view: View, late_s: float) -> View:
         known=late(view.known),
         hanging=late(view.hanging),
         moment=late(view.moment),
-        sense=late(view.sense),
+        sense=np.clip(late(view.sense), -1.0, 1.0),
         motor=late(view.motor),
         motor_speed=late(view.motor_speed),
     )

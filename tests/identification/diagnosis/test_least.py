@@ -43,3 +43,9 @@ def test_columns_of_any_size_are_solved_without_overflow(scale: float) -> None:
     assert np.all(np.isfinite(found))
     if scale != 1e-170:
         assert found * (1.0, scale) == pytest.approx([2.0, 3.0], rel=1e-9)
+
+
+def test_what_is_no_number_is_not_passed_over() -> None:
+    columns = np.stack([ROWS, np.full(400, np.nan)], axis=1)
+    with pytest.raises(np.linalg.LinAlgError):
+        least_squares(columns, ROWS)

@@ -145,3 +145,10 @@ def test_the_corrected_model_delays_a_series_in_the_same_way() -> None:
         assert advanced(series, time, -late_s) == pytest.approx(
             delayed_series(series, 0.001, late_s), abs=1e-12
         )
+
+
+def test_the_corrected_model_delays_straight_over_a_gap_in_the_times() -> None:
+    time = np.delete(0.01 * np.arange(100), slice(40, 70))
+    assert advanced(2.0 * time, time, -0.0037)[5:-5] == pytest.approx(
+        2.0 * (time - 0.0037)[5:-5], abs=1e-12
+    )

@@ -14,7 +14,11 @@ from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.collinear import collinear_effects
-from identification.diagnosis.score.significance import size_p_value, trial_candidates
+from identification.diagnosis.score.significance import (
+    sign_flip_p_value,
+    size_p_value,
+    trial_candidates,
+)
 from identification.diagnosis.selection.comparison import preference
 from identification.diagnosis.selection.next_effects import (
     TRIALS,
@@ -293,6 +297,23 @@ def test_a_slip_in_one_short_recording_is_a_candidate() -> None:
     assert best.shape[0] == 1.0
     assert abs(best.coefficients[0]) == pytest.approx(2e-3, rel=0.1)
     assert best.gain > 0.5 * left_beyond_noise(joint, BY_NAME["encoder_slip"])
+
+
+def test_a_slip_in_a_recording_of_one_block_does_not_hide_what_the_signs_show() -> None:
+    """A single block has no statistic by blocks, so that its effects take no part in the flips."""
+    hidden = {"encoder_eccentricity": {"amplitude_rad": 5e-5, "phase_rad": 0.3}}
+    first, second, *rest = campaign(hidden, 12, 6.0)[:4]
+    short = replace(second, channels={k: v[:1400] for k, v in second.channels.items()})
+    joint = nominal_fit((first, short, *rest))
+    context = Context(joint.equations[0].views, joint.nominal)
+    terms = [BY_NAME[n] for n in ("encoder_eccentricity", "encoder_slip")]
+    every = list(trial_candidates(joint.stack, context, terms))
+    tested = [c for c in every if c.tested]
+    assert {c.name for c in every if not c.tested} == {"encoder_slip"}
+    assert all(c.penalty >= 1.0 for c in every if not c.tested)
+    rng = np.random.default_rng(0)
+    assert sign_flip_p_value(tested, joint.stack.blocks, rng) < 0.01
+    assert sign_flip_p_value(every, joint.stack.blocks, rng) > 0.5, "what the rule is for"
 
 
 def test_the_trial_of_an_effect_has_the_size_that_its_coefficient_states() -> None:
