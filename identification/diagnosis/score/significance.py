@@ -19,6 +19,10 @@ from identification.diagnosis.terms.term import Context, Term
 from identification.recording import Array
 
 DRAWS = 999
+BY_RECORDING = ("torque", "transmission")
+"""Equations whose mismatch is tested in each recording as well: a slip of an encoder, or a wrong
+label, is in one recording only.
+"""
 SINGULAR = 1e-6
 """Determinant of a 2 x 2 covariance relative to its squared trace, below which the pseudo-inverse
 is used.
@@ -193,7 +197,7 @@ def size_p_value(joint: Joint, only: str = "") -> float:
         powers = np.minimum(np.abs(rows), RULES.outlier) ** 2
         chances.append(_beyond(powers, RULES.excess))
         chances.append(_recurring(rows, joint.stack.block[joint.stack.part(equation.name)]))
-        if equation.name == "torque":
+        if equation.name in BY_RECORDING:
             chances += [
                 _beyond(powers[equation.owner == v.index], RULES.excess_of_one)
                 for v in equation.views

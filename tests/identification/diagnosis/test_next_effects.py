@@ -316,6 +316,19 @@ def test_a_slip_in_a_recording_of_one_block_does_not_hide_what_the_signs_show() 
     assert sign_flip_p_value(every, joint.stack.blocks, rng) > 0.5, "what the rule is for"
 
 
+def test_a_slip_in_one_of_many_recordings_is_found_by_its_size() -> None:
+    """Over all recordings the mismatch is within the noise's bound, in one far above it."""
+    joint = nominal_fit(honest())
+    (transmission,) = (e for e in joint.equations if e.name == "transmission")
+    residual = joint.residual.copy()
+    rows = residual[joint.stack.part("transmission")]
+    rows[:] = np.sqrt(transmission.allowed())
+    rows[transmission.owner == 1] *= math.sqrt(3.0)
+    assert size_p_value(replace(joint, residual=residual), "transmission") < 1e-3
+    rows[transmission.owner == 1] *= math.sqrt(1.8 / 3.0)
+    assert size_p_value(replace(joint, residual=residual), "transmission") > 0.01
+
+
 def test_the_trial_of_an_effect_has_the_size_that_its_coefficient_states() -> None:
     """Delays far below the time of the motion score alike, and a fit searches near its trial."""
     joint = nominal_fit(honest())
