@@ -28,8 +28,9 @@ class SelectionRules:
             the sensor. Basis: current sensors and converters of drives are linear to 0.1 to 1 %;
             the share is a fifth of the best of these values.
         excess_of_one: Ratio of the mean-square mismatch of torque or transmission in one recording
-            to that of the noise, up to which the mismatch is attributed to noise. Basis: one recording has a few
-            half cycles, whose mean square scatters more, and too few blocks for sign flips.
+            to that of the noise, up to which the mismatch is attributed to noise. Basis: one
+            recording has a few half cycles, whose mean square scatters more, and too few blocks for
+            sign flips.
         least_share: Power of an effect's contribution, over the power of the noise in the equations
             of the effect, below which the contribution is negligible. Basis: a tenth of the noise's
             amplitude.
