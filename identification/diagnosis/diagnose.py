@@ -275,7 +275,19 @@ def _findings(
         *dropped_effects(found),
         *rests_under_torque(every, torque_unit(every[0].recording)),
         *crowds,
+        *_still_valve(found, every),
         *unexplained(found, verdict, judged.reason, rng),
+    )
+
+
+def _still_valve(found: Search, every: Sequence[View]) -> tuple[str, ...]:
+    """Return a text if the motion of a valve behind a flexible transmission is not used."""
+    flexible = any(e.term.name in FLEXIBLE for e in found.final.effects)
+    if not flexible or any(np.any(v.twist) for v in every):
+        return ()
+    return (
+        "the valve moves too little for a fit of its own motion, so friction is fitted to the "
+        "motion of the motor",
     )
 
 

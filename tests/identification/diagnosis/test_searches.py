@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from identification.diagnosis import diagnose
@@ -123,3 +124,17 @@ def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
     side = "valve" if moves else "motor"
     assert (here, found.side, flexible) == (side, side, moves)
     assert sides == [("motor", diagnose.FLEXIBLE), (side, ())]
+
+
+@pytest.mark.parametrize(
+    ("name", "twist", "stated"),
+    [("backlash", 0.0, True), ("backlash", 0.1, False), ("cogging", 0.0, False)],
+)
+def test_friction_fitted_to_the_motor_behind_a_still_valve_is_stated(
+    name: str, twist: float, stated: bool
+) -> None:
+    final = SimpleNamespace(effects=[SimpleNamespace(term=term(name))])
+    found: Any = SimpleNamespace(final=final)
+    views: Any = [SimpleNamespace(twist=np.full(3, twist))]
+    texts = diagnose._still_valve(found, views)
+    assert [t.startswith("the valve moves too little") for t in texts] == [True] * stated
