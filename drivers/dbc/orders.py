@@ -5,7 +5,7 @@ The module also finds the messages that are sent only with an order.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -101,7 +101,8 @@ def _order(
         layout, signal = found
         _require_free(spec, names, (*place, name), layout, signal)
         images.put((*place, name), layout, signal, value)
-    images.check_pages(place)
+    for message, selector, reason in images.wrong_pages():
+        names.report((*place, f"{message}.{selector}"), reason)
     own_target = False
     for number, (layout, signal) in enumerate(filled):
         shared = images.covered(layout) & signal.covers
@@ -186,16 +187,19 @@ class _Images:
         self.frames[layout.name] = frame
         self._covered[layout.name] = self.covered(layout) | covers
 
-    def check_pages(self, place: Place) -> None:
-        """Report a selector that an order sets to a page other than that of its signals."""
+    def wrong_pages(self) -> Iterator[tuple[str, str, str]]:
+        """Yield message, selector and reason where an order sets a selector to a page other than
+        that of its signals.
+        """
         for message, signal in self._page.items():
             selector = signal.selector
             if selector is None:
                 continue
             shown = selector.bits(self.frames[message])
             if shown not in signal.pages:
-                self._names.report(
-                    (*place, f"{message}.{selector.name}"),
+                yield (
+                    message,
+                    selector.name,
                     f"is {shown}, but signal {signal.name!r} is on page "
                     f"{' or '.join(map(str, signal.pages))}",
                 )
@@ -226,4 +230,6 @@ def stop_image(spec: DbcMap, names: Names) -> tuple[Layout, bytes] | None:
         if signal is not None:
             _require_free(spec, names, place, layout, signal)
             images.put(place, layout, signal, value)
+    for _, selector, reason in images.wrong_pages():
+        names.report(("stop_frame", "signals", selector), reason)
     return layout, images.frames[layout.name]

@@ -109,6 +109,19 @@ def test_a_selector_of_an_order_fits_its_signals(tmp_path: Path) -> None:
     assert found["orders.reset.Command.Page"] == "is 1, but signal 'Order' is on page 2"
 
 
+@pytest.mark.parametrize("order", [("Order", "Page"), ("Page", "Order")])
+def test_a_selector_of_the_stop_frame_fits_its_signals(
+    tmp_path: Path, order: tuple[str, str]
+) -> None:
+    right, wrong = (
+        replace(PAGED_MAP, stop_frame=StopFrame("Command", {name: values[name] for name in order}))
+        for values in ({"Order": 3, "Page": 2}, {"Order": 3, "Page": 1})
+    )
+    assert wired(tmp_path, right, PAGED).stop_image.hex() == "0203" + 6 * "00"
+    words = " ".join(problems(tmp_path, wrong, PAGED).values())
+    assert "page" in words
+
+
 def test_signals_of_two_pages_are_not_one_order(tmp_path: Path) -> None:
     spec = ordered(PAGED_MAP, reset={"Command.Half": 1, "Command.Order": 3})
     found = problems(tmp_path, spec, PAGED)
