@@ -173,6 +173,7 @@ def _load(data: bytes) -> Database:
     if encodings is _ENCODINGS and (zero := data.find(0)) >= 0:
         raise _NotTextError(f"byte {zero} is zero; state the path of the drive's DBC file")
     first: DbcError | None = None
+    tried: set[str] = set()
     for encoding in encodings:
         try:
             # Invalid bytes show that a text is not UTF-8; all other encodings accept almost all
@@ -181,6 +182,9 @@ def _load(data: bytes) -> Database:
             text = data.decode(encoding, "strict" if strict else "replace").removeprefix("\ufeff")
         except UnicodeDecodeError:
             continue
+        if text in tried:  # an ASCII text is the same in all encodings
+            continue
+        tried.add(text)
         try:
             with _quiet():
                 database = cantools.database.load_string(text, database_format="dbc", strict=False)

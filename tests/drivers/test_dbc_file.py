@@ -2,7 +2,9 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
+import cantools.database
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -60,6 +62,26 @@ def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
     path.write_bytes(b"VERSION \0")
     with pytest.raises(ConfigurationError, match=r"bad\.dbc: is not a text file: byte 8 is zero"):
         read_dbc(path)
+
+
+def test_a_wrong_text_in_ascii_is_parsed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts: list[str] = []
+    parse = cantools.database.load_string
+
+    def counted(text: str, **options: Any) -> Any:
+        texts.append(text)
+        return parse(text, **options)
+
+    monkeypatch.setattr(cantools.database, "load_string", counted)
+    path = tmp_path / "bad.dbc"
+    for wrong, parses in (("BO_ wrong", 1), ("BO_ größer", 5)):
+        path.write_text(wrong, encoding="utf-8")
+        with pytest.raises(ConfigurationError):
+            read_dbc(path)
+        assert len(set(texts)) == len(texts) == parses
+        texts.clear()
 
 
 @pytest.mark.parametrize(
