@@ -48,7 +48,7 @@ help:
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
-	@echo "make fuzz      a million frames or bytes for every decoder, a million EDS and DBC texts; 100 000 random logs of each format"
+	@echo "make fuzz      a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
 	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"

@@ -27,7 +27,7 @@ _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
 _DOMAIN: Final = 2
 _LAST_STANDARD_TYPE: Final = 0x1B
 _MOST_MEMBERS: Final = 254
-_NODE: Final = re.compile(r"\+?\$NODEID\+?", re.IGNORECASE)
+_NODE: Final = re.compile(r"\+?\s*\$NODEID\s*\+?", re.IGNORECASE)
 _BLOBS: Final = (datatypes.OCTET_STRING, datatypes.DOMAIN)
 _TEXTS: Final = (datatypes.VISIBLE_STRING, datatypes.UNICODE_STRING)
 Address = tuple[int, int]
@@ -138,6 +138,12 @@ class _Reader:
             kind = integer(head.text("ObjectType", str(_VARIABLE)))
         members = self._members.get(index, {})
         if kind not in (_ARRAY, _RECORD) and not (members and "datatype" not in head.values):
+            for sub, section in members.items():
+                if sub:
+                    faults[index, sub] = (
+                        f"{self._eds}:{section.line}: section [{section.name}] is not used, since "
+                        f"[{head.name}] describes a single value"
+                    )
             return self._variable(head, index, 0, faults)
         name = head.text("ParameterName", head.name)
         item = ODArray(name, index) if kind == _ARRAY else ODRecord(name, index)

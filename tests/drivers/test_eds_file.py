@@ -25,6 +25,7 @@ from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.transmitter import TRANSMITTER_EDS
 from drivers.units import EncoderScales
 
+from . import eds_shapes
 from .host import SCALES
 
 TEXT = DRIVE_EDS.read_text()
@@ -261,42 +262,9 @@ def test_a_fault_in_an_object_that_is_not_used_does_no_harm(tmp_path: Path) -> N
     assert read_eds(eds, 1).faults
 
 
-VALUES = st.sampled_from(["", "0x7", "7", "8", "9", "-1", "x", "0x", "$NODEID+0x180", "1 ; note"])
-KEYS = st.sampled_from(
-    [
-        "ParameterName",
-        "ObjectType",
-        "DataType",
-        "AccessType",
-        "DefaultValue",
-        "LowLimit",
-        "HighLimit",
-        "PDOMapping",
-        "CompactSubObj",
-        "SubNumber",
-        "NrOfEntries",
-        "Lines",
-    ]
-)
-NAMES = st.sampled_from(
-    [
-        "1000",
-        "1018",
-        "1018sub1",
-        "6041",
-        "6041sub0",
-        "1A00",
-        "1A00sub1",
-        "1800",
-        "FileInfo",
-        "A0",
-        "DummyUsage",
-        "1018Name",
-        "Comments",
-        "1018subFF",
-        "DeviceInfo",
-    ]
-)
+VALUES = st.sampled_from(eds_shapes.VALUES)
+KEYS = st.sampled_from(eds_shapes.KEYS)
+NAMES = st.sampled_from(eds_shapes.NAMES)
 LINES = st.one_of(
     st.builds("[{}]".format, NAMES),
     st.builds("{}={}".format, KEYS, VALUES),
@@ -334,10 +302,25 @@ def test_members_that_one_section_describes(tmp_path: Path) -> None:
         "[2001]\nDataType=0xA0\n[A0]\n[A0sub1]\nDefaultValue=0x0006\n"
         "[2002]\nDataType=7\nLowLimit=0xFFFFFFFF\nDefaultValue=$NODEID+0x180\n"
         "[2003]\nDataType=2\nLowLimit=0xFF\nHighLimit=0x7F\n"
+        "[2004]\nDataType=7\nDefaultValue=$NodeID + 0x280\n"
     )
     read = read_eds(eds, 5)
     assert addresses(read) >= {(0x2000, 0), (0x2000, 1), (0x2000, 3)}
     assert read[0x2000][3].data_type == 3
     assert read[0x2001].data_type == 6
     assert (read[0x2002].default, read[0x2002].min) == (0x185, 0xFFFFFFFF)
+    assert read[0x2004].default == 0x285
     assert (read[0x2003].min, read[0x2003].max) == (-1, 127)
+
+
+def test_members_of_an_object_that_is_a_single_value_are_told(tmp_path: Path) -> None:
+    eds = tmp_path / "own.eds"
+    eds.write_text("[2000]\nObjectType=7\nDataType=5\n[2000sub1]\nDataType=6\n")
+    link = can_link()
+    node = link.add_node(1, eds)
+    assert not node.describes(0x2000, 1, mappable=True)
+    with pytest.raises(ConfigurationError) as e:
+        node.read(0x2000, 1)
+    assert f"{eds}:4: section [2000sub1] is not used, since [2000] describes a single value" in str(
+        e.value
+    )
