@@ -214,6 +214,10 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h), not from a cached frame."""
 
+    def sent_state(self) -> ServoState | None:
+        """Return the state in the last exchange, or None if it contained none. Nothing is sent."""
+        return None
+
     @abstractmethod
     def read_limits(self) -> ServoLimits:
         """Read the limits that are stored in the drive."""
@@ -241,9 +245,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """
 
     def readings(self) -> ServoReadings:
-        """Read the values of the drive, which need not be prepared.
-
-        The method writes nothing, and sends read requests only.
+        """Read the drive's values by read requests alone, without preparing it.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -331,9 +333,7 @@ class Encoder(Recognised, ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Read the joint angle, rad, of an encoder that need not be prepared; NaN without an angle.
-
-        The method writes nothing.
+        """Read the joint angle, rad, by read requests alone; NaN if there is no angle.
 
         Raises:
             LinkError: The encoder cannot be reached.

@@ -107,6 +107,14 @@ class Cia402Servo(HomingServo):
         """Read the drive's state from the device (6041h)."""
         return decode_state(self._channel.read(*cia402.STATUSWORD))
 
+    def sent_state(self) -> ServoState | None:
+        """Return the state in the process data of the last exchange, or None if the drive is not
+        prepared or process data are missing.
+        """
+        if not self._cycle_ns or not self._channel.fresh:
+            return None
+        return decode_state(self._values.motion()[0])
+
     def read_limits(self) -> ServoLimits:
         """Read the limits that are stored in the drive."""
         return servo_limits.read(self._channel, self._scales, self._held)

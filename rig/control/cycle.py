@@ -10,7 +10,7 @@ from typing import Protocol
 
 from drivers.clock import NS, Clock
 from drivers.errors import DriveFault
-from drivers.interfaces import RawFrame
+from drivers.interfaces import RawFrame, ServoState
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
@@ -243,8 +243,11 @@ class Cycle:
         if compensate is not None:
             self._servo.set_torque_offset(0.0)
 
-    def watch(self) -> None:
+    def watch(self) -> ServoState | None:
         """Run one cycle without a command and without a limit check, while the drive brakes.
+
+        Returns:
+            The state that the drive sent in this cycle, or None.
 
         Raises:
             DeviceError: A device or the bus failed.
@@ -258,6 +261,7 @@ class Cycle:
             sample = self._exchange(self._target, 0)
             if self.units is not None:
                 self.units.take_braking(sample, self._torque)
+        return self._servo.sent_state()
 
     def attend(self, limits: Limits) -> Sample:
         """Run one cycle without a command, while the drive moves by itself; return its sample.

@@ -13,8 +13,8 @@ from rig.common.errors import StorageError
 
 BRAKING_TIMEOUT_S = 1.0
 STATE_INTERVAL_S = 0.005
-"""Time, s, between two reads of the state while the drive brakes; after standstill the power stays
-on for at most this time, independent of the control cycle.
+"""Time, s, between two reads of the state while the drive brakes and does not send its state;
+after standstill the power stays on for at most this time, independent of the control cycle.
 """
 DISABLE_ATTEMPTS = 2
 
@@ -104,7 +104,7 @@ class _Steps:
 
 def make_safe(
     servo: Servo,
-    watch: Callable[[], None],
+    watch: Callable[[], ServoState | None],
     cycle_ns: int,
     *,
     brake: bool,
@@ -120,7 +120,8 @@ def make_safe(
     Args:
         servo: The drive.
         watch: Runs one control cycle; called while the drive brakes, so that the drive's watchdog
-            does not interrupt the ramp, and so that the recording contains the braking.
+            does not interrupt the ramp, and so that the recording contains the braking. The
+            result is the state that the drive sent in this cycle, or None.
         cycle_ns: Control cycle, ns.
         brake: Whether to start with a quick stop, as after every end of a run but a regular end.
         hurry: Whether the operator has pressed Ctrl-C again; the power then goes off without
@@ -159,18 +160,40 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 
 
 def _wait_for_standstill(
-    servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
+    servo: Servo,
+    watch: Callable[[], ServoState | None],
+    cycle_ns: int,
+    hurry: Callable[[], bool],
 ) -> None:
     """Run control cycles until the drive has stopped, the time is over, or the operator presses
     Ctrl-C again.
+
+    The state is read from the drive only after cycles in which the drive did not send it, so that
+    one lost answer does not end the ramp.
     """
     between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
+    state: ServoState | None = None
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return
-        if cycle % between == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
+        if state is None and cycle % between == 0:
+            state = _read_or_sent(servo, watch)
+        if state is not None and state is not ServoState.QUICK_STOP_ACTIVE:
             return
-        watch()
+        state = watch()
+
+
+def _read_or_sent(servo: Servo, watch: Callable[[], ServoState | None]) -> ServoState:
+    """Read the state, or return the state that the drive sends in the next cycle if the answer is
+    lost; the error is raised if the drive sends none.
+    """
+    try:
+        return servo.state()
+    except DeviceError:
+        state = None if servo.sent_state() is None else watch()
+        if state is None:
+            raise
+        return state
 
 
 def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:

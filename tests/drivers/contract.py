@@ -97,6 +97,8 @@ class ServoContract:
         live.servo.quick_stop()
         for _ in range(5):
             live.cycles(20, lambda _: 0.2)
+            # A drive that sends no state has it read.
+            assert live.servo.sent_state() in (None, live.servo.state())
             assert live.servo.state() in (
                 ServoState.QUICK_STOP_ACTIVE,
                 ServoState.SWITCH_ON_DISABLED,

@@ -718,7 +718,11 @@ def test_a_sample_in_si_units() -> None:
     )
     servo = make(drive, scales)
     drive.inputs = {1: (0x1640, 2048, 40), 2: (30, 2_500_000), 3: (150,), 4: (59_900, 251, 60)}
+    assert servo.sent_state() is None
+    servo.prepare(CYCLE_S)
+    assert servo.sent_state() is ServoState.SWITCH_ON_DISABLED
     drive.fresh = False
+    assert servo.sent_state() is None
     sample = servo.sample()
     assert sample == ServoSample(
         device_time_s=2.5,

@@ -130,6 +130,9 @@ class FakeBench(Link, Servo, Encoder):
             raise StateError("the drive still reports operation enabled")
         self.drive_state = ServoState.SWITCH_ON_DISABLED
 
+    def sent_state(self) -> ServoState | None:
+        return None
+
     def quick_stop(self) -> None:
         self._call("quick_stop")
         if self.drive_state is ServoState.OPERATION_ENABLED:

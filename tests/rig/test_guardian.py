@@ -230,6 +230,9 @@ class Stuck:
         if not self.reachable:
             raise LinkError("gone")
 
+    def sent_state(self) -> ServoState | None:
+        return None
+
     def quick_stop(self) -> None:
         self._do("quick stop")
 

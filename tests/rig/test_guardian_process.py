@@ -42,6 +42,9 @@ class Servo:
         self.failures = failures
         self.stopped = 0
 
+    def sent_state(self) -> ServoState | None:
+        return None
+
     def quick_stop(self) -> None:
         self.stopped += 1
 

@@ -15,8 +15,11 @@ from hypothesis import strategies as st
 from drivers.clock import NS
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoState
+from drivers.mock.bench import DRIVE_NODE
+from drivers.mock.faults import WireFaults
 from rig.common.errors import StorageError
 from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
+from tests.drivers.host import enabled, make_host
 
 CYCLE_NS = 10_000_000
 OFF, ON, BRAKING = (
@@ -57,11 +60,15 @@ class Servo:
         self.raising = raising
         self.order: list[str] = []
         self.power = ON
+        self.sent: ServoState | None = None
 
     def _do(self, verb: str) -> None:
         self.order.append(verb)
         if verb in self.raising:
             raise self.raising[verb]()
+
+    def sent_state(self) -> ServoState | None:
+        return self.sent
 
     def quick_stop(self) -> None:
         self._do("quick_stop")
@@ -218,6 +225,54 @@ def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None
     assert found.verified
     after_ms = (servo.order.count("watch") - 31) * cycle_ms
     assert after_ms < 5
+
+
+def test_a_state_that_the_drive_sends_is_not_read() -> None:
+    servo = Servo({})
+    sent = iter([BRAKING] * 40 + [None, BRAKING, OFF, BRAKING])
+    found = make_safe(servo, lambda: next(sent), CYCLE_NS, brake=True, hurry=lambda: False)
+    # It is read first, and after the cycle in which the drive sends none.
+    assert servo.order == ["quick_stop", "state", "state", "disable", "state"]
+    assert list(sent) == [BRAKING]
+    assert found.verified
+
+
+@pytest.mark.parametrize("state", [BRAKING, None])
+def test_after_a_lost_answer_the_state_that_the_drive_sends_counts(
+    state: ServoState | None,
+) -> None:
+    servo = Servo({"state": lambda: LinkError("no answer")})
+    servo.sent = state
+    sent = iter([BRAKING, BRAKING, OFF, BRAKING])
+    found = make_safe(servo, lambda: next(sent), CYCLE_NS, brake=True, hurry=lambda: False)
+    # Without either, the power is taken off at once.
+    assert len(list(sent)) == (4 if state is None else 1)
+    assert servo.order[:3] == ["quick_stop", "state", "disable"]
+    assert found.problems == ("no answer",)
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_lost_answers_while_the_drive_brakes_do_not_cut_its_ramp_short(lost: int) -> None:
+    host = enabled(make_host())
+    host.cycles(400, lambda t: t * t)
+    speeds: list[float] = []
+    braking = False
+
+    def watch() -> ServoState | None:
+        nonlocal braking
+        if not braking:
+            WireFaults(host.bench.bus, host.clock).lose(
+                lambda identifier, host: identifier == 0x580 + DRIVE_NODE and not host, lost
+            )
+            braking = True
+        host.cycles(1)
+        speeds.append(host.servo.sample().velocity_rad_s)
+        return host.servo.sent_state()
+
+    found = make_safe(host.servo, watch, NS // 1000, brake=True, hurry=lambda: False)
+    assert found.verified
+    assert abs(speeds[0]) > 10 * abs(speeds[-1])
+    assert len(speeds) > 10
 
 
 def test_limits_go_back_only_into_a_drive_that_is_verified_off() -> None:
