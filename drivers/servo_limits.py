@@ -41,7 +41,8 @@ OBJECTS: Final = tuple(FIELDS)
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
     """Return the object values that store ``limits``, each rounded to the unit of the drive such
-    that no limit becomes wider. A limit of NaN, which the drive does not have, is omitted.
+    that no limit becomes wider and the quick stop no weaker. A limit of NaN, which the drive does
+    not have, is omitted.
     """
     count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
     lower, upper = (limits.angle_min_rad, limits.angle_max_rad)[:: scales.sign]
@@ -59,9 +60,7 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
     }
     return {
         address: -_whole(-value)
-        if address == POSITION_MIN
-        else _nearest(value)
-        if address == QUICK_STOP_DECELERATION
+        if address in (POSITION_MIN, QUICK_STOP_DECELERATION)
         else _whole(value)
         for address, value in values.items()
         if not math.isnan(value)
@@ -102,13 +101,6 @@ def steps(scales: ServoScales) -> LimitSteps:
         count,
         scales.joint_acceleration_unit_rad_s2,
     )
-
-
-def _nearest(units: float) -> int:
-    """Round a deceleration to the nearest unit, because it is no limit; but a value above 0 never
-    becomes 0, with which a drive would not brake.
-    """
-    return max(1, round(units)) if units else 0
 
 
 def _whole(units: float) -> int:

@@ -48,14 +48,16 @@ def test_a_quick_stop_brakes_as_the_bench_file_says(make: str, tmp_path: Path) -
     assert took_s == pytest.approx(0.9 * speed / DECELERATION, abs=0.012)
 
 
-def test_a_deceleration_below_half_a_unit_is_one_unit_and_not_zero() -> None:
+def test_a_deceleration_between_two_units_is_never_weaker() -> None:
     coarse = dataclasses.replace(SCALES, acceleration_unit_rad_s2=2 * math.pi * SCALES.gear_ratio)
     address = (0x6085, 0)
     # A drive with 0 in 6085h does not brake, or refuses it.
     weak = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=1.0)
     assert encode(weak, coarse)[address] == 1
     strong = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=20.0)
-    assert encode(strong, coarse)[address] == 3
+    assert encode(strong, coarse)[address] == 4
+    whole = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=6 * math.pi)
+    assert encode(whole, coarse)[address] == 3
     # The drive's own value goes back as it was.
     own = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=0.0)
     assert encode(own, coarse)[address] == 0
