@@ -38,6 +38,7 @@ _UNUSUAL: Final = 3.0
 """A decimal multiple is chosen in place of a named unit only if, on a logarithmic scale, the
 distance to the named unit is more than so many times the distance to the multiple.
 """
+_Stated = tuple[ObjectAddress, int, float | None]
 _WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per second"}
 
 
@@ -67,33 +68,43 @@ def decode_acceleration(word: int) -> float | None:
 
 def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
     """Yield an error for each unit of the drive that differs from the unit in the bench file."""
-    word, told = _stated(channel, UNIT, decode)
-    unit = scales.motor_speed_unit_rad_s
+    yield from _unlike(
+        "speed",
+        "rad/s",
+        scales.motor_speed_unit_rad_s,
+        _stated(channel, UNIT, decode),
+        lambda told: _words(told, scales, exact=True),
+    )
+    yield from _unlike(
+        "acceleration",
+        "rad/s^2",
+        scales.motor_acceleration_unit_rad_s2,
+        _stated(channel, ACCELERATION_UNIT, decode_acceleration),
+        lambda told: f"set servo.acceleration_unit_rad_s2: {told:.6g}",
+    )
+
+
+def _unlike(
+    name: str, symbol: str, unit: float, stated: _Stated, setting: Callable[[float], str]
+) -> Iterator[ConfigurationError]:
+    (index, _), word, told = stated
     if told is not None and abs(told - unit) > _SAME * told:
         yield ConfigurationError(
-            f"unit of the speed, 60A9h: {told:.6g} rad/s ({word:08X}h) in the drive, but "
-            f"{unit:.6g} rad/s in the bench file: {_words(told, scales, exact=True)}"
-        )
-    word, told = _stated(channel, ACCELERATION_UNIT, decode_acceleration)
-    unit = scales.motor_acceleration_unit_rad_s2
-    if told is not None and abs(told - unit) > _SAME * told:
-        yield ConfigurationError(
-            f"unit of the acceleration, 60AAh: {told:.6g} rad/s^2 ({word:08X}h) in the drive, but "
-            f"{unit:.6g} rad/s^2 in the bench file: set servo.acceleration_unit_rad_s2: "
-            f"{told:.6g}"
+            f"unit of the {name}, {index:04X}h: {told:.6g} {symbol} ({word:08X}h) in the drive, "
+            f"but {unit:.6g} {symbol} in the bench file: {setting(told)}"
         )
 
 
 def _stated(
     channel: ProcessChannel, address: ObjectAddress, meaning: Callable[[int], float | None]
-) -> tuple[int, float | None]:
-    """Return the value of an object that states a unit, and the unit in SI, or None if the drive
-    has no such object or the object states no SI unit.
+) -> _Stated:
+    """Return the address and the value of an object that states a unit, and the unit in SI, or None
+    if the drive has no such object or the object states no SI unit.
     """
     word = optional(channel.read, *address) if channel.describes(*address) else None
     if word is None:
-        return 0, None
-    return word & 0xFFFFFFFF, meaning(word & 0xFFFFFFFF)
+        return address, 0, None
+    return address, word & 0xFFFFFFFF, meaning(word & 0xFFFFFFFF)
 
 
 def remedy(scales: ServoScales, factor: float) -> str:
