@@ -108,7 +108,7 @@ def _serial(ports: Ports) -> Devices:
     epos = EposSerialLink(clock, lambda: PySerialPort(str(ports[0]), 1_000_000))
     line = Amt21Line(clock, lambda: PySerialPort(str(ports[1]), 2_000_000), "encoder")
     encoder = Amt21Encoder(line, EncoderScales(COUNTS_PER_TURN), Gate(10.0, 350.0))
-    link = EncoderLink(epos, encoder)
+    link = EncoderLink(epos, encoder, epos.call_at_instant)
     return link, Cia402Servo(epos.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES), encoder
 
 

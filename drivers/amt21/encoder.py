@@ -224,13 +224,16 @@ class Amt21Encoder(Encoder):
         self._asked_ns = self.line.asked_ns
         self._fresh = False
 
-    def collect(self) -> None:
+    def collect(self, since_ns: int | None = None) -> None:
         """Receive the answer to the request; use its position if it is plausible.
+
+        Args:
+            since_ns: Start of the time for the answer; None for the time of the request.
 
         Raises:
             LinkError: The line is gone.
         """
-        self.line.collect()
+        self.line.collect(since_ns)
         value = decode(self.line.answer)
         self._fresh = value is not None and self._gate.admit(value, self._asked_ns)
 

@@ -107,13 +107,16 @@ class Amt21Line:
         self.answer = b""
         self._frames.extend(raw_frames(self.asked_ns, self.address, request, True))
 
-    def collect(self) -> None:
+    def collect(self, since_ns: int | None = None) -> None:
         """Receive the answer to the last request.
+
+        Args:
+            since_ns: Start of the time for the answer; None for the time of the request.
 
         Raises:
             LinkError: The line is gone.
         """
-        heard = self._read(len(self._echo) + _ANSWER_BYTES)
+        heard = self._read(len(self._echo) + _ANSWER_BYTES, since_ns)
         self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
 
     def take_frames(self) -> list[RawFrame]:
@@ -122,9 +125,10 @@ class Amt21Line:
         self._frames.clear()
         return frames
 
-    def _read(self, count: int) -> bytes:
+    def _read(self, count: int, since_ns: int | None = None) -> bytes:
         port = self._opened()
-        deadline = self.asked_ns + round(self.answer_s * NS)
+        since_ns = self.asked_ns if since_ns is None else since_ns
+        deadline = since_ns + round(self.answer_s * NS)
         heard = b""
         try:
             # Bytes are read once even after the deadline, because the answer may have arrived

@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from drivers.amt21.encoder import Amt21Encoder
 from drivers.interfaces import Link, RawFrame
 from drivers.port_errors import close_all
 
 
 class EncoderLink(Link):
-    """A servo's link combined with the line of an encoder; each cycle sends the request to the
-    encoder first and receives its answer last.
+    """A servo's link combined with the line of an encoder.
+
+    Each cycle sends the request to the encoder first, or at the instant at which the values of the
+    servo hold, and receives its answer last.
 
     Args:
         servo_link: The link of the servo, on the same clock.
         encoder: The encoder on its line.
+        at_instant: Takes the function that the servo's link is to call at this instant; None if its
+            values hold at the start of the cycle.
     """
 
-    def __init__(self, servo_link: Link, encoder: Amt21Encoder) -> None:
+    def __init__(
+        self,
+        servo_link: Link,
+        encoder: Amt21Encoder,
+        at_instant: Callable[[Callable[[], None]], None] | None = None,
+    ) -> None:
         self.clock = servo_link.clock
         self.has_watchdog = servo_link.has_watchdog
         self._servo_link = servo_link
         self._encoder = encoder
         self._line = encoder.line
+        self._asked = True
+        self._first = at_instant is None
+        if at_instant is not None:
+            at_instant(self._ask)
 
     def open(self) -> None:
         """Open the servo's link and the encoder's line; if one of the two cannot be opened, both
@@ -50,9 +65,21 @@ class EncoderLink(Link):
             LinkError: The bus or the line failed.
             DriveFault: A device sent an emergency message.
         """
-        self._encoder.ask()
+        began_ns = self.clock.now_ns()
+        self._asked = False
+        if self._first:
+            self._ask()
         self._servo_link.exchange()
-        self._encoder.collect()
+        # After a lost answer of the servo no time of this cycle may be left.
+        since_ns = began_ns if self._asked else None
+        self._ask()
+        self._encoder.collect(since_ns)
+
+    def _ask(self) -> None:
+        """Ask the encoder, once in a cycle."""
+        if not self._asked:
+            self._asked = True
+            self._encoder.ask()
 
     def take_frames(self) -> list[RawFrame]:
         """Return the frames of link and line since the last call, oldest first."""

@@ -34,6 +34,10 @@ _ACCEPTED: Final = ERROR.pack(0)
 _SUBINDICES: Final = (1, 2, 3, 4)
 
 
+def _nothing() -> None:
+    """Do nothing: there is no other line."""
+
+
 class EposSerialLink(Link):
     """A serial line with this program as its only master.
 
@@ -72,6 +76,7 @@ class EposSerialLink(Link):
         self.guard = guard
         self.cycle = 0
         self.lost = 0
+        self._at_instant: Callable[[], None] = _nothing
         self._name = name
         self._connect = connect
         self._answer_wait_ns = round(answer_s * NS)
@@ -143,7 +148,7 @@ class EposSerialLink(Link):
         now = self.clock.now_ns()
         ask = partial(self._ask, deadline_ns=now + self._answer_ns)
         for node in self._nodes.values():
-            node.exchange(self.cycle, ask)
+            node.exchange(self.cycle, ask, self._at_instant)
             if node.monitored:
                 self._check_silence(node)
 
@@ -156,6 +161,12 @@ class EposSerialLink(Link):
                 f"{node.label} sent no complete answer for {(now - node.heard_ns) / NS:.3f} s "
                 f"(limit {self._silence_ns / NS:g} s); check its supply and the serial cable"
             )
+
+    def call_at_instant(self, call: Callable[[], None]) -> None:
+        """Have ``call`` called in every exchange at the instant at which the values of the drive
+        hold, unless an answer is lost before.
+        """
+        self._at_instant = call
 
     def take_frames(self) -> list[RawFrame]:
         """Return the bytes sent and received since the last call, oldest first, eight bytes per

@@ -50,12 +50,19 @@ class _Output:
 
 
 class _Input:
-    """The last good value of one object that the cycle reads."""
+    """The last good value of one object that the cycle reads.
 
-    __slots__ = ("asked_ns", "layout", "request", "value")
+    Attributes:
+        value: The value.
+        taken_ns: Time at which the drive took it, ns.
+        before: Value and time of the last cycle, as read, or None.
+    """
+
+    __slots__ = ("before", "layout", "request", "taken_ns", "value")
 
     def __init__(self, request: bytes, layout: struct.Struct, value: int) -> None:
-        self.asked_ns = 0
+        self.taken_ns = 0
+        self.before: tuple[int, int] | None = None
         self.request = request
         self.layout = layout
         self.value = value
@@ -69,6 +76,19 @@ class _Input:
         self.value = self.layout.unpack_from(answer, ERROR.size)[0]
         return True
 
+    def bring_to(self, instant_ns: int) -> None:
+        """Replace the value as read by the value of an instant, by the change since the last cycle.
+        The change of a mean over the time between two reads is that of a current which is constant
+        in this time.
+        """
+        value, taken_ns = self.value, self.taken_ns
+        # The time may not have advanced: in simulated time on a line without delay, or after a
+        # clock step.
+        if self.before is not None and taken_ns > self.before[1]:
+            share = (instant_ns - taken_ns) / (taken_ns - self.before[1])
+            self.value = round(value + share * (value - self.before[0]))
+        self.before = value, taken_ns
+
 
 class EposSerialNode(ObjectAccess):
     """A drive behind an :class:`~drivers.epos.link.EposSerialLink`; a
@@ -77,13 +97,12 @@ class EposSerialNode(ObjectAccess):
     There is no SYNC: objects are sampled one after another. Every cycle writes the outputs (the
     controlword only if it has changed) and reads the objects of the first input layout. The objects
     of all other layouts are read in turn, one object per cycle; of the objects with a longer
-    period, one is read in each turn. The time stamp 1013h is not read; the host's time of the first
-    request in the cycle replaces it.
+    period, one is read in each turn. The time stamp 1013h is not read.
 
-    The position is read one object before the current, so that the period of the mean current ends
-    after the position. The mean of the current is therefore replaced by the mean over a period that
-    ends at the position, if the current is constant within a cycle. The position is not changed;
-    its delay after the time stamp is constant, except for doubled bytes.
+    The instant of a cycle is the time at which the position was answered; it is the time stamp, and
+    a joint encoder on another line is asked then
+    (:meth:`~drivers.epos.link.EposSerialLink.call_at_instant`). The position was taken somewhat
+    earlier, and the mean of the current ends somewhat later; both are brought to the instant.
 
     Attributes:
         node_id: Node identifier, 1 to 127.
@@ -107,7 +126,6 @@ class EposSerialNode(ObjectAccess):
         self._turns: Iterator[ObjectAddress] = iter(())
         self._complete = False
         self._time_us = 0
-        self._before: tuple[int, int] | None = None
 
     @property
     def latches(self) -> bool:
@@ -121,9 +139,7 @@ class EposSerialNode(ObjectAccess):
 
     @property
     def sync_us(self) -> int:
-        """Time of the first request in the cycle on the clock of the host, microseconds modulo
-        2^32.
-        """
+        """Host's time of the cycle's instant, microseconds modulo 2^32."""
         return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
@@ -172,7 +188,6 @@ class EposSerialNode(ObjectAccess):
         self._every = inputs[0].objects if inputs else ()
         self._mean = inputs[0].mean if inputs else None
         self._turns = endless(_turns(inputs[1:]))
-        self._before = None
         self.heard_ns = 0
         self.monitored = True
 
@@ -226,17 +241,21 @@ class EposSerialNode(ObjectAccess):
         if self._line.guard is not None:
             self._line.guard.release()
 
-    def exchange(self, cycle: int, ask: Callable[[bytes], bytes | None]) -> None:
+    def exchange(
+        self, cycle: int, ask: Callable[[bytes], bytes | None], at_instant: Callable[[], None]
+    ) -> None:
         """Write and read the objects of this cycle, up to the first lost answer.
 
         Args:
             cycle: Number of the cycle.
             ask: Function that sends a frame and returns the data of its answer, or None if the
                 answer is lost.
+            at_instant: Function that is called at the instant of the cycle.
         """
         self.cycle = cycle
         self._complete = False
-        self._time_us = self._line.clock.now_ns() // 1000 & 0xFFFFFFFF
+        clock = self._line.clock
+        instant_ns = clock.now_ns()
         good = True
         turn = next(self._turns, None)
         for output in chain.from_iterable(self._outputs.values()):
@@ -253,25 +272,23 @@ class EposSerialNode(ObjectAccess):
                 self._word = output.value
         for address in self._every if turn is None else (*self._every, turn):
             slot = self._values[address]
-            slot.asked_ns = self._line.clock.now_ns()
+            asked_ns = clock.now_ns()
             answer = ask(slot.request)
             if answer is None:
                 return
+            answered_ns = clock.now_ns()
+            # Request and answer take about the same time.
+            slot.taken_ns = (asked_ns + answered_ns) // 2
             good = slot.take(answer) and good
-        if good and self._mean is not None and _POSITION in self._every:
-            self._bring_together(self._values[_POSITION], self._values[self._mean])
+            if address == _POSITION:
+                instant_ns = answered_ns
+                at_instant()
+        if good:
+            self._time_us = instant_ns // 1000 & 0xFFFFFFFF
+            for address in self._every:
+                if address in (_POSITION, self._mean):
+                    self._values[address].bring_to(instant_ns)
         self._complete = good
-
-    def _bring_together(self, position: _Input, current: _Input) -> None:
-        mean, ended_ns = current.value, current.asked_ns
-        if self._before is not None:
-            before, began_ns = self._before
-            # The time may be the same: in simulated time on a line without delay, or after a clock
-            # step.
-            if ended_ns > began_ns:
-                late = (ended_ns - position.asked_ns) / (ended_ns - began_ns)
-                current.value = round(mean + late * (before - mean))
-        self._before = mean, ended_ns
 
     def _input(self, address: ObjectAddress) -> _Input:
         request = encode(Opcode.READ_OBJECT, OBJECT.pack(self.node_id, *address))

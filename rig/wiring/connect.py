@@ -183,7 +183,8 @@ def _wire(
         encoder = amt21 = amt21_encoder(
             bench.encoder, bench.limits.middle_rad, simulated, link.clock
         )
-        link = EncoderLink(link, amt21)
+        at_instant = link.call_at_instant if isinstance(link, EposSerialLink) else None
+        link = EncoderLink(link, amt21, at_instant)
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))

@@ -86,7 +86,7 @@ def make_serial_host(
     drive = epos.add_node(DRIVE_NODE, DRIVE_EDS)
     amt21_line = Amt21Line(bench.clock, lambda: encoder_line, "simulated encoder line")
     encoder = Amt21Encoder(amt21_line, EncoderScales(COUNTS_PER_TURN), GATE)
-    link = EncoderLink(epos, encoder)
+    link = EncoderLink(epos, encoder, epos.call_at_instant)
     servo = Cia402Servo(drive, link, SCALES)
     link.open()
     return SerialHost(bench, link, epos, drive, servo, encoder, line, encoder_line, amt21, cycle_s)
@@ -161,7 +161,7 @@ def serial_devices(
     epos = EposSerialLink(clock, connect, "pty")
     line = Amt21Line(clock, connect_encoder, "encoder pty")
     encoder = Amt21Encoder(line, EncoderScales(COUNTS_PER_TURN), GATE)
-    link = EncoderLink(epos, encoder)
+    link = EncoderLink(epos, encoder, epos.call_at_instant)
     return link, Cia402Servo(epos.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES), encoder
 
 

@@ -143,9 +143,16 @@ def test_follows_the_joint_below_zero(echo: bool) -> None:
 
 def test_the_stamp_is_the_instant_of_asking(host: SerialHost) -> None:
     live(host)
-    before = host.bench.clock.now_ns()
+    asked: list[int] = []
+    write = host.encoder_line.write
+
+    def noted(data: bytes) -> None:
+        asked.append(host.bench.clock.now_ns())
+        write(data)
+
+    host.encoder_line.write = noted  # type: ignore[method-assign]
     host.link.exchange()
-    assert host.encoder.sample().device_time_s == before / 1e9
+    assert [host.encoder.sample().device_time_s] == [at / 1e9 for at in asked]
 
 
 def flip(mask: int):

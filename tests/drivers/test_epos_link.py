@@ -263,45 +263,59 @@ def test_the_drive_watches_its_following_error_without_sync(host: SerialHost) ->
     assert host.drive.read(0x603F) == 0x8611
 
 
-def test_the_mean_current_ends_with_the_angle(host: SerialHost) -> None:
-    """A current that rises evenly is known over any cycle: as read its mean would be off by 12 per
-    mille here.
+def test_angle_position_current_and_stamp_are_of_one_instant(host: SerialHost) -> None:
+    """Position and current that rise evenly are known at any time: as read, the position would be
+    off by 6 counts, and the mean of the current by 6 per mille.
     """
     enabled(host)
     drive, clock = host.bench.drive, host.bench.clock
-    rate, half_cycle, began = 50.0, 1e3 * host.cycle_s / 2, clock.now_ns()  # per mille per ms, ms
-    read_ms: list[float] = []
-    pairs: list[tuple[float, float]] = []
-    measure, latch = drive._measure, drive.latch
+    rate, half_cycle, began = 50.0, 1e3 * host.cycle_s / 2, clock.now_ns()  # 1/ms, ms
+    asked_ms: list[float] = []
+    measure, counts = drive._measure, host.amt21._counts
+
+    def now_ms() -> float:
+        return (clock.now_ns() - began) / 1e6
 
     def rising(reading: Reading) -> None:
         measure(reading)
-        read_ms.append((clock.now_ns() - began) / 1e6)
-        drive._values[key(0x6078)] = round(rate * (read_ms[-1] - half_cycle))
+        drive._values[key(0x6064)] = round(rate * now_ms())
+        drive._values[key(0x6078)] = round(rate * (now_ms() - half_cycle))
 
-    def paired() -> None:
-        latch()
-        pairs.append((read_ms[-2], read_ms[-1]))
+    def asked() -> int:
+        asked_ms.append(now_ms())
+        return counts()
 
-    drive._measure, drive.latch = rising, paired  # type: ignore[method-assign]
+    drive._measure, host.amt21._counts = rising, asked  # type: ignore[method-assign]
     host.cycles(4)
-    at_position, at_current = pairs[-1]
-    assert at_current - at_position > 0.2
-    assert host.drive._values[0x6078, 0].value == pytest.approx(
-        rate * (at_position - half_cycle), abs=1.5
+    values = host.drive._values
+    assert values[0x6064, 0].value == pytest.approx(rate * asked_ms[-1], abs=2.5)
+    assert values[0x6078, 0].value == pytest.approx(rate * (asked_ms[-1] - half_cycle), abs=2.5)
+    stamp_ms = (host.drive.sync_us * 1000 - began) / 1e6
+    assert stamp_ms == pytest.approx(asked_ms[-1], abs=0.02)
+    assert host.encoder.sample().device_time_s * 1e3 == pytest.approx(
+        stamp_ms + began / 1e6, abs=0.02
     )
+
+
+def test_the_encoder_is_asked_in_a_cycle_whose_position_is_lost(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(2)
+    corrupt(host, 0, 1)
+    host.cycles(1)
+    assert not host.servo.sample().fresh
+    assert host.encoder.sample().fresh
 
 
 def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
     """No time between two readings, or less than none: there is nothing to interpolate by."""
     drive = enabled(host).drive
     host.cycles(2)
-    position, current = drive._values[0x6064, 0], drive._values[0x6078, 0]
+    current = drive._values[0x6078, 0]
     for step_ns in (0, -1_000_000):
         current.value = 123
-        assert drive._before is not None
-        current.asked_ns = drive._before[1] + step_ns
-        drive._bring_together(position, current)
+        assert current.before is not None
+        current.taken_ns = current.before[1] + step_ns
+        current.bring_to(current.taken_ns + 500_000)
         assert current.value == 123
 
 
