@@ -157,8 +157,9 @@ CASES: Mapping[str, Case] = {
     "drive restarts": Case(
         (fault("drive", "restart"),),
         Must(4, "restarted", BRAKE_S),
+        # Which setting the restart falls into differs with the number of settings.
         at("prompt disable", RIDES)
-        | at("prepare", Must(4, "did not report the NMT state OPERATIONAL", 0.0)),
+        | at("prepare", Must(4, "did not report the NMT state OPERATIONAL|refuses", 0.0)),
     ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
     "mode refused": Case(

@@ -77,12 +77,6 @@ def _unwatched(name: str, phase: str, must: Must) -> Must:
 def cases(make: str) -> Mapping[str, Case]:
     """Return the faults of a drive of this make, or in this mode, and what must follow."""
     found = dict(CASES)
-    # Which setting the restart falls into differs with their number.
-    restarts = found["drive restarts"]
-    found["drive restarts"] = replace(
-        restarts,
-        by_phase={**restarts.by_phase, "prepare": Must(4, "OPERATIONAL|refuses", 0.0)},
-    )
     lacks = MAKES[make].lacks if make in MAKES else frozenset()
     if 0x603F in lacks:
         told = found["drive fault"]
