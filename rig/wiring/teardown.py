@@ -168,19 +168,19 @@ def _wait_for_standstill(
     """Run control cycles until the drive has stopped, the time is over, or the operator presses
     Ctrl-C again.
 
-    The state is read from the drive only after cycles in which the drive did not send it, so that
-    one lost answer does not end the ramp.
+    While the drive sends that it brakes, its state is not read, so that one lost answer does not
+    end the ramp. Any other state is read to confirm it, because a late frame contains an old one.
     """
     between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
-    state: ServoState | None = None
+    braking = ServoState.QUICK_STOP_ACTIVE
+    sent: ServoState | None = None
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return
-        if state is None and cycle % between == 0:
-            state = _read_or_sent(servo, watch)
-        if state is not None and state is not ServoState.QUICK_STOP_ACTIVE:
+        due = cycle % between == 0 if sent is None else sent is not braking
+        if due and _read_or_sent(servo, watch) is not braking:
             return
-        state = watch()
+        sent = watch()
 
 
 def _read_or_sent(servo: Servo, watch: Callable[[], ServoState | None]) -> ServoState:

@@ -227,14 +227,27 @@ def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None
     assert after_ms < 5
 
 
-def test_a_state_that_the_drive_sends_is_not_read() -> None:
+def test_while_the_drive_sends_that_it_brakes_its_state_is_not_read() -> None:
     servo = Servo({})
-    sent = iter([BRAKING] * 40 + [None, BRAKING, OFF, BRAKING])
-    found = make_safe(servo, lambda: next(sent), CYCLE_NS, brake=True, hurry=lambda: False)
-    # It is read first, and after the cycle in which the drive sends none.
-    assert servo.order == ["quick_stop", "state", "state", "disable", "state"]
-    assert list(sent) == [BRAKING]
+    sent = [BRAKING] * 40 + [None, BRAKING, OFF]
+
+    def watch() -> ServoState | None:
+        state = sent.pop(0)
+        servo.power = state or servo.power
+        return state
+
+    found = make_safe(servo, watch, CYCLE_NS, brake=True, hurry=lambda: False)
+    # It is read first, after the cycle in which the drive sends none, and to confirm its end.
+    assert servo.order == ["quick_stop", *["state"] * 3, "disable", "state"]
+    assert sent == []
     assert found.verified
+
+
+def test_an_old_state_in_late_frames_does_not_end_the_braking() -> None:
+    servo = Servo({})
+    safe_after = make_safe(servo, lambda: ON, CYCLE_NS, brake=True, hurry=lambda: False)
+    assert servo.order == ["quick_stop", *["state"] * 100, "disable", "state"]
+    assert safe_after.verified
 
 
 @pytest.mark.parametrize("state", [BRAKING, None])
@@ -243,11 +256,12 @@ def test_after_a_lost_answer_the_state_that_the_drive_sends_counts(
 ) -> None:
     servo = Servo({"state": lambda: LinkError("no answer")})
     servo.sent = state
-    sent = iter([BRAKING, BRAKING, OFF, BRAKING])
+    sent = iter([BRAKING, BRAKING, OFF, OFF, BRAKING])
     found = make_safe(servo, lambda: next(sent), CYCLE_NS, brake=True, hurry=lambda: False)
     # Without either, the power is taken off at once.
-    assert len(list(sent)) == (4 if state is None else 1)
-    assert servo.order[:3] == ["quick_stop", "state", "disable"]
+    assert len(list(sent)) == (5 if state is None else 1)
+    reads = 1 if state is None else 2
+    assert servo.order[: reads + 2] == ["quick_stop", *["state"] * reads, "disable"]
     assert found.problems == ("no answer",)
 
 
