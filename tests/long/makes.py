@@ -161,9 +161,7 @@ def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str
             missed += not held
             if label not in (*BASELINES, SLOW):
                 pairs += 1
-                apart += item["value"] is None or not (
-                    item["low"] <= mine["high"] and mine["low"] <= item["high"]
-                )
+                apart += _disjoint(item, mine)
             row.append(f"{number(item['value'])}{'' if held else ' *'}")
         rows.append(row)
     print(table(["parameter", "true", *found], rows, right=range(1, 2 + len(found))))
@@ -178,7 +176,16 @@ def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str
         others = [label for label in found if label != base]
         cells_of = [[n, *(_apart(found[o][n], found[base][n]) for o in others)] for n in truth]
         print(table(["parameter", *others], cells_of, right=range(1, 1 + len(others))))
+        missed_by = [sum(_disjoint(found[o][n], found[base][n]) for n in truth) for o in others]
+        print(f"intervals that do not overlap: {', '.join(map(str, missed_by))} of {len(truth)}")
     return 1 if apart > 0.05 * pairs else 0
+
+
+def _disjoint(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return whether two intervals do not overlap, or a value is missing."""
+    if one["value"] is None or other["value"] is None:
+        return True
+    return one["low"] > other["high"] or other["low"] > one["high"]
 
 
 def _apart(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
