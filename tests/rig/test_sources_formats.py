@@ -269,6 +269,12 @@ def test_npz(tmp_path: Path) -> None:
     path.write_bytes(b"PK nothing")
     with pytest.raises(InputError, match="without object arrays"):
         NpzTable(path)
+    np.savez(path, t=TIME)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"PK\1\2") + 8] |= 1  # says that the member is encrypted
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"cannot be read \(File 't\.npy' is encrypted"):
+        NpzTable(path)
 
 
 def test_parquet(tmp_path: Path) -> None:

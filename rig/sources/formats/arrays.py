@@ -32,9 +32,11 @@ _DAMAGED = (
     EOFError,
     OSError,
     MemoryError,
-    NotImplementedError,
+    RuntimeError,
 )
-"""Exceptions that scipy, numpy and zipfile raise for damaged data."""
+"""Exceptions that scipy, numpy and zipfile raise for damaged data; zipfile raises a RuntimeError
+for a member that is marked as encrypted.
+"""
 
 
 class _Column(NamedTuple):
