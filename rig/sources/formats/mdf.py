@@ -71,6 +71,7 @@ class MdfTable(Table):
         counts: dict[int, tuple[float, float]] = {}
         with self._opened() as mdf:
             groups = [k for k, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
+            self._require_inside(mdf, groups)
             self.base_names = tuple(_group_names(mdf, groups))
             self._masters: Mapping[int, Any] = dict(mdf.masters_db)
             for base, group in enumerate(groups):
@@ -92,6 +93,24 @@ class MdfTable(Table):
         where = {group: base for base, group in enumerate(groups)}
         self._groups = groups
         self.bases = tuple(where[found.group] for found in self._columns)
+
+    def _require_inside(self, mdf: Any, groups: Sequence[int]) -> None:
+        """Check that each channel lies within the records of its group; asammdf reads beyond them,
+        which ends the process or returns other data.
+        """
+        for group in groups:
+            record_bits = 8 * mdf.groups[group].channel_group.samples_byte_nr
+            for channel in mdf.groups[group].channels:
+                if hasattr(channel, "byte_offset"):
+                    first = 8 * channel.byte_offset + channel.bit_offset
+                else:
+                    more = getattr(channel, "additional_byte_offset", 0)
+                    first = channel.start_offset + 8 * more
+                if first + channel.bit_count > record_bits:
+                    raise InputError(
+                        f"{self.path}: cannot be read (channel {channel.name!r} is beyond its "
+                        f"records of {record_bits // 8} bytes); {_REMEDY}"
+                    )
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:

@@ -156,3 +156,19 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("rig.sources.formats.library.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"needs asammdf; .*pip install 'loadrig\[mdf\]'"):
         MdfTable(tmp_path / "a.mf4", PLAIN)
+
+
+def test_a_channel_beyond_its_records_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.mf4"
+    time = np.arange(5) * 1e-3
+    with MDF() as mdf:
+        mdf.append([Signal(time, time, name="i")])
+        mdf.save(path)
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"##CN")
+    links = int.from_bytes(data[at + 16 : at + 24], "little")
+    place = at + 24 + 8 * links + 4
+    data[place : place + 4] = (45_576).to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"is beyond its records of 16 bytes\)"):
+        MdfTable(path, PLAIN)
