@@ -214,6 +214,12 @@ class ProcessChannel(ObjectAccess, Protocol):
         """End the monitoring of the control loop; only for a de-energised device."""
         ...
 
+    def limit_wait(self, limit_s: float | None) -> None:
+        """Wait at most ``limit_s`` for an answer outside the exchange, if the device stops by
+        itself during a longer wait; None restores the time-out of the link. Nothing is sent.
+        """
+        ...
+
 
 def read_identity(objects: ObjectAccess) -> Identity:
     """Read the identity of the device (1018h, 1008h, 1009h, 100Ah).

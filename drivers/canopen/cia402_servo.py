@@ -15,12 +15,7 @@ from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
 from drivers.clock import NS
-from drivers.errors import (
-    ConfigurationError,
-    DeviceError,
-    DriveFault,
-    StateError,
-)
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -43,6 +38,8 @@ from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
 """Time without a heartbeat of the control loop after which the drive stops by itself, s."""
+_WAIT_SHARE: Final = 0.4
+"""Longest wait for an answer while the drive brakes, in units of the heartbeat time-out."""
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
@@ -105,7 +102,10 @@ class Cia402Servo(HomingServo):
 
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h)."""
-        return decode_state(self._channel.read(*cia402.STATUSWORD))
+        state = decode_state(self._channel.read(*cia402.STATUSWORD))
+        if not state.energised:
+            self._channel.limit_wait(None)
+        return state
 
     def sent_state(self) -> ServoState | None:
         """Return the state in the process data of the last exchange, or None if the drive is not
@@ -368,6 +368,8 @@ class Cia402Servo(HomingServo):
         self._motion.offset = 0
         if self._cycle_ns:
             self._stage(self._target)
+        brakes = command is Command.QUICK_STOP
+        self._channel.limit_wait(_WAIT_SHARE * self._watch_s if brakes else None)
         self._channel.insist(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:

@@ -35,6 +35,7 @@ MASTER_ID: Final = 0x7F
 """Node identifier of this program's own heartbeat."""
 _FRAMES_KEPT: Final = 1 << 16
 _MASTER_HEARTBEAT_S: Final = 0.025
+_MASTER_HEARTBEAT_NS: Final = round(_MASTER_HEARTBEAT_S * NS)
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
 _SYNC: Final = 0x080
 _SDO_ANSWER: Final = 0x580
@@ -92,6 +93,7 @@ class CanopenLink(Link):
         self._cycle_s: float | None = None
         self._answer_ns = 0
         self._heartbeat_every = 1
+        self._heartbeat_ns = 0
         self._missing = 0
         self._troubles: list[tuple[int, LinkError | DriveFault]] = []
 
@@ -193,7 +195,8 @@ class CanopenLink(Link):
             self._missing += node.expected
         self.sync_ns = self.clock.now_ns()
         self.send(_SYNC, b"")
-        if self.cycle % self._heartbeat_every == 0:
+        late = now - self._heartbeat_ns > _MASTER_HEARTBEAT_NS
+        if late or self.cycle % self._heartbeat_every == 0:
             self.heartbeat()
         deadline = self.clock.now_ns() + self._answer_ns
         while self._missing and (left := deadline - self.clock.now_ns()) > 0:
@@ -227,6 +230,7 @@ class CanopenLink(Link):
 
     def heartbeat(self) -> None:
         """Send the master's heartbeat."""
+        self._heartbeat_ns = self.clock.now_ns()
         self.send(0x700 + self.master_id, _OPERATIONAL_HEARTBEAT)
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:

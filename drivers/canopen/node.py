@@ -290,6 +290,12 @@ class CanopenNode:
         """Deactivate the heartbeat consumer."""
         self.write(*_CONSUMER, 0)
 
+    def limit_wait(self, limit_s: float | None) -> None:
+        """Wait at most ``limit_s`` for an SDO answer, because no heartbeat is sent meanwhile; None
+        restores the time-out of the link.
+        """
+        self.remote.limit_wait(limit_s)
+
     def _disarm(self) -> None:
         """Deactivate a heartbeat consumer that an earlier program left active when it ended.
 

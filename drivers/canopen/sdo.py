@@ -55,7 +55,12 @@ class Wire(Protocol):
 class PumpedSdoClient(SdoClient):
     """SDO client that receives frames of the link while it waits, in simulated time and in real
     time.
+
+    Attributes:
+        limit_s: Time-out of an answer, s; None for the time-out of the link.
     """
+
+    limit_s: float | None = None
 
     def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
         super().__init__(rx_cobid, tx_cobid, od)  # type: ignore[no-untyped-call]
@@ -78,10 +83,9 @@ class PumpedSdoClient(SdoClient):
             SdoCommunicationError: No response in time, or only responses to other requests.
         """
         for _ in range(_LATE_ANSWERS):
-            if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
-                raise SdoCommunicationError(
-                    f"no SDO response within {self._wire.sdo_timeout_s:g} s"
-                )
+            wait_s = self._wire.sdo_timeout_s if self.limit_s is None else self.limit_s
+            if not self._wire.pump(lambda: not self.responses.empty(), wait_s):
+                raise SdoCommunicationError(f"no SDO response within {wait_s:g} s")
             response: bytes = self.responses.get_nowait()
             if (
                 self._asked is None
@@ -113,6 +117,11 @@ class PumpedNode(canopen.RemoteNode):
         if self.has_network():
             self.network.subscribe(client.tx_cobid, client.on_response)
         return client
+
+    def limit_wait(self, limit_s: float | None) -> None:
+        """Set the time-out of an SDO answer, s; None for the time-out of the link."""
+        for client in self.sdo_channels:
+            client.limit_s = limit_s
 
 
 @contextmanager

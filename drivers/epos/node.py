@@ -241,6 +241,9 @@ class EposSerialNode(ObjectAccess):
         if self._line.guard is not None:
             self._line.guard.release()
 
+    def limit_wait(self, limit_s: float | None) -> None:
+        """Do nothing: the drive has no watchdog, and the guard is fed during every wait."""
+
     def exchange(
         self, cycle: int, ask: Callable[[bytes], bytes | None], at_instant: Callable[[], None]
     ) -> None:

@@ -223,6 +223,7 @@ class Setup:
             self.safe = make_safe(
                 servo,
                 cycle.watch,
+                self.devices.link.clock,
                 self.bench.cycle_ns,
                 brake=not done,
                 hurry=lambda: self.stop.presses > presses,

@@ -121,6 +121,7 @@ def move(
     safe = make_safe(
         servo,
         cycle.watch,
+        devices.link.clock,
         bench.cycle_ns,
         brake=ending is not Ending.DONE,
         hurry=lambda: stop.presses > presses,

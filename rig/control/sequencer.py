@@ -92,6 +92,7 @@ class Sequencer:
         safe = make_safe(
             self._devices.servo,
             self._cycle.watch,
+            self._devices.link.clock,
             self._plan.cycle_ns,
             brake=ending is not Ending.DONE,
             hurry=lambda: self._stop.presses_now() > presses,

@@ -132,6 +132,7 @@ def stop(
         safe = make_safe(
             servo,
             lambda: clock.sleep_until_ns(clock.now_ns() + _CYCLE_NS),
+            clock,
             _CYCLE_NS,
             brake=True,
             hurry=lambda: False,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.clock import NS
+from drivers.clock import NS, Clock
 from drivers.errors import DeviceError
 from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.common.errors import StorageError
@@ -105,6 +105,7 @@ class _Steps:
 def make_safe(
     servo: Servo,
     watch: Callable[[], ServoState | None],
+    clock: Clock,
     cycle_ns: int,
     *,
     brake: bool,
@@ -122,6 +123,7 @@ def make_safe(
         watch: Runs one control cycle; called while the drive brakes, so that the drive's watchdog
             does not interrupt the ramp, and so that the recording contains the braking. The
             result is the state that the drive sent in this cycle, or None.
+        clock: Clock of the link, which measures the time of the braking.
         cycle_ns: Control cycle, ns.
         brake: Whether to start with a quick stop, as after every end of a run but a regular end.
         hurry: Whether the operator has pressed Ctrl-C again; the power then goes off without
@@ -134,7 +136,7 @@ def make_safe(
     steps = _Steps()
     if brake:
         steps.attempt(servo.quick_stop)
-        steps.attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry))
+        steps.attempt(lambda: wait_for_standstill(servo, watch, clock, cycle_ns, hurry))
     state = None if brake else steps.state(servo)
     for _ in range(DISABLE_ATTEMPTS):
         if state is not ServoState.SWITCH_ON_DISABLED:
@@ -159,41 +161,54 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
     return tuple(taken.unforeseen)
 
 
-def _wait_for_standstill(
+def wait_for_standstill(
     servo: Servo,
     watch: Callable[[], ServoState | None],
+    clock: Clock,
     cycle_ns: int,
     hurry: Callable[[], bool],
-) -> None:
+) -> ServoState:
     """Run control cycles until the drive has stopped, the time is over, or the operator presses
     Ctrl-C again.
 
-    While the drive sends that it brakes, its state is not read, so that one lost answer does not
-    end the ramp. Any other state is read to confirm it, because a late frame contains an old one.
+    While the drive sends that it brakes, its state is not read, so that a lost answer does not end
+    the ramp. Any other state is read to confirm it, because a late frame contains an old one. If
+    this answer is lost, only a de-energised state counts as sent: no frame from before the stop
+    contains one.
+
+    Args:
+        servo: The drive, after its quick stop was commanded.
+        watch: Runs one control cycle, as in :func:`make_safe`.
+        clock: Clock of the link.
+        cycle_ns: Control cycle, ns.
+        hurry: Whether to stop waiting.
+
+    Returns:
+        The state in which the drive ended, or QUICK STOP ACTIVE if it did not end.
+
+    Raises:
+        DeviceError: A cycle failed, or a drive that sends no state did not answer.
     """
     between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
     braking = ServoState.QUICK_STOP_ACTIVE
-    sent: ServoState | None = None
+    deadline = clock.now_ns() + round(BRAKING_TIMEOUT_S * NS)
+    sends = servo.sent_state() is not None
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
-        if hurry():
-            return
-        due = cycle % between == 0 if sent is None else sent is not braking
-        if due and _read_or_sent(servo, watch) is not braking:
-            return
+        if hurry() or clock.now_ns() >= deadline:
+            break
         sent = watch()
-
-
-def _read_or_sent(servo: Servo, watch: Callable[[], ServoState | None]) -> ServoState:
-    """Read the state, or return the state that the drive sends in the next cycle if the answer is
-    lost; the error is raised if the drive sends none.
-    """
-    try:
-        return servo.state()
-    except DeviceError:
-        state = None if servo.sent_state() is None else watch()
-        if state is None:
-            raise
-        return state
+        sends = sends or sent is not None
+        if cycle % between if sent is None else sent is braking:
+            continue
+        try:
+            state = servo.state()
+        except DeviceError:
+            if not sends:
+                raise
+            state = braking if sent is None or sent.energised else sent
+        if state is not braking:
+            return state
+    return braking
 
 
 def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:

@@ -143,6 +143,9 @@ class Drive:
     def watch(self, limit_s: float) -> None:
         self.log.append(("watch", limit_s))
 
+    def limit_wait(self, limit_s: float | None) -> None:
+        self.limit_s = limit_s
+
     def unwatch(self) -> None:
         self.log.append(("unwatch",))
 

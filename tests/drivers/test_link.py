@@ -146,7 +146,7 @@ def test_a_device_that_leaves_operational_is_noticed(host: Host, command: int, m
 
 
 def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
-    prepared(host)
+    prepared(host).cycles(1)
     host.link.take_frames()
     host.cycles(100)
     beats = [f for f in host.link.take_frames() if f.identifier == 0x77F]
@@ -158,6 +158,16 @@ def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
     with pytest.raises(LinkError, match="no SDO response"):
         host.servo.state()
     assert not [f for f in host.link.take_frames() if f.identifier == 0x77F]
+
+
+def test_after_a_pause_the_next_exchange_sends_a_heartbeat(host: Host) -> None:
+    prepared(host).cycles(30)
+    for pause_s, cycles in ((0.0, 1), (0.03, 1), (0.03, 2)):
+        host.wait(pause_s)
+        host.link.take_frames()
+        host.cycles(cycles)
+        beats = [f for f in host.link.take_frames() if f.identifier == 0x77F]
+        assert len(beats) == (pause_s > 0)
 
 
 def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:

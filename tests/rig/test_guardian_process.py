@@ -182,7 +182,7 @@ def test_it_stops_the_drive_of_a_program_that_died(
     process.servo.failures = failures
     process.told({"drive": DRIVE}, {"armed": True})
     assert process.ends() == status
-    assert process.servo.stopped == (302 if failures else 1)
+    assert process.servo.stopped == (300 if failures else 1)
     assert process.did[:2] == STARTED
     assert process.did[2] == ("lock", [7, 9], "the guardian of a program that died")
     said = [step[1] for step in process.did[3:-1] if step[0] == "screen"]

@@ -12,13 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.clock import NS
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoState
 from drivers.mock.bench import DRIVE_NODE
 from drivers.mock.faults import WireFaults
+from drivers.mock.power_state import State
 from rig.common.errors import StorageError
-from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
+from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe, wait_for_standstill
 from tests.drivers.host import enabled, make_host
 
 CYCLE_NS = 10_000_000
@@ -61,6 +62,10 @@ class Servo:
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
+        self.clock = SimulatedClock()
+
+    def pass_time(self, ns: int) -> None:
+        self.clock.sleep_until_ns(self.clock.now_ns() + ns)
 
     def _do(self, verb: str) -> None:
         self.order.append(verb)
@@ -74,8 +79,10 @@ class Servo:
         self._do("quick_stop")
         self.power = BRAKING
 
-    def watch(self) -> None:
+    def watch(self) -> ServoState | None:
         self._do("watch")
+        self.pass_time(CYCLE_NS)
+        return self.sent
 
     def disable(self) -> None:
         self._do("disable")
@@ -90,7 +97,7 @@ class Servo:
 
 
 def safe(servo: Any, brake: bool = True, hurry: Callable[[], bool] = lambda: False) -> SafeState:
-    return make_safe(servo, servo.watch, CYCLE_NS, brake=brake, hurry=hurry)
+    return make_safe(servo, servo.watch, servo.clock, CYCLE_NS, brake=brake, hurry=hurry)
 
 
 STEPS = ("quick_stop", "watch", "disable", "state")
@@ -178,7 +185,7 @@ def test_a_drive_that_stays_on_is_told_twice_and_said_to_be_on() -> None:
     servo.disable = lambda: servo.order.append("disable")  # type: ignore[method-assign]
     servo.quick_stop = lambda: servo.order.append("quick_stop")  # type: ignore[method-assign]
     found = safe(servo)
-    assert servo.order == ["quick_stop", "state", "disable", "state", "disable", "state"]
+    assert servo.order == ["quick_stop", "watch", "state", "disable", "state", "disable", "state"]
     assert found == SafeState(False, "operation enabled")
 
 
@@ -201,13 +208,13 @@ def test_a_first_disable_that_was_interrupted_is_done_again() -> None:
 def test_hurry_ends_the_braking_at_once() -> None:
     servo, asked = Servo({}), iter([False, False, True])
     safe(servo, hurry=lambda: next(asked))
-    assert servo.order == ["quick_stop", *["state", "watch"] * 2, "disable", "state"]
+    assert servo.order == ["quick_stop", *["watch", "state"] * 2, "disable", "state"]
 
 
 def test_braking_ends_after_its_time_out() -> None:
     servo = Servo({})
     safe(servo)
-    assert servo.order == ["quick_stop", *["state", "watch"] * 100, "disable", "state"]
+    assert servo.order == ["quick_stop", *["watch", "state"] * 100, "disable", "state"]
 
 
 @pytest.mark.parametrize("cycle_ms", [1, 2, 4, 10])
@@ -221,7 +228,8 @@ def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None
             servo.power = OFF
 
     servo.watch = stopped  # type: ignore[method-assign]
-    found = make_safe(servo, stopped, cycle_ms * NS // 1000, brake=True, hurry=lambda: False)
+    cycle_ns = cycle_ms * NS // 1000
+    found = make_safe(servo, stopped, servo.clock, cycle_ns, brake=True, hurry=lambda: False)
     assert found.verified
     after_ms = (servo.order.count("watch") - 31) * cycle_ms
     assert after_ms < 5
@@ -236,57 +244,143 @@ def test_while_the_drive_sends_that_it_brakes_its_state_is_not_read() -> None:
         servo.power = state or servo.power
         return state
 
-    found = make_safe(servo, watch, CYCLE_NS, brake=True, hurry=lambda: False)
-    # It is read first, after the cycle in which the drive sends none, and to confirm its end.
-    assert servo.order == ["quick_stop", *["state"] * 3, "disable", "state"]
+    found = make_safe(servo, watch, servo.clock, CYCLE_NS, brake=True, hurry=lambda: False)
+    # It is read after the cycle in which the drive sends none, and to confirm its end.
+    assert servo.order == ["quick_stop", *["state"] * 2, "disable", "state"]
     assert sent == []
     assert found.verified
 
 
 def test_an_old_state_in_late_frames_does_not_end_the_braking() -> None:
     servo = Servo({})
-    safe_after = make_safe(servo, lambda: ON, CYCLE_NS, brake=True, hurry=lambda: False)
-    assert servo.order == ["quick_stop", *["state"] * 100, "disable", "state"]
-    assert safe_after.verified
+    servo.sent = ON
+    assert safe(servo).verified
+    assert servo.order == ["quick_stop", *["watch", "state"] * 100, "disable", "state"]
 
 
-@pytest.mark.parametrize("state", [BRAKING, None])
-def test_after_a_lost_answer_the_state_that_the_drive_sends_counts(
-    state: ServoState | None,
-) -> None:
+def test_after_a_lost_answer_an_old_state_in_a_late_frame_does_not_end_the_braking() -> None:
     servo = Servo({"state": lambda: LinkError("no answer")})
-    servo.sent = state
-    sent = iter([BRAKING, BRAKING, OFF, OFF, BRAKING])
-    found = make_safe(servo, lambda: next(sent), CYCLE_NS, brake=True, hurry=lambda: False)
-    # Without either, the power is taken off at once.
-    assert len(list(sent)) == (5 if state is None else 1)
-    reads = 1 if state is None else 2
-    assert servo.order[: reads + 2] == ["quick_stop", *["state"] * reads, "disable"]
+    sent = iter([BRAKING, ON, None, ON, OFF, BRAKING])
+    servo.sent_state = lambda: BRAKING  # type: ignore[method-assign]
+    watch = lambda: next(sent)  # noqa: E731
+    found = make_safe(servo, watch, servo.clock, CYCLE_NS, brake=True, hurry=lambda: False)
+    assert list(sent) == [BRAKING]
+    assert servo.order[:6] == ["quick_stop", *["state"] * 4, "disable"]
     assert found.problems == ("no answer",)
+
+
+def test_a_lost_answer_of_a_drive_that_sends_no_state_ends_the_braking() -> None:
+    servo = Servo({"state": lambda: LinkError("no answer")})
+    assert safe(servo).problems == ("no answer",)
+    assert servo.order[:4] == ["quick_stop", "watch", "state", "disable"]
+
+
+class Wire:
+    """A drive under power on a simulated bus, in motion, with the recorded course of its stop."""
+
+    def __init__(self) -> None:
+        self.host = enabled(make_host())
+        self.host.cycles(400, lambda t: t * t)
+        self.faults = WireFaults(self.host.bench.bus, self.host.clock)
+        self.speeds: list[float] = []
+        self.entered: list[State] = []
+        self.host.bench.drive.entered.append(self.entered.append)
+
+    def lose_answers(self, count: int) -> None:
+        self.faults.lose(lambda identifier, host: identifier == 0x580 + DRIVE_NODE, count)
+
+    def watch(self) -> ServoState | None:
+        self.host.cycles(1)
+        self.speeds.append(self.host.servo.sample().velocity_rad_s)
+        return self.host.servo.sent_state()
+
+    def stop(self) -> None:
+        """Bring the drive to a stop, which must be that of its own ramp."""
+        host = self.host
+        watch, clock = self.watch, host.clock
+        found = make_safe(host.servo, watch, clock, NS // 1000, brake=True, hurry=lambda: False)
+        assert found.verified
+        assert self.entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+
+    def stop_from_speed(self) -> None:
+        self.stop()
+        assert abs(self.speeds[0]) > 10 * abs(self.speeds[-1])
+        assert len(self.speeds) > 10
 
 
 @pytest.mark.parametrize("lost", [1, 3])
 def test_lost_answers_while_the_drive_brakes_do_not_cut_its_ramp_short(lost: int) -> None:
-    host = enabled(make_host())
-    host.cycles(400, lambda t: t * t)
-    speeds: list[float] = []
-    braking = False
+    wire = Wire()
+    watch = wire.watch
 
-    def watch() -> ServoState | None:
-        nonlocal braking
-        if not braking:
-            WireFaults(host.bench.bus, host.clock).lose(
-                lambda identifier, host: identifier == 0x580 + DRIVE_NODE and not host, lost
-            )
-            braking = True
-        host.cycles(1)
-        speeds.append(host.servo.sample().velocity_rad_s)
-        return host.servo.sent_state()
+    def lossy() -> ServoState | None:
+        if not wire.speeds:
+            wire.lose_answers(lost)
+        return watch()
 
-    found = make_safe(host.servo, watch, NS // 1000, brake=True, hurry=lambda: False)
-    assert found.verified
-    assert abs(speeds[0]) > 10 * abs(speeds[-1])
-    assert len(speeds) > 10
+    wire.watch = lossy  # type: ignore[method-assign]
+    wire.stop_from_speed()
+
+
+def test_an_answer_lost_just_after_the_quick_stop_does_not_cut_its_ramp_short() -> None:
+    wire = Wire()
+    brake = wire.host.servo.quick_stop
+
+    def lossy() -> None:
+        brake()
+        wire.lose_answers(1)
+
+    wire.host.servo.quick_stop = lossy  # type: ignore[method-assign]
+    wire.stop_from_speed()
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_lost_answer_to_the_quick_stop_does_not_cut_its_ramp_short(lost: int) -> None:
+    """The second answer is that to the reading of the state, if the first arrived."""
+    wire = Wire()
+    seen = 0
+
+    def match(identifier: int, host: bool) -> bool:
+        nonlocal seen
+        seen += identifier == 0x580 + DRIVE_NODE
+        return identifier == 0x580 + DRIVE_NODE and seen == lost
+
+    wire.faults.lose(match, 1)
+    wire.stop_from_speed()
+
+
+def test_a_quick_stop_that_is_lost_by_sdo_arrives_with_the_process_data() -> None:
+    wire = Wire()
+    wire.faults.lose(lambda identifier, host: identifier == 0x600 + DRIVE_NODE, 1)
+    wire.stop()
+
+
+def test_the_wait_for_answers_is_limited_while_the_drive_brakes_only() -> None:
+    wire = Wire()
+    host = wire.host
+    host.servo.quick_stop()
+    for limit_s in (0.04, 0.3):
+        wire.lose_answers(1)
+        with pytest.raises(LinkError, match=f"no SDO response within {limit_s:g} s"):
+            host.servo.state()
+        host.servo.disable()
+
+
+def test_the_time_of_the_braking_is_measured_by_the_clock() -> None:
+    """Each of the lost answers takes longer than a cycle."""
+    servo = Servo({})
+    servo.sent = ON
+
+    def lost() -> ServoState:
+        servo.order.append("state")
+        servo.pass_time(90 * NS // 1000)
+        raise LinkError("no answer")
+
+    servo.state = lost  # type: ignore[method-assign]
+    began = servo.clock.now_ns()
+    wait_for_standstill(servo, servo.watch, servo.clock, CYCLE_NS, lambda: False)  # type: ignore[arg-type]
+    assert servo.order == ["watch", "state"] * 10
+    assert servo.clock.now_ns() - began == NS
 
 
 def test_limits_go_back_only_into_a_drive_that_is_verified_off() -> None:
