@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.clock import NS
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoState
 from rig.commissioning.record import SkippedError, StepRecord, WrongError
 from rig.commissioning.setup import FASTEST_DEG_S, Setup
@@ -15,6 +15,7 @@ from rig.control.cycle import TripError
 from rig.control.motion_witness import MotionWitness
 from rig.control.motion_words import RATIO_TOLERANCE
 from rig.control.safety import Check
+from rig.wiring.teardown import wait_for_standstill
 
 HOLD_S: Final = 0.5
 DRIFT_DEG: Final = 0.2
@@ -30,7 +31,6 @@ GROWTH: Final = 2.0
 SLOW_DEG_S: Final = 1.0
 LARGE_TOLERANCE: Final = 0.02
 """Relative difference of the encoders' travels that is allowed in the large move."""
-STOP_S: Final = 1.0
 
 
 def hold(setup: Setup, step: StepRecord) -> None:
@@ -157,12 +157,13 @@ def stop(setup: Setup, step: StepRecord) -> None:
                 f"the drive does not execute the quick stop: {failure}. The power was taken off; "
                 "check 605Ah and 6085h"
             ) from failure
-        state = servo.state()
-        for _ in range(round(STOP_S / setup.bench.cycle_s)):
-            if state is not ServoState.QUICK_STOP_ACTIVE:
-                break
-            cycle.watch()
+        clock, cycle_ns = setup.devices.link.clock, setup.bench.cycle_ns
+        try:
+            state = wait_for_standstill(servo, cycle.watch, clock, cycle_ns, lambda: False)
+        except DriveFault:
             state = servo.state()
+            if state is not ServoState.FAULT:
+                raise
         took_s = (setup.devices.link.clock.now_ns() - began) / NS
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.errors import LinkError
+from drivers.interfaces import ServoState
 from drivers.mock.mistakes import MISTAKES
 from rig.cli.entry import status
 from rig.commissioning.commission import STEPS
@@ -99,6 +101,28 @@ def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake:
     gear = 200 / 3 if mistake == "ratio" else 100.0
     assert fastest_deg_s(gear) < 1.5 * FASTEST_DEG_S
     assert record["drive"]["verified"]
+
+
+def test_a_lost_answer_while_the_drive_brakes_does_not_end_the_stop(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    brake, state = Cia402Servo.quick_stop, Cia402Servo.state
+    lost: list[LinkError] = []
+
+    def then_lose(self: Cia402Servo) -> None:
+        brake(self)
+        lost.append(LinkError("no answer"))
+
+    def once_lost(self: Cia402Servo) -> ServoState:
+        if lost:
+            raise lost.pop()
+        return state(self)
+
+    monkeypatch.setattr(Cia402Servo, "quick_stop", then_lose)
+    monkeypatch.setattr(Cia402Servo, "state", once_lost)
+    ended, record = commissioned("--angle", "0")
+    assert (ended, record["state"]) == (0, "done"), record["message"]
+    assert not lost
 
 
 @pytest.mark.parametrize("mistake", FOUND)
