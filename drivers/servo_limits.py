@@ -58,13 +58,17 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
         QUICK_STOP_DECELERATION: limits.quick_stop_deceleration_rad_s2
         / scales.joint_acceleration_unit_rad_s2,
     }
-    return {
+    encoded = {
         address: -_whole(-value)
         if address in (POSITION_MIN, QUICK_STOP_DECELERATION)
         else _whole(value)
         for address, value in values.items()
         if not math.isnan(value)
     }
+    if values[QUICK_STOP_DECELERATION] > 0.0:
+        # A drive with 0 does not brake.
+        encoded[QUICK_STOP_DECELERATION] = max(1, encoded[QUICK_STOP_DECELERATION])
+    return encoded
 
 
 def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLimits:

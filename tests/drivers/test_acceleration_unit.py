@@ -54,6 +54,8 @@ def test_a_deceleration_between_two_units_is_never_weaker() -> None:
     # A drive with 0 in 6085h does not brake, or refuses it.
     weak = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=1.0)
     assert encode(weak, coarse)[address] == 1
+    weakest = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=1e-9)
+    assert encode(weakest, coarse)[address] == 1
     strong = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=20.0)
     assert encode(strong, coarse)[address] == 4
     whole = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=6 * math.pi)
