@@ -15,7 +15,7 @@ from drivers.canopen.eds_file import read_eds
 from drivers.canopen.node import require_node
 from drivers.clock import NS, Clock
 from drivers.epos.frames import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
-from drivers.epos.node import EposSerialNode
+from drivers.epos.node import FASTEST_1_S, EposSerialNode
 from drivers.epos.object_access import IDENTITY, Guard
 from drivers.errors import LinkError
 from drivers.interfaces import Link, RawFrame
@@ -90,9 +90,14 @@ class EposSerialLink(Link):
         self._cycle_s: float | None = None
         self._answer_ns = 0
 
-    def add_node(self, node_id: int, eds: Path) -> EposSerialNode:
+    def add_node(self, node_id: int, eds: Path, fastest_1_s: float = FASTEST_1_S) -> EposSerialNode:
         """Declare the drive on the line, or a drive that is reached through the CAN gateway of the
         drive on the line.
+
+        Args:
+            node_id: Node identifier, 1 to 127.
+            eds: EDS file of the drive.
+            fastest_1_s: Fastest plausible change of its position, counts/s.
 
         Raises:
             ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
@@ -100,7 +105,7 @@ class EposSerialLink(Link):
         """
         require_node(node_id, self._nodes)
         dictionary = read_eds(eds, node_id)
-        node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self)
+        node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self, fastest_1_s)
         return node
 
     def open(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
@@ -11,6 +12,7 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.cia402 import CONTROLWORD
+from drivers.clock import NS
 from drivers.epos.frames import ERROR, NMT, OBJECT, Opcode, encode
 from drivers.epos.object_access import VALUE_BYTES, Line, ObjectAccess
 from drivers.errors import ConfigurationError, StateError
@@ -22,6 +24,8 @@ CYCLE_READS: Final = 4
 other objects in turn.
 """
 
+FASTEST_1_S: Final = 1e9
+"""Change of the position, counts/s, that no motor exceeds: 20 bits per turn at 950 turns/s."""
 _HOST_TIME: Final = (0x1013, 0)
 _POSITION: Final = (0x6064, 0)
 _GUARD_FACTOR: Final = 2.0
@@ -55,7 +59,7 @@ class _Input:
     Attributes:
         value: The value.
         taken_ns: Time at which the drive took it, ns.
-        before: Value and time of the last cycle, as read, or None.
+        before: Value and time of the last cycle, as read, or None if that cycle was incomplete.
     """
 
     __slots__ = ("before", "layout", "request", "taken_ns", "value")
@@ -76,17 +80,23 @@ class _Input:
         self.value = self.layout.unpack_from(answer, ERROR.size)[0]
         return True
 
-    def bring_to(self, instant_ns: int) -> None:
+    def bring_to(self, instant_ns: int, fastest_1_s: float = math.inf) -> None:
         """Replace the value as read by the value of an instant, by the change since the last cycle.
         The change of a mean over the time between two reads is that of a current which is constant
         in this time.
+
+        Args:
+            instant_ns: The instant.
+            fastest_1_s: Fastest change of the value, 1/s; a faster change, as by a new zero or by
+                the end of the range, does not continue, and the value stays as read.
         """
         value, taken_ns = self.value, self.taken_ns
-        # The time may not have advanced: in simulated time on a line without delay, or after a
-        # clock step.
-        if self.before is not None and taken_ns > self.before[1]:
-            share = (instant_ns - taken_ns) / (taken_ns - self.before[1])
-            self.value = round(value + share * (value - self.before[0]))
+        if self.before is not None:
+            change, passed_ns = value - self.before[0], taken_ns - self.before[1]
+            # The time may not have advanced: in simulated time on a line without delay, or after a
+            # clock step.
+            if passed_ns > 0 and abs(change) * NS <= fastest_1_s * passed_ns:
+                self.value = round(value + change * (instant_ns - taken_ns) / passed_ns)
         self.before = value, taken_ns
 
 
@@ -104,6 +114,12 @@ class EposSerialNode(ObjectAccess):
     (:meth:`~drivers.epos.link.EposSerialLink.call_at_instant`). The position was taken somewhat
     earlier, and the mean of the current ends somewhat later; both are brought to the instant.
 
+    Args:
+        node_id: Node identifier, 1 to 127.
+        dictionary: Objects of the drive.
+        line: The link.
+        fastest_1_s: Fastest plausible change of the position, counts/s.
+
     Attributes:
         node_id: Node identifier, 1 to 127.
         cycle: Number of the last exchange.
@@ -111,8 +127,15 @@ class EposSerialNode(ObjectAccess):
         heard_ns: Time of the last complete answer, ns.
     """
 
-    def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
+    def __init__(
+        self,
+        node_id: int,
+        dictionary: ObjectDictionary,
+        line: Line,
+        fastest_1_s: float = FASTEST_1_S,
+    ) -> None:
         super().__init__(node_id, dictionary, line)
+        self._fastest_1_s = fastest_1_s
         self.cycle = line.cycle
         self._cycle_s = 0.0
         self.monitored = False
@@ -139,7 +162,9 @@ class EposSerialNode(ObjectAccess):
 
     @property
     def sync_us(self) -> int:
-        """Host's time of the cycle's instant, microseconds modulo 2^32."""
+        """Host's time of the instant of the last complete cycle, or of the first values,
+        microseconds modulo 2^32.
+        """
         return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
@@ -188,6 +213,7 @@ class EposSerialNode(ObjectAccess):
         self._every = inputs[0].objects if inputs else ()
         self._mean = inputs[0].mean if inputs else None
         self._turns = endless(_turns(inputs[1:]))
+        self._time_us = self._line.clock.now_ns() // 1000 & 0xFFFFFFFF
         self.heard_ns = 0
         self.monitored = True
 
@@ -247,7 +273,8 @@ class EposSerialNode(ObjectAccess):
     def exchange(
         self, cycle: int, ask: Callable[[bytes], bytes | None], at_instant: Callable[[], None]
     ) -> None:
-        """Write and read the objects of this cycle, up to the first lost answer.
+        """Write and read the objects of this cycle, up to the first lost answer. Position and mean
+        are brought to the instant of the cycle, if this cycle and the last were complete.
 
         Args:
             cycle: Number of the cycle.
@@ -257,6 +284,25 @@ class EposSerialNode(ObjectAccess):
         """
         self.cycle = cycle
         self._complete = False
+        instant_ns = self._ask_all(ask, at_instant)
+        for address in self._every:
+            if address not in (_POSITION, self._mean):
+                continue
+            slot = self._values[address]
+            if instant_ns is None:
+                slot.before = None
+            else:
+                slot.bring_to(instant_ns, self._fastest_1_s if address == _POSITION else math.inf)
+        if instant_ns is not None:
+            self._time_us = instant_ns // 1000 & 0xFFFFFFFF
+            self._complete = True
+
+    def _ask_all(
+        self, ask: Callable[[bytes], bytes | None], at_instant: Callable[[], None]
+    ) -> int | None:
+        """Write and read the objects of this cycle; return its instant, ns, or None if it is
+        incomplete.
+        """
         clock = self._line.clock
         instant_ns = clock.now_ns()
         good = True
@@ -268,7 +314,7 @@ class EposSerialNode(ObjectAccess):
                 turn = None
             answer = ask(output.request())
             if answer is None:
-                return
+                return None
             accepted = answer == _ACCEPTED
             good = good and accepted
             if accepted and output.address == CONTROLWORD:
@@ -278,7 +324,7 @@ class EposSerialNode(ObjectAccess):
             asked_ns = clock.now_ns()
             answer = ask(slot.request)
             if answer is None:
-                return
+                return None
             answered_ns = clock.now_ns()
             # Request and answer take about the same time.
             slot.taken_ns = (asked_ns + answered_ns) // 2
@@ -286,12 +332,7 @@ class EposSerialNode(ObjectAccess):
             if address == _POSITION:
                 instant_ns = answered_ns
                 at_instant()
-        if good:
-            self._time_us = instant_ns // 1000 & 0xFFFFFFFF
-            for address in self._every:
-                if address in (_POSITION, self._mean):
-                    self._values[address].bring_to(instant_ns)
-        self._complete = good
+        return instant_ns if good else None
 
     def _input(self, address: ObjectAddress) -> _Input:
         request = encode(Opcode.READ_OBJECT, OBJECT.pack(self.node_id, *address))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -53,6 +54,8 @@ NO_BUS = (
     "this bench has no bus, so that only `rig paper` can simulate it; use another bench, such as "
     "`practical`, or add a bus"
 )
+_SPEED_SHARE = 2.0
+"""Fastest plausible speed of the joint, in units of the limit of the bench file."""
 Hang = Callable[[float], None]
 """Function that hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
@@ -205,7 +208,9 @@ def _epos(
     scales = servo_scales(bench.servo, bench.machine, servo_data(document))
     guard = Guard(bus.port, bus.baud, node, eds, scales) if simulated is None else None
     link = epos_link(bus, simulated, clock, guard)
-    return link, Cia402Servo(link.add_node(node, eds), link, scales), simulated, guard
+    speed = _SPEED_SHARE * math.radians(bench.limits.speed_deg_s)
+    channel = link.add_node(node, eds, speed / abs(scales.joint_rad_per_count))
+    return link, Cia402Servo(channel, link, scales), simulated, guard
 
 
 def _simulated_bench(

@@ -19,7 +19,7 @@ from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, Clock
 from drivers.epos.link import EposSerialLink
-from drivers.epos.node import EposSerialNode
+from drivers.epos.node import FASTEST_1_S, EposSerialNode
 from drivers.interfaces import Encoder, Link
 from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
@@ -75,7 +75,11 @@ def pace(
 
 
 def make_serial_host(
-    seed: int = 1, baud: int = BAUD, cycle_s: float = CYCLE_S, echo: bool = False
+    seed: int = 1,
+    baud: int = BAUD,
+    cycle_s: float = CYCLE_S,
+    echo: bool = False,
+    fastest_1_s: float = FASTEST_1_S,
 ) -> SerialHost:
     """Return an open link over simulated lines to a booted bench; nothing is prepared."""
     bench = simulated_bench(MACHINE, seed)
@@ -83,7 +87,7 @@ def make_serial_host(
     amt21 = SimulatedAmt21(bench.clock, bench.sampler)
     encoder_line = SimulatedLine(bench.clock, ENCODER_BAUD, amt21, echo)
     epos = EposSerialLink(bench.clock, lambda: line, "simulated line")
-    drive = epos.add_node(DRIVE_NODE, DRIVE_EDS)
+    drive = epos.add_node(DRIVE_NODE, DRIVE_EDS, fastest_1_s)
     amt21_line = Amt21Line(bench.clock, lambda: encoder_line, "simulated encoder line")
     encoder = Amt21Encoder(amt21_line, EncoderScales(COUNTS_PER_TURN), GATE)
     link = EncoderLink(epos, encoder, epos.call_at_instant)

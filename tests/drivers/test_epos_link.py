@@ -319,6 +319,52 @@ def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
         assert current.value == 123
 
 
+def test_the_time_stamp_begins_without_a_jump(host: SerialHost) -> None:
+    host.bench.clock.sleep_until_ns(host.bench.clock.now_ns() + 7_000_000_000)
+    prepared(host)
+    began = host.servo.sample().device_time_s
+    corrupt(host, 0, 1)
+    for _ in range(3):
+        host.cycles(1)
+        assert 0.0 <= host.servo.sample().device_time_s - began < 0.1
+
+
+def test_a_jump_of_the_position_is_not_continued() -> None:
+    """The counter of 32 bits ends, the drive sets a new zero, or it moves as fast as it can."""
+    host = enabled(make_serial_host(fastest_1_s=1e6))
+    host.cycles(2)
+    drive, slot = host.bench.drive, host.drive._values[0x6064, 0]
+    measure = drive._measure
+    for jump, continued in ((0, False), (1 << 31, False), (10_000, False), (1000, True)):
+        assert slot.before is not None
+        wanted = (slot.before[0] + jump + (1 << 31)) % (1 << 32) - (1 << 31)
+
+        def jumped(reading: Reading, wanted: int = wanted) -> None:
+            measure(reading)
+            drive._values[key(0x6064)] = wanted
+
+        drive._measure = jumped  # type: ignore[method-assign]
+        host.cycles(1)
+        assert (slot.value != wanted) is continued
+        host.cycles(1)
+
+
+def test_nothing_is_continued_from_before_an_incomplete_cycle(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(200, lambda t: 0.5 * t)
+    slot = host.drive._values[0x6064, 0]
+    for complete in (True, False):
+        if not complete:
+            corrupt(host, 2, 3)
+            host.cycles(1, lambda t: 0.2 + 0.5 * t)
+            assert not host.servo.sample().fresh
+            assert slot.before is None
+        host.cycles(1, lambda t: 0.2 + 0.5 * t)
+        assert host.servo.sample().fresh
+        assert slot.before is not None
+        assert (slot.value != slot.before[0]) is complete
+
+
 def test_another_cycle_is_refused(host: SerialHost) -> None:
     prepared(host)
     with pytest.raises(
