@@ -26,13 +26,7 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.lacks import Lacks
-from drivers.objects import (
-    ProcessChannel,
-    identity_doubts,
-    optional,
-    read_identity,
-    refusal,
-)
+from drivers.objects import ProcessChannel, identity_doubts, optional, read_identity, refusal
 from drivers.transitions import await_state, exchanges
 from drivers.units import ServoScales
 
@@ -140,9 +134,7 @@ class Cia402Servo(HomingServo):
         return velocity_unit.settings(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
-        """Return the resolution of each limit at the joint, that is, one unit of the limit's
-        object.
-        """
+        """Return the resolution of each limit at the joint, that is, one unit of its object."""
         return servo_limits.steps(self._scales)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
@@ -167,9 +159,7 @@ class Cia402Servo(HomingServo):
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
-        """Read the values of the drive one by one by SDO; a value that the drive does not have is
-        NaN.
-        """
+        """Read each value of the drive by SDO; a value that the drive does not have is NaN."""
         return read_once(self._channel, self._scales, self._sent)
 
     def fault(self) -> DriveFault:
