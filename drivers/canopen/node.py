@@ -81,6 +81,7 @@ class CanopenNode:
         self._then: dict[int, bytes] = {}
         self._numbered: dict[int, Input] = {}
         self._slow: list[Input] = []
+        self._watched = False
 
     @property
     def label(self) -> str:
@@ -276,6 +277,7 @@ class CanopenNode:
             ConfigurationError: The value of 1016h that is read back differs from the written value.
         """
         setting = self._wire.master_id << 16 | round(limit_s * 1e3)
+        self._watched = True
         self.write(*_CONSUMER, setting)
         self._wire.heartbeat()
         found = self.read(*_CONSUMER)
@@ -289,12 +291,13 @@ class CanopenNode:
     def unwatch(self) -> None:
         """Deactivate the heartbeat consumer."""
         self.write(*_CONSUMER, 0)
+        self._watched = False
 
     def limit_wait(self, limit_s: float | None) -> None:
-        """Wait at most ``limit_s`` for an SDO answer, because no heartbeat is sent meanwhile; None
-        restores the time-out of the link.
+        """Wait at most ``limit_s`` for an SDO answer if the heartbeat consumer is active, because
+        no heartbeat is sent meanwhile; None restores the time-out of the link.
         """
-        self.remote.limit_wait(limit_s)
+        self.remote.limit_wait(limit_s if self._watched else None)
 
     def _disarm(self) -> None:
         """Deactivate a heartbeat consumer that an earlier program left active when it ended.

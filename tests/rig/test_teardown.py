@@ -355,7 +355,7 @@ def test_a_quick_stop_that_is_lost_by_sdo_arrives_with_the_process_data() -> Non
     wire.stop()
 
 
-def test_the_wait_for_answers_is_limited_while_the_drive_brakes_only() -> None:
+def test_the_wait_for_answers_is_limited_while_a_watched_drive_brakes_only() -> None:
     wire = Wire()
     host = wire.host
     host.servo.quick_stop()
@@ -364,6 +364,9 @@ def test_the_wait_for_answers_is_limited_while_the_drive_brakes_only() -> None:
         with pytest.raises(LinkError, match=f"no SDO response within {limit_s:g} s"):
             host.servo.state()
         host.servo.disable()
+    wire.lose_answers(1)
+    with pytest.raises(LinkError, match=r"no SDO response within 0\.3 s"):
+        host.servo.quick_stop()  # of a drive that misses no heartbeat
 
 
 def test_the_time_of_the_braking_is_measured_by_the_clock() -> None:
