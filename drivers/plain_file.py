@@ -25,4 +25,8 @@ def require_plain(path: Path) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
     if not stat.S_ISREG(mode):
-        raise OSError(errno.EINVAL, "it is a pipe or a device; state the path of a file", str(path))
+        raise OSError(
+            errno.EINVAL,
+            "the path leads to a pipe or a device; state the path of a file",
+            str(path),
+        )

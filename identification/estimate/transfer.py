@@ -19,7 +19,7 @@ from identification.result import Fit, Identification, Parameter
 
 @dataclass(frozen=True)
 class Moved:
-    """Comparison of two estimates of one parameter, from the first and from the other recordings.
+    """Comparison of two estimates of one parameter, from two groups of recordings.
 
     Attributes:
         name: Name of the parameter.

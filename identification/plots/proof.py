@@ -14,7 +14,7 @@ Band = tuple[float, float, float]
 
 
 def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> Figure:
-    """Draw shares with their intervals against bands of strength.
+    """Draw the shares of trials with a right name, with intervals, against bands of strength.
 
     Args:
         labels: Labels of the bands.

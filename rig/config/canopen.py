@@ -179,7 +179,9 @@ class ServoSection(Schema):
     def _known(cls, name: str | None) -> str | None:
         names = [NO_DEVICE, *devices()]
         if name is not None and name not in names:
-            raise ValueError(f"no data of a drive's maker have this name; {nearest(name, names)}")
+            raise ValueError(
+                f"no file in drivers/canopen/devices has this name; {nearest(name, names)}"
+            )
         return name
 
     def device_data(self, folder: Path) -> DeviceData | None:

@@ -1,4 +1,4 @@
-"""Collects the facts at the top of a page on its source: bench, date and operator."""
+"""Collects bench, date and operator of the recordings, for the top of a page."""
 
 from __future__ import annotations
 

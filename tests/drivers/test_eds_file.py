@@ -203,7 +203,7 @@ def test_a_maker_s_encoding_does_no_harm_in_any_locale(
 
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "own.eds")
-    with pytest.raises(ConfigurationError, match="it is a pipe or a device"):
+    with pytest.raises(ConfigurationError, match="the path leads to a pipe or a device"):
         read_eds(tmp_path / "own.eds", 1)
 
 

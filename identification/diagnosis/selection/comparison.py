@@ -95,7 +95,9 @@ def _effect_parameters(joint: Joint) -> int:
 
 
 def probability(preferred: float) -> float:
-    """Return the probability that corresponds to a preference in standard errors."""
+    """Return the probability, by the normal distribution, that the preferred of two effects is the
+    right one, from the preference in standard errors.
+    """
     return float(stats.norm.cdf(preferred))
 
 

@@ -46,7 +46,7 @@ class SealedRig(NamedTuple):
 
 
 def place(home: Path, name: str) -> SealedRig:
-    """Return the paths to which the files of a rig with this name are written."""
+    """Return the paths of the files of the sealed rig with this name."""
     sealed = home / SEALED
     return SealedRig(
         name,
