@@ -162,7 +162,7 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     in_phase(page, "excite")
     wait_until(lambda: drawn(page) > 3.0)
     second = opened()
-    expect(second.locator("#holder")).to_contain_text("holds the controls; STOP works here too")
+    expect(second.locator("#holder")).to_contain_text("holds the controls; STOP works on this page")
     expect(second.locator("#pause")).to_be_hidden()
     expect(second.locator("#stop")).to_be_enabled()
     shoot(page, "excite")
@@ -260,7 +260,7 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     # The console itself stands still: no page hears anything, and the run goes on.
     console.process.send_signal(signal.SIGSTOP)
     expect(lost.locator("#contact")).to_have_text("NO CONTACT")
-    expect(lost.locator("#alerts")).to_contain_text("The bench goes on without this page")
+    expect(lost.locator("#alerts")).to_contain_text("The run continues without this page")
     shoot(lost, "no-contact")
     size = growth(where)
     wait_until(lambda: growth(where) > size)
@@ -353,7 +353,7 @@ def test_a_run_whose_program_is_killed_is_said_to_be_gone(
     in_phase(page, "excite")
     child.kill()
     child.wait()
-    expect(page.locator("#alerts")).to_contain_text("The program of the run is gone")
+    expect(page.locator("#alerts")).to_contain_text("ended without recording an end")
     expect(page.locator("#stop")).to_be_disabled()
     require_accessible(page)
 
