@@ -60,6 +60,28 @@ def stopped_in_b(monkeypatch: pytest.MonkeyPatch) -> None:
         assert start("--operator", "Ann") == 3
 
 
+def test_the_time_left_does_not_count_stages_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    left: dict[str, float] = {}
+    advance = RunProgress.__call__
+
+    def note(self: RunProgress, name: str, *rest: Any) -> None:
+        left.setdefault(name, self.left_s)
+        advance(self, name, *rest)
+
+    with monkeypatch.context() as context:
+        context.setattr(RunProgress, "__call__", note)
+        assert start() == 0
+    whole = dict(left)
+    shutil.rmtree("out")
+    stopped_in_b(monkeypatch)
+    left.clear()
+    monkeypatch.setattr(RunProgress, "__call__", note)
+    assert status(["resume", "out", "--yes"]) == 0
+    assert "a" not in left
+    assert left["b"] == pytest.approx(whole["b"], rel=0.2)
+    assert left["b"] < 0.8 * whole["a"]
+
+
 def test_a_stopped_run_goes_on_at_its_stage(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

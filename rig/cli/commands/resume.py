@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -26,7 +27,7 @@ from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
 from rig.runs.resume import prepare, stopped_words
-from rig.runs.run import bench_constants
+from rig.runs.run import bench_constants, first_unfinished
 from rig.runs.run_record import FEEDFORWARD_INPUT, RunRecord
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
@@ -122,6 +123,8 @@ def _carry_out(
 ) -> int:
     """Connect, continue in the run's folder, and report the outcome; return the exit status."""
     bench = inputs.bench
+    first = 0 if inputs.resumed is None else first_unfinished(inputs.resumed) or 0
+    left = replace(plan, stages=plan.stages[first:])
     screen = Screen()
     screen.silence()
     with (
@@ -141,7 +144,7 @@ def _carry_out(
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
             operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
-            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
+            with RunProgress(plan.cycle_s, left.duration_s, screen) as progress:
                 devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, inputs.reference, json_file, screen)
