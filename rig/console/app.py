@@ -174,7 +174,10 @@ class Console:
         if type(prompt) is not int or not isinstance(text, str):
             raise Refusal("prompt must be a whole number, text a text")
         who = f"the console, {page.name}" if page is not None else "the console"
-        words = await self._hub.command(str(message.get("run")), command, who, prompt, text)
+        key = str(message.get("run"))
+        if page is not None:
+            self._hub.claim(page, key)
+        words = await self._hub.command(key, command, who, prompt, text)
         return {"words": words}
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
@@ -237,7 +240,7 @@ class Console:
                 await socket.close(1008, "a page must send its token first")
             return
         page = self._hub.controls.open()
-        self._hub.keep(page, hello.get("shown"))
+        self._hub.keep(page, hello.get("shown"), hello.get("own"))
         if self._token.fits(token):
             self._hub.controls.admit(page)
         reading = asyncio.create_task(_read_views(socket, page))
@@ -276,7 +279,7 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
         run, window_s, pixels = message.get("run"), message.get("window_s"), message.get("pixels")
         chosen = run if isinstance(run, str) else None
         if chosen is None and page.run is not None:
-            page.kept = None
+            page.kept, page.own = None, False
         page.run = chosen
         if isinstance(window_s, int | float) and 0 <= window_s <= _LONGEST_WINDOW_S:
             page.window_s = float(window_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +19,8 @@ class Page:
         last: Number of the last command of the page.
         run: The run that the user has chosen on the page, or None.
         kept: The run that the page shows if no run was chosen.
+        own: Whether the page keeps the run ``kept`` after the end of this run, because the page
+            started or commanded the run, or held the controls while the run was in progress.
         beyond: Number of runs that were known at the end of the run ``kept``; None before the end
             of that run.
         started: Folder of the run that was started or continued from the page, until this run is
@@ -33,6 +36,7 @@ class Page:
     last: int = 0
     run: str | None = None
     kept: str | None = None
+    own: bool = False
     beyond: int | None = None
     started: Path | None = None
     before: int = 0
@@ -51,6 +55,11 @@ class Controls:
         self._pages: dict[str, Page] = {}
         self._count = 0
         self.holder: Page | None = None
+
+    @property
+    def pages(self) -> Iterable[Page]:
+        """All open pages."""
+        return self._pages.values()
 
     def open(self) -> Page:
         """Register a new page."""

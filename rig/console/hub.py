@@ -84,43 +84,57 @@ class Hub:
         """Return the run that a page shows: the run that the user chose, else the run that was
         started from the page, else the newest run in progress, else the newest run.
 
-        A page keeps its run until a run is found that began after the end of the page's run, so
-        that a run that begins on another bench does not replace the run that STOP must stop.
+        A page keeps its run until the user chooses or starts another run, so that a run that begins
+        elsewhere replaces neither the run that STOP must stop nor the end state of its drive. Only
+        a page that never commanded its run moves, after the end of the run, to a run that began
+        after that end.
         """
         if page.run in self.runs:
             return self.runs[page.run]
         runs = list(self.runs.values())[::-1]
-        going = [run for run in runs if not run.over]
         mine = (run for run in runs if run.folder == page.started and run.number > page.before)
         own = next(mine, None)
         if own is not None:
-            # If another page continues this run later, this page does not follow the run again.
+            self.claim(page, own.key)
             page.started = None
-            own = None if own.over else own
-        kept = own or self.runs.get(page.kept or "")
+        kept = self.runs.get(page.kept or "")
         if kept is None:
-            kept = next(iter(going or runs), None)
-        elif kept.over and page.beyond is not None:
+            kept = next((run for run in runs if not run.over), runs[0] if runs else None)
+        elif kept.over and not page.own and page.beyond is not None:
             later = [run for run in runs if run.number > page.beyond]
             kept = next((run for run in later if not run.over), later[0] if later else kept)
         if kept is not None:
-            same = kept.key == page.kept and page.beyond is not None
-            page.beyond = None if not kept.over else page.beyond if same else self._found
+            same = kept.key == page.kept
+            page.own = (same and page.own) or (self.controls.holder is page and not kept.over)
+            since = page.beyond if same and page.beyond is not None else self._found
+            page.beyond = since if kept.over else None
             page.kept = kept.key
         return kept
 
+    def claim(self, page: Page, key: str) -> None:
+        """Let a page keep a run that the page commanded, also after the end of the run."""
+        if key in self.runs:
+            page.kept, page.own, page.beyond = key, True, None
+
     def follow_up(self, page: Page, folder: Path) -> None:
         """Let a page show the run that it has started or continued in ``folder``, as soon as this
-        run is found.
+        run is found. Until then, the page shows the run that it has shown.
         """
+        shown = self.run_of(page)
+        if shown is not None:
+            self.claim(page, shown.key)
         page.run, page.started, page.before = None, folder, self._found
 
-    def keep(self, page: Page, key: object) -> None:
-        """Let a page that is opened again keep the run in progress that the page showed before its
-        connection was lost.
+    def keep(self, page: Page, key: object, own: object = False) -> None:
+        """Let a page that is opened again keep the run that the page showed before its connection
+        was lost, if the run is in progress or if the page commanded the run.
         """
         run = self.runs.get(key) if isinstance(key, str) else None
-        if run is not None and not run.over:
+        if run is None:
+            return
+        if own is True:
+            self.claim(page, run.key)
+        elif not run.over:
             page.kept = run.key
 
     async def command(
@@ -158,14 +172,15 @@ class Hub:
             self.note(words)
 
     def _look(self) -> None:
-        """Find new runs, and remove the oldest runs that have ended."""
+        """Find new runs, and remove the oldest runs that have ended and that no page shows."""
         for path in self._links.runs():
             if path not in self._by_path and path not in self._ignored:
                 try:
                     self._links.ask(path, "about")
                 except Unreachable:
                     self._ignored.add(path)
-        over = [key for key, run in self.runs.items() if run.over]
+        shown = {key for page in self.controls.pages for key in (page.run, page.kept)}
+        over = [key for key, run in self.runs.items() if run.over and key not in shown]
         for key in over[:-_ENDED]:
             self._by_path.pop(self.runs.pop(key).path, None)
 

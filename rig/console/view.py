@@ -58,6 +58,7 @@ class View:
             "scope": _same(hub.scope),
             "choices": (0, hub.starter.choices),
             "run": (key, key),
+            "own": _same(page.own and page.run is None),
         }
         if run is not None:
             parts |= run.parts()
@@ -138,6 +139,7 @@ def _listed(run: Followed) -> dict[str, Any]:
         "real": about["real"],
         "over": run.over,
         "folder": run.folder.name,
+        "begun": None if run.record is None else run.record.parts[-1].created,
     }
 
 

@@ -28,6 +28,7 @@ export class Link {
     this.number = 0;
     this.wanted = {};
     this.shown = null;
+    this.own = false;
     this.heard = 0;
     this.open();
     setInterval(() => this.watch(), 250);
@@ -38,7 +39,7 @@ export class Link {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       // A page that lost its contact keeps its run, so that STOP stops the run shown before.
-      socket.send(JSON.stringify({ token: this.token, shown: this.shown }));
+      socket.send(JSON.stringify({ token: this.token, shown: this.shown, own: this.own }));
       socket.send(JSON.stringify(this.wanted));
     };
     socket.onmessage = (message) => this.take(message.data);

@@ -1,31 +1,45 @@
 // The page: shows the state of a run, and sends the operator's commands.
 
-import { Charts, limitWords, shownNumber } from "./charts.js";
+import { Charts } from "./charts.js";
 import { Friction } from "./friction.js";
 import { Link } from "./link.js";
 import { Recorded } from "./recorded.js";
 import { setUpStart } from "./start.js";
-import { HELD, OFF, PHASES, timeWords } from "./words.js";
+import { showTables } from "./tables.js";
+import { OFF, PHASES, timeWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press
 const EVENTS = 200;
 const TOLD = 6;
-const DEG = 180 / Math.PI;
 
 const at = (id) => document.getElementById(id);
 const state = {};
 let lastStop = -Infinity;
-let endSaid = null; // key of the run whose end was told beside STOP
+let said = {}; // the run that the line beside STOP refers to, and whether the line tells its end
+let endDue = null; // key of the run in progress whose end is to be told beside STOP
+let answered = null; // prompt that this page answered, until its answer is known to be refused
+let unconfirmed = null; // key of the run that has not confirmed STOP
+let starting = false; // whether a run was started and is not found yet
 
 const charts = new Charts(at("charts"));
 const friction = new Friction(at("friction"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
-const start = setUpStart(link, () => state, say);
+const start = setUpStart(link, say, awaitRun);
 const recorded = new Recorded(going, showJudged, link);
 
-function say(words) {
+// Words about a run are removed when the page shows another run.
+function say(words, run = null, end = false) {
   at("outcome").textContent = words;
+  said = { run, end };
+}
+
+// A run was started or continued: the page waits until the console finds the run.
+function awaitRun(words) {
+  starting = true;
+  say(words);
+  at("runs").value = "";
+  ask();
 }
 
 function alertOnce(key, words) {
@@ -45,11 +59,13 @@ function alertOnce(key, words) {
 
 function takeState(changed, fresh) {
   if (fresh) {
+    starting = false;
     at("events").replaceChildren();
     ask();
     return;
   }
   if ("run" in changed) {
+    starting = false;
     charts.clear();
     friction.reset();
     at("events").replaceChildren();
@@ -59,16 +75,20 @@ function takeState(changed, fresh) {
   }
   Object.assign(state, changed);
   link.shown = state.run || null;
+  link.own = Boolean(state.own);
   if (changed.channels) charts.use(changed.channels);
   if (changed.points) friction.take(changed.points);
   if ("curves" in changed) friction.use(changed.curves);
   if (changed.events) addEvents(changed.events);
-  for (const words of changed.notes || []) say(words);
+  for (const words of changed.notes || []) {
+    starting = false;
+    say(words);
+  }
   if (changed.choices) start.choices(changed.choices);
-  if (changed.runs) showRuns();
+  if (changed.runs || "own" in changed) showRuns();
   if (changed.scope) at("scope").textContent = changed.scope;
   showRun();
-  if (changed.record || changed.live || changed.about) showTables(changed);
+  if (changed.record || changed.live || changed.about) showTables(state, changed, valuesWhen());
   showControls();
 }
 
@@ -97,15 +117,30 @@ function going() {
 function showRuns() {
   const select = at("runs");
   const wanted = select.value;
-  const options = [new Option("newest", "")].concat((state.runs || []).map((run) =>
-    new Option(`${run.name} on ${run.bench}${run.over ? ", ended" : ""}`, run.key)));
+  const options = [new Option(state.own ? "run of this page" : "newest", "")]
+    .concat((state.runs || []).map((run) => new Option(runWords(run), run.key)));
   select.replaceChildren(...options);
   select.value = options.some((option) => option.value === wanted) ? wanted : "";
+}
+
+function runWords(run) {
+  const begun = run.begun ? `, ${run.begun.slice(11, 19)} UTC` : "";
+  return `${run.name} on ${run.bench}${begun}${run.over ? ", ended" : ""}`;
+}
+
+function showOthers() {
+  const others = (state.runs || []).filter((run) => !run.over && run.key !== state.run);
+  const line = at("others");
+  line.hidden = !state.run || !others.length;
+  const words = `Also in progress, not on this page: ${others.map(runWords).join("; ")}. STOP acts only on the run that is shown; choose a run at the top of the page.`;
+  if (!line.hidden && line.textContent !== words) line.textContent = words;
 }
 
 function showRun() {
   const { about, status, live, record } = state;
   const badge = at("bench");
+  showOthers();
+  if ((said.run && said.run !== state.run) || (said.end && !status?.ended)) say("");
   document.body.classList.toggle("no-run", !state.run || !about);
   if (!state.run || !about) {
     badge.className = "badge";
@@ -136,13 +171,18 @@ function showRun() {
   alertOnce("gone", live?.gone
     ? "The program of the run ended without recording an end. Look at the bench: this page does not know the state of the drive. `rig recover` repairs the recording." : "");
   alertOnce("trouble", live?.trouble || "");
-  if (live?.values) charts.values(live.values, going() && !OFF.includes(phase) ? "now" : "last");
+  if (live?.values) charts.values(live.values, valuesWhen());
+}
+
+// With the drive off, no samples are taken: the values are those of the last sample.
+function valuesWhen() {
+  return going() && !OFF.includes(state.status.phase) ? "now" : "last";
 }
 
 // In phases without power, the run has read back that the drive is off; the last sample is older.
 function driveWords(phase, over, live, record) {
-  if (over && record?.drive_state) {
-    return `${record.de_energised ? "off: " : ""}${record.drive_state} (read back)`;
+  if (over && (record?.drive_state || record?.de_energised)) {
+    return `${[record.de_energised && "off", record.drive_state].filter(Boolean).join(": ")} (read back)`;
   }
   if (phase === "connecting") return "not read yet";
   return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
@@ -157,18 +197,27 @@ function showEnding() {
   const line = at("ending");
   line.hidden = !ended;
   showJudged();
-  if (!ended) return;
+  const record = state.record;
+  alertOnce("unverified", ended && record?.de_energised === false
+    ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
+  if (!ended) {
+    endDue = state.status ? state.run : null;
+    return;
+  }
+  if (endDue !== state.run) endDue = null;
+  if (unconfirmed === state.run) {
+    unconfirmed = null;
+    alertOnce("stop", "");
+  }
   line.className = `ending${ended.good ? " good" : ""}`;
   if (line.textContent !== ended.words) line.textContent = ended.words;
-  const record = state.record;
-  alertOnce("stop", "");
-  alertOnce("unverified", record?.de_energised === false
-    ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
-  if (endSaid !== state.run && (record?.de_energised ?? null) !== null) {
+  if (endDue === state.run && (record?.de_energised ?? null) !== null) {
+    endDue = null;
     // Earlier messages, such as the answer to a prompt, no longer apply.
-    say(record.de_energised ? "The run has ended; the drive is off (read back)"
-      : "The run has ended; the state of the drive could NOT be verified");
-    endSaid = state.run;
+    if (!starting) {
+      say(record.de_energised ? "The run has ended; the drive is off (read back)"
+        : "The run has ended; the state of the drive could NOT be verified", state.run, true);
+    }
   }
 }
 
@@ -196,6 +245,11 @@ function showPrompt() {
   }
   const told = (state.status.told || []).filter(([number]) => number > prompt.since)
     .slice(-TOLD).map(([, words]) => words);
+  if (answered?.run === state.run && prompt.number > answered.number) {
+    // A question about the same subject is asked again only if the answer was refused.
+    if (prompt.since === answered.since && told.length) say(`Refused: ${told.at(-1)}`, state.run);
+    answered = null;
+  }
   const shown = at("told");
   if (shown.dataset.words !== told.join("\n")) {
     shown.dataset.words = told.join("\n");
@@ -223,49 +277,6 @@ function addEvents(events) {
     list.prepend(line);
   }
   while (list.children.length > EVENTS) list.lastChild.remove();
-}
-
-function row(cells) {
-  const line = document.createElement("tr");
-  cells.forEach((words, i) => {
-    const cell = document.createElement(i ? "td" : "th");
-    if (!i) cell.scope = "row";
-    cell.textContent = words;
-    line.append(cell);
-  });
-  return line;
-}
-
-function showTables(changed) {
-  const { about, record, live, channels } = state;
-  if (!about) return;
-  at("watched-by").textContent = about.watched_by;
-  if (record && changed.record) {
-    at("stages").replaceChildren(...record.stages.map((stage) => row([stage.name,
-      stage.load.replace("_", " "),
-      stage.mass_kg === null ? "not yet" : `${stage.mass_kg} kg`, stage.state])));
-    at("warnings").replaceChildren(...record.warnings.map((words) => {
-      const line = document.createElement("li");
-      line.textContent = words;
-      return line;
-    }));
-  }
-  const limited = (channels || []).map((channel, i) => [channel, live?.values?.[i]])
-    .filter(([channel]) => channel.low !== null || channel.high !== null);
-  at("limits").replaceChildren(...limited.map(([channel, value]) =>
-    row([channel.label, shownNumber(value, channel.unit), limitWords(channel), held(channel)])));
-}
-
-// Whether the drive holds a limit itself: the run writes it before each stage, and reads it back.
-function held(channel) {
-  const names = HELD[channel.name];
-  if (!names) return "no";
-  const had = state.record?.held || {};
-  if (!names.some((name) => name in had)) return "not read yet";
-  const written = state.about.written;
-  if (names.some((name) => had[name] === null || !(name in written))) return "no";
-  const scale = channel.unit.startsWith("deg") ? DEG : 1;
-  return `yes: ${names.map((name) => shownNumber(written[name] * scale, channel.unit)).join(" to ")}`;
 }
 
 function showControls() {
@@ -300,12 +311,16 @@ async function pressStop() {
   if (at("stop").disabled || now - lastStop < AGAIN_MS) return;
   lastStop = now;
   const run = state.run;
-  say("STOP is sent");
+  starting = false;
+  say("STOP is sent", run);
   const answer = await link.post("/command", { run, command: "stop" });
   const took = Math.round(performance.now() - now);
+  unconfirmed = answer.ok ? null : run;
   alertOnce("stop", answer.ok ? ""
     : `STOP was NOT confirmed (${answer.words}). Use the emergency stop.`);
-  if (answer.ok && !state.status?.ended) say(`The run accepted STOP after ${took} ms and reads the drive's state back`);
+  if (answer.ok && state.run === run && !state.status?.ended) {
+    say(`The run accepted STOP after ${took} ms and reads the drive's state back`, run);
+  }
   if (!answer.ok) say("STOP was NOT confirmed");
 }
 
@@ -319,15 +334,20 @@ function fresh(event) {
 
 async function command(event, content, done) {
   event.preventDefault();
-  if (!fresh(event)) return;
-  const answer = await link.post("/command", { run: state.run, ...content });
-  say(answer.ok ? done : `Refused: ${answer.words}`);
+  if (!fresh(event)) return false;
+  const run = state.run;
+  const answer = await link.post("/command", { run, ...content });
+  if (!answer.ok) say(`Refused: ${answer.words}`);
+  else if (run === state.run && !state.status?.ended) say(done, run);
+  return answer.ok;
 }
 
-function answerPrompt(event, text) {
+async function answerPrompt(event, text) {
   const prompt = state.status?.prompt;
   if (!prompt) return;
-  command(event, { command: "answer", prompt: prompt.number, text }, `Answered: ${text}`);
+  const asked = { run: state.run, number: prompt.number, since: prompt.since };
+  const sent = await command(event, { command: "answer", prompt: prompt.number, text }, `Answered: ${text}`);
+  if (sent) answered = asked;
 }
 
 at("stop").addEventListener("click", pressStop);
@@ -351,11 +371,11 @@ at("resume").addEventListener("click", async (event) => {
     run: state.run, typed_bench: at("resume-bench").value,
     operator: at("start-operator").value.trim(),
   });
-  say(answer.ok ? answer.words : `Refused: ${answer.words}`);
   if (answer.ok) {
     at("resume-bench").value = "";
-    at("runs").value = "";
-    ask();
+    awaitRun(answer.words);
+  } else {
+    say(`Refused: ${answer.words}`);
   }
 });
 at("take").addEventListener("click", async () => {

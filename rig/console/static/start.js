@@ -2,7 +2,7 @@
 
 const at = (id) => document.getElementById(id);
 
-export function setUpStart(link, state, say) {
+export function setUpStart(link, say, started) {
   let shown = null;
 
   function fill(select, names) {
@@ -51,12 +51,13 @@ export function setUpStart(link, state, say) {
   });
   at("start").addEventListener("click", async () => {
     const answer = await link.post("/start", { shown, typed_bench: at("typed-bench").value });
-    say(answer.ok ? answer.words : `Refused: ${answer.words}`);
-    if (answer.ok) {
-      hide();
-      at("runs").value = "";
-      scrollTo({ top: 0 });
+    if (!answer.ok) {
+      say(`Refused: ${answer.words}`);
+      return;
     }
+    hide();
+    started(answer.words);
+    scrollTo({ top: 0 });
   });
 
   return {

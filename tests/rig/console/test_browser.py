@@ -6,6 +6,7 @@ Screenshots go to the folder that ``CONSOLE_SHOTS`` names, if it is set.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 from collections.abc import Callable, Iterator
@@ -141,6 +142,8 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     page.fill("#mass", "3")
     page.press("#mass", "Enter")
     expect(page.locator("#told")).to_contain_text("3 kg is not the planned 0 kg")
+    expect(page.locator("#outcome")).to_contain_text("Refused: 3 kg is not the planned 0 kg")
+    expect(page.locator("#limits-when")).to_have_text("Last value")
     shoot(page, "wrong-mass")
     page.fill("#mass", "0")
     page.press("#mass", "Enter")
@@ -161,6 +164,7 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     page.press("#mass", "Enter")
     in_phase(page, "excite")
     wait_until(lambda: drawn(page) > 3.0)
+    expect(page.locator("#limits-when")).to_have_text("Now")
     second = opened()
     expect(second.locator("#holder")).to_contain_text("holds the controls; STOP works on this page")
     expect(second.locator("#pause")).to_be_hidden()
@@ -190,7 +194,16 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     judged = where.sequence("paused", SHORT_S)
     judged.write_text(judged.read_text() + "acceptance:\n  - tracking error rms < 0.5 deg\n")
     where.run(judged, "--yes", "--realtime")
+    # A run that begins elsewhere does not hide the end of the run that this page has stopped.
+    expect(page.locator("#others")).to_contain_text("paused on practical")
+    in_phase(page, "ended")
+    expect(page.locator("#stop")).to_be_disabled()
+    expect(page.locator("#outcome")).to_contain_text("the drive is off (read back)")
+    require_accessible(page)
+    choose(page, "paused on practical")
     in_phase(page, "excite")
+    expect(page.locator("#outcome")).to_be_empty()
+    expect(page.locator("#others")).to_be_hidden()
     page.click("#pause")
     expect(page.locator("#go-on")).to_be_visible()
     expect(page.locator("#drive")).to_have_text("off")
@@ -212,6 +225,43 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
         page.locator("#judged a", has_text="certificate").first.click()
     expect(made.value.locator("body")).to_contain_text("ACCEPTED")
     shoot(made.value, "certificate")
+
+
+def test_a_line_about_an_ended_run_is_not_told_about_the_next(
+    opened: Callable[..., Page], where: Place
+) -> None:
+    page, before = opened(), len(where.records())
+    for count in (1, 2):
+        where.run(where.sequence(f"older-{count}", SHORT_S), "--yes", "--realtime")
+        ended(where, before + count)
+    expect(page.locator("#runs")).to_contain_text(re.compile(r"older-2 on practical, [\d:]{8} UTC"))
+    choose(page, "older-1 on practical")
+    expect(page.locator("#ending")).to_contain_text("all 2 stages done")
+    page.evaluate(
+        """() => {
+            const outcome = document.getElementById("outcome");
+            window.told = [];
+            const note = () => window.told.push(outcome.textContent);
+            new MutationObserver(note).observe(outcome, {childList: true});
+        }"""
+    )
+    page.check("#start-yes")
+    start(page, where.sequence("energised", LONG_S))
+    expect(page.locator("#drive")).to_contain_text("ENERGISED")
+    expect(page.locator("#outcome")).to_contain_text("started")
+    assert not [words for words in page.evaluate("window.told") if "has ended" in words]
+    page.click("#stop")
+    expect(page.locator("#outcome")).to_contain_text("The run has ended; the drive is off")
+    page.click("#resume")
+    expect(page.locator("#prompt")).to_be_visible()
+    expect(page.locator("#outcome")).to_contain_text("the run continues")
+    assert not page.locator("#ending").is_visible()
+
+
+def choose(page: Page, words: str) -> None:
+    """Choose the newest run with these words in the list of runs."""
+    option = page.locator("#runs option", has_text=words).last
+    page.select_option("#runs", option.get_attribute("value"))
 
 
 def test_a_phone_in_the_dark_and_without_the_token(
@@ -281,6 +331,13 @@ def test_runs_are_compared_and_a_constant_is_followed(
     reading = opened(console.address.partition("#")[0])
     expect(reading.locator("#chosen-words")).to_contain_text("Read only")
     page = opened(width=1200)
+
+    def listed() -> int:
+        # The list may have been read just before the history was written.
+        page.click("#recorded-again")
+        return page.locator("#recorded-bench option", has_text="mine").count()
+
+    wait_until(listed)
     page.select_option("#recorded-bench", "mine")
     expect(page.locator("#recorded tr")).to_have_count(8)
     for run in ("history/mine-08", "history/mine-01"):

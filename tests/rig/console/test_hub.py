@@ -12,11 +12,13 @@ from starlette.websockets import WebSocketDisconnect
 from rig.console.app import Console
 from rig.console.controls import Page
 from rig.console.gate import Token
-from rig.console.hub import Hub
+from rig.console.hub import Hub, Refusal
 from rig.console.starting import Starter
 from rig.terminal.control_messages import VERSION
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from starlette.websockets import WebSocket
 
 
@@ -87,16 +89,77 @@ def test_a_run_that_was_started_from_the_page_is_shown(desk: Desk) -> None:
     assert desk.shown() == "again"
 
 
-def test_a_run_that_ended_before_it_was_found_does_not_call_the_page_back(desk: Desk) -> None:
+def test_a_page_shows_the_end_of_its_run_that_ended_before_it_was_found(desk: Desk) -> None:
     desk.begin("other")
     assert desk.shown() == "other"
     desk.hub.follow_up(desk.page, Path("/runs/mine"))
     desk.begin("mine")
     desk.end("mine")
-    assert desk.shown() == "other"
+    assert desk.shown() == "mine"
     # Another page, or a terminal, continues that run.
     desk.begin("again", "/runs/mine")
-    assert desk.shown() == "other"
+    assert desk.shown() == "mine"
+
+
+def take_controls(desk: Desk, key: str) -> None:
+    desk.begin(key)
+    desk.hub.controls.admit(desk.page)
+    assert desk.shown() == key
+
+
+def start_it(desk: Desk, key: str) -> None:
+    desk.hub.follow_up(desk.page, Path(f"/runs/{key}"))
+    desk.begin(key)
+
+
+def stop_it(desk: Desk, key: str) -> None:
+    desk.begin(key)
+    console = Console(desk.hub, Token(), frozenset())
+    # The run does not answer, as its end is not verified.
+    with pytest.raises(Refusal):
+        asyncio.run(console._command(desk.page, {"run": key, "command": "stop"}))
+
+
+@pytest.mark.parametrize("own", [take_controls, start_it, stop_it])
+def test_a_page_keeps_the_end_of_its_own_run(desk: Desk, own: Callable[[Desk, str], None]) -> None:
+    own(desk, "mine")
+    desk.begin("other")
+    assert desk.shown() == "mine"
+    desk.end("mine")
+    assert desk.shown() == "mine"
+    desk.begin("later")
+    desk.end("other")
+    assert desk.shown() == "mine"
+    # Not even the many runs after it take the run from the page, and a lost contact does not.
+    for number in range(9):
+        desk.begin(f"more-{number}")
+        desk.end(f"more-{number}")
+    desk.hub._look()
+    assert desk.shown() == "mine"
+    assert "more-1" not in desk.hub.runs
+    assert desk.shown(opened_again(desk, "mine", own=True)) == "mine"
+    # Only the user replaces the run.
+    desk.page.run = "later"
+    assert desk.shown() == "later"
+    desk.hub.follow_up(desk.page, Path("/runs/next"))
+    assert desk.shown() == "later"
+    desk.begin("next")
+    assert desk.shown() == "next"
+
+
+def test_a_page_that_waits_for_its_run_shows_the_run_that_was_chosen(desk: Desk) -> None:
+    for key in ("older", "newer"):
+        desk.begin(key)
+        desk.end(key)
+    assert desk.shown() == "newer"
+    desk.page.run = "older"
+    assert desk.shown() == "older"
+    desk.hub.follow_up(desk.page, Path("/runs/mine"))
+    assert desk.shown() == "older"
+    desk.begin("other")
+    assert desk.shown() == "older"
+    desk.begin("mine")
+    assert desk.shown() == "mine"
 
 
 def test_a_page_that_is_opened_after_a_run_waits_for_the_next(desk: Desk) -> None:
@@ -116,7 +179,7 @@ def test_a_run_that_was_chosen_is_shown(desk: Desk) -> None:
     assert desk.shown() == "one"
 
 
-def opened_again(desk: Desk, shown: object) -> Page:
+def opened_again(desk: Desk, shown: object, own: object = False) -> Page:
     """Return the page of a browser that connects once more, with what it showed before."""
 
     class Socket:
@@ -129,7 +192,7 @@ def opened_again(desk: Desk, shown: object) -> Page:
             self.sent += 1
             if self.sent > 1:
                 await asyncio.sleep(60.0)
-            return {"token": "wrong", "shown": shown}
+            return {"token": "wrong", "shown": shown, "own": own}
 
         async def send_text(self, _: str) -> None:
             raise WebSocketDisconnect
