@@ -89,9 +89,11 @@ class Sequencer:
         """
         ending, message, trip, error = self._attempt()
         presses = self._stop.presses
+        # Before the first phase with power there is no ramp, and no cycle that would be recorded.
+        unpowered = self.phase is Phase.LOAD and not self._cycle.count
         safe = make_safe(
             self._devices.servo,
-            self._cycle.watch,
+            self._devices.servo.sent_state if unpowered else self._cycle.watch,
             self._devices.link.clock,
             self._plan.cycle_ns,
             brake=ending is not Ending.DONE,

@@ -73,6 +73,9 @@ class Bench:
     def take_frames(self) -> list[RawFrame]:
         return [RawFrame(len(self.exchanged), 0x80, b"", True)]
 
+    def sent_state(self) -> None:
+        return None
+
     def set_target(self, angle_rad: float) -> None:
         self.told.append(("target", angle_rad))
 

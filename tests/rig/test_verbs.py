@@ -210,8 +210,9 @@ def test_ctrl_c_while_braking_takes_the_power_off_at_once(
     assert outcome.ending is Ending.STOPPED
     assert outcome.safe.verified
     assert bench.calls["quick_stop"] == 1
-    # The fake brakes until the exchange numbered 750; the state is read every 5 ms.
-    assert folder.record.cycles == (705 if presses == 2 else 750)
+    # The fake brakes until the exchange numbered 750; the state is read every 5 ms, from the first
+    # cycle of the braking on.
+    assert folder.record.cycles == (705 if presses == 2 else 751)
 
 
 def test_ctrl_c_during_the_reading_back_changes_nothing(runner: Any, fake_bench: Any) -> None:
