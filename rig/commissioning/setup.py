@@ -228,6 +228,7 @@ class Setup:
                 brake=not done,
                 hurry=lambda: self.stop.presses > presses,
                 watched=self.devices.link.has_watchdog,
+                insistent=not self.devices.link.has_watchdog,
             )
             cycle.end()
         self.recorder.event(cycle.now_ns, "power off", step=what, state=self.safe.state)

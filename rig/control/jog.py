@@ -126,6 +126,7 @@ def move(
         brake=ending is not Ending.DONE,
         hurry=lambda: stop.presses > presses,
         watched=devices.link.has_watchdog,
+        insistent=not devices.link.has_watchdog,
     )
     if ending is Ending.DONE and not safe.verified:
         ending = Ending.FAILED

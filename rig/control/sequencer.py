@@ -99,6 +99,7 @@ class Sequencer:
             brake=ending is not Ending.DONE,
             hurry=lambda: self._stop.presses_now() > presses,
             watched=self._devices.link.has_watchdog,
+            insistent=not self._devices.link.has_watchdog,
         )
         if self._cycle.units is not None:
             message = self._cycle.units.after_braking(message)

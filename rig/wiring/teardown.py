@@ -17,6 +17,10 @@ STATE_INTERVAL_S = 0.005
 after standstill the power stays on for at most this time, independent of the control cycle.
 """
 DISABLE_ATTEMPTS = 2
+INSISTENT_ATTEMPTS = 5
+REPEATED_S = 0.05
+"""Time for which cycles repeat an unanswered command in the process data."""
+MOST_REPEATED = 50
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,18 @@ class _Steps:
             self.problems.append(f"unforeseen {words_of(error)}")
             self.unforeseen.append(error)
 
+    def repeat(self, watch: Callable[[], object], clock: Clock) -> None:
+        """Run control cycles for :data:`REPEATED_S`, also after cycles that failed: the process
+        data of each cycle contain the last command. Errors of devices are not stored.
+        """
+        cycles = _Steps()
+        end_ns = clock.now_ns() + round(REPEATED_S * NS)
+        for _ in range(MOST_REPEATED):
+            if clock.now_ns() >= end_ns:
+                break
+            cycles.attempt(watch)
+        self.unforeseen += cycles.unforeseen
+
     def state(self, servo: Servo) -> ServoState | None:
         """Read the drive's state; return None if the read fails."""
         found: list[ServoState] = []
@@ -111,6 +127,7 @@ def make_safe(
     brake: bool,
     hurry: Callable[[], bool],
     watched: bool = True,
+    insistent: bool = False,
 ) -> SafeState:
     """Brake if ``brake``, take the power off and read the state back. The function never raises an
     error.
@@ -129,6 +146,8 @@ def make_safe(
         hurry: Whether the operator has pressed Ctrl-C again; the power then goes off without
             waiting for the end of the ramp.
         watched: Whether the drive de-energises itself when it is no longer commanded.
+        insistent: Whether to make more attempts to take the power off, with cycles after each
+            command without answer: the process data of these cycles repeat the command.
 
     Returns:
         The final state of the drive; unexpected exceptions are in ``unforeseen``.
@@ -138,9 +157,12 @@ def make_safe(
         steps.attempt(servo.quick_stop)
         steps.attempt(lambda: wait_for_standstill(servo, watch, clock, cycle_ns, hurry))
     state = None if brake else steps.state(servo)
-    for _ in range(DISABLE_ATTEMPTS):
+    for _ in range(INSISTENT_ATTEMPTS if insistent else DISABLE_ATTEMPTS):
+        known = len(steps.problems)
         if state is not ServoState.SWITCH_ON_DISABLED:
             steps.attempt(servo.disable)
+        if insistent and len(steps.problems) > known:
+            steps.repeat(watch, clock)
         state = steps.state(servo)
         if state is not None and not state.energised:
             break

@@ -19,7 +19,14 @@ from drivers.mock.bench import DRIVE_NODE
 from drivers.mock.faults import WireFaults
 from drivers.mock.power_state import State
 from rig.common.errors import StorageError
-from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe, wait_for_standstill
+from rig.wiring.teardown import (
+    INSISTENT_ATTEMPTS,
+    SafeState,
+    attempt_all,
+    give_back,
+    make_safe,
+    wait_for_standstill,
+)
 from tests.drivers.host import enabled, make_host
 
 CYCLE_NS = 10_000_000
@@ -439,3 +446,67 @@ def test_how_the_drive_was_left_is_a_plain_value() -> None:
     assert "odd" not in repr(found)
     with pytest.raises(dataclasses.FrozenInstanceError):
         found.verified = False  # type: ignore[misc]
+
+
+class Deaf(Servo):
+    """A drive that hears nothing until a number of frames is lost."""
+
+    def __init__(self, frames: int) -> None:
+        super().__init__({})
+        self.frames = frames
+        self.word = ON
+
+    def _do(self, verb: str) -> None:
+        self.order.append(verb)
+        self.frames -= 1
+        if self.frames >= 0:
+            raise LinkError("gone")
+
+    def quick_stop(self) -> None:
+        self.word = BRAKING
+        super().quick_stop()
+
+    def watch(self) -> ServoState | None:
+        self.pass_time(CYCLE_NS)
+        self._do("watch")
+        self.power = self.word
+        return self.sent
+
+    def disable(self) -> None:
+        self.word = OFF
+        super().disable()
+
+
+@pytest.mark.parametrize(("insistent", "verified"), [(True, True), (False, False)])
+def test_cycles_repeat_a_power_off_that_got_no_answer(insistent: bool, verified: bool) -> None:
+    """Without a watchdog, a drive that missed both commands would hold under power for ever."""
+    servo: Any = Deaf(20)
+    found = make_safe(
+        servo,
+        servo.watch,
+        servo.clock,
+        CYCLE_NS,
+        brake=True,
+        hurry=lambda: False,
+        watched=False,
+        insistent=insistent,
+    )
+    assert found.verified == verified
+    assert (servo.power is OFF) == verified
+    assert found.problems == ("gone",)
+
+
+def test_a_dead_line_ends_the_insistent_attempts() -> None:
+    servo: Any = Deaf(10**9)
+    found = make_safe(
+        servo,
+        servo.watch,
+        servo.clock,
+        CYCLE_NS,
+        brake=True,
+        hurry=lambda: False,
+        watched=False,
+        insistent=True,
+    )
+    assert not found.verified
+    assert servo.order.count("disable") == INSISTENT_ATTEMPTS
