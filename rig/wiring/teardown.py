@@ -133,7 +133,7 @@ def make_safe(
     error.
 
     Each step has its own time-out and is carried out even if earlier steps raised errors. If the
-    state cannot be read or shows power, the program tries once more to take the power off.
+    state cannot be read or shows power, the program tries again to take the power off.
 
     Args:
         servo: The drive.

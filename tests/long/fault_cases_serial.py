@@ -25,6 +25,9 @@ _ANSWERS = {"frames": {"device": "drive"}}
 _REQUESTS = {"frames": {"device": "host"}}
 _BAD_LINE = Must(4, "no correct answer", 0.0)
 _DEAF = Must(4, "no correct answer.*could NOT be verified", 0.0, verified=False)
+_HEARD = Must(4, "no correct answer.*read back", 0.0)
+_INSISTENT_S = 10.0
+"""Five attempts to take the power off, on a line that returns after the first of them."""
 _LATE = Must(4, "lateness of the control cycle", BRAKE_S)
 _OTHERWISE: Mapping[str, Case] = {
     "drive fault": Case(
@@ -58,15 +61,14 @@ limits.
 """
 
 
-_UNHEARD = at(NO_POWER, _DEAF) | at("disable", replace(_DEAF, within_s=BRAKE_S))
 _DOUBLED = at(NO_POWER, _BAD_LINE) | at("disable", replace(_BAD_LINE, within_s=BRAKE_S))
 _LINE: Mapping[str, Case] = {
     "request lost": Case((fault("line", "lost", **_REQUESTS),), RIDES),
     "answer lost": Case((fault("line", "lost", **_ANSWERS),), RIDES),
     "answers lost, 40 of them": Case(
         (fault("line", "lost", **_ANSWERS, count=40),),
-        replace(STALE, verified=False),
-        _UNHEARD,
+        STALE,
+        at(NO_POWER, _HEARD) | at("disable", replace(_HEARD, within_s=BRAKE_S)),
     ),
     "a byte of a request lost": Case((fault("line", "byte_lost", **_REQUESTS),), RIDES),
     "a byte of an answer lost": Case((fault("line", "byte_lost", **_ANSWERS),), RIDES),
@@ -76,8 +78,10 @@ _LINE: Mapping[str, Case] = {
     "stuffing error in an answer": Case((fault("line", "stuffing", **_ANSWERS),), RIDES),
     "noise: CRC errors both ways, 100 of them": Case(
         (fault("line", "corrupt", count=100),),
-        Must(4, "sample age.*could NOT be verified", verified=False, stays_on=True),
-        at(NO_POWER, _DEAF) | at("disable", replace(_DEAF, within_s=None, stays_on=True)),
+        Must(4, "sample age.*read back", _INSISTENT_S),
+        at("prompt", _DEAF)
+        | at("prepare enable", _HEARD)
+        | at("disable", replace(_HEARD, within_s=_INSISTENT_S)),
     ),
     "an answer 5 ms late": Case((fault("line", "late", **_ANSWERS),), RIDES),
     "40 answers 5 ms late": Case(
