@@ -49,6 +49,22 @@ def resample(time: Array, values: Array, grid: Array, offset: float = 0.0) -> Ar
     return np.interp(grid, time + offset, values)
 
 
+def values_at_ends(means: Array) -> Array:
+    """Return the values of a channel at the ends of its sample periods, from its means over them.
+
+    The reconstruction is exact for cubics; interpolation between means would also smooth the
+    channel over two periods. At both ends of the recording it is the mean of neighbours.
+
+    Args:
+        means: Mean of each sample over the period that ends at its time, shape (n,).
+    """
+    later = np.append(means[1:], means[-1:])
+    out = 0.5 * (means + later)
+    if len(means) >= 4:
+        out[1:-2] += (out[1:-2] - 0.5 * (means[:-3] + means[3:])) / 6.0
+    return np.asarray(out)
+
+
 def derivative(values: Array, step: float) -> Array:
     """Differentiate by the seven-point central difference (error of order step^6), with differences
     of lower order at the ends.

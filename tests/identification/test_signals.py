@@ -16,6 +16,7 @@ from identification.signals import (
     quantum,
     resample,
     smooth,
+    values_at_ends,
 )
 
 RATE = 1000.0
@@ -203,3 +204,21 @@ def test_the_low_pass_is_the_sinc_function_in_kaisers_window(bandwidth: float) -
     size = 2 * low_pass.half + 1
     taps = signal.firwin(size, bandwidth, fs=RATE, window=("kaiser", 5.0))
     np.testing.assert_allclose(low_pass.taps, taps / np.sum(taps), rtol=1e-14)
+
+
+def test_values_at_the_ends_of_sample_periods_follow_from_means() -> None:
+    """The reconstruction is exact for cubics; at both ends it is the mean of neighbours."""
+    ends = np.arange(1.0, 31.0)
+    integral = np.polynomial.Polynomial([0.0, 2.0, -0.3, 0.04, -0.001])
+    means = integral(ends) - integral(ends - 1.0)
+    found = values_at_ends(means)
+    np.testing.assert_allclose(found[1:-2], integral.deriv()(ends)[1:-2], rtol=1e-12)
+    np.testing.assert_allclose(found[[0, -2]], 0.5 * (means[[0, -2]] + means[[1, -1]]))
+    assert found[-1] == means[-1]
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=3))
+def test_a_few_means_are_only_averaged(means: list[float]) -> None:
+    values = np.array(means)
+    later = np.append(values[1:], values[-1:])
+    np.testing.assert_array_equal(values_at_ends(values), 0.5 * (values + later))

@@ -19,7 +19,7 @@ from rig.results.prove.judge import Judgement
 from rig.results.prove.scoring.score import score
 from rig.results.prove.seal import unseal
 from rig.results.prove.sums import SUMS_FILE, write_sums
-from rig.results.prove.truth import load_truth
+from rig.results.prove.truth import Truth, load_truth
 
 ENGINE = Processes(1)
 CAMPAIGN = """campaign: 1
@@ -175,7 +175,7 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
     proof = judging.begin_from(tmp_path / "out", 2, 1, theirs)
     judging.diagnose_all(proof, judge, ENGINE, no_progress)
     rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
-    assert (rows[0]["kind"], rows[0]["alarm"], rows[0]["named"]) == ("nothing", False, [])
+    assert (rows[0]["kind"], rows[0]["alarm"], rows[0]["named"]) == ("unscored", False, [])
     assert rows[0]["excused"] == ["compliance"]
     assert (rows[1]["top1"], rows[1]["parameters"], rows[1]["nominal"]) == (True, {}, {})
 
@@ -257,3 +257,14 @@ def test_own_trials_are_sealed_as_others_are(
     assert "cogging" not in sealed.campaign.read_text()
     assert sealed.reference.is_file()
     assert json.loads(sealed.truth.read_text())["parameters"].keys() >= {"J", "Mc"}
+
+
+@pytest.mark.parametrize(
+    ("unscored", "kind"), [((), "one"), (("cogging",), "unscored"), (("time_skew",), "one")]
+)
+def test_a_rig_whose_effects_are_not_scored_does_not_count_as_a_rig_without_effects(
+    unscored: tuple[str, ...], kind: str
+) -> None:
+    truth = Truth(truth=1, effects={"cogging": {}}, not_scored=unscored)
+    assert truth.kind == kind
+    assert Truth(truth=1, not_scored=unscored).kind == "nothing"

@@ -128,6 +128,7 @@ def test_a_world_has_what_its_effect_needs_to_show(name: str) -> None:
             "lever": len(weights) >= 1,
             "known torque": any(r.pendulum or r.hoisted_kg for r in world.recordings),
             "turning joint": world.motion == "rotary",
+            "unfiltered current": world.log.current != "filtered",
             "fall": world.constants.Ms > world.constants.Mc,
         }
         assert all(has[need] for need in NEEDS[name])
@@ -219,6 +220,14 @@ def test_each_way_of_logging_a_current_is_as_late_as_it_says() -> None:
     filtered = logged(world_with({}, current="filtered", filter_Hz=100.0))["current"]
     assert lag_s(averaged, exact) == pytest.approx(0.5 / 500.0, rel=0.02)
     assert lag_s(filtered, exact) == pytest.approx(1.0 / (2.0 * np.pi * 100.0), rel=0.15)
+
+
+@pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize("name", ["time_skew", "current_loop_lag"])
+def test_a_world_with_a_late_current_does_not_filter_it(name: str) -> None:
+    """A filter has a delay too, so that a diagnosis could not be judged."""
+    ways = {draw_world("one", (name,), (8, k)).log.current for k in range(25)}
+    assert ways == {"sampled", "averaged"}
 
 
 @pytest.mark.parametrize("way", ["sampled", "filtered"])

@@ -17,7 +17,7 @@ FRICTION: tuple[Entry, ...] = (
         shows_in="torque",
         coordinate="direction: a constant torque in motion, the same at any speed, angle and "
         "load; none at rest",
-        parameters=(Quantity("torque_Nm", "N m", -10.0, 10.0),),
+        parameters=(Quantity("torque_Nm", "N m", -20.0, 20.0),),
         look_alikes=(
             "current_offset",
             "asymmetric_viscous",
@@ -42,7 +42,7 @@ FRICTION: tuple[Entry, ...] = (
         assumption="the implied assumption that friction is the same both ways (eq. 9)",
         shows_in="torque",
         coordinate="speed: proportional to |omega|, with one sign in both directions",
-        parameters=(Quantity("coefficient_Nms_rad", "N m s/rad", -10.0, 10.0),),
+        parameters=(Quantity("coefficient_Nms_rad", "N m s/rad", -40.0, 40.0),),
         look_alikes=("asymmetric_coulomb", "quadratic_drag", "current_offset"),
         experiment=(
             "Steady speeds in both directions, at least four between the Stribeck speed and the "
@@ -62,7 +62,7 @@ FRICTION: tuple[Entry, ...] = (
         assumption="the implied assumption that friction grows with speed as a line (eq. 9)",
         shows_in="torque",
         coordinate="speed: proportional to the square of the speed, greatest at the highest speed",
-        parameters=(Quantity("coefficient_Nms2_rad2", "N m s^2/rad^2", -10.0, 10.0),),
+        parameters=(Quantity("coefficient_Nms2_rad2", "N m s^2/rad^2", -80.0, 80.0),),
         look_alikes=("asymmetric_viscous", "stribeck_shape", "viscous_thermal_drift"),
         experiment=(
             "Steady speeds in both directions up to the limit, at least four above three Stribeck "

@@ -19,7 +19,7 @@ MOTOR: tuple[Entry, ...] = (
         coordinate="angle: periodic in the motor's angle, with the same amplitude at any current "
         "and load",
         parameters=(
-            Quantity("torque_Nm", "N m", 0.0, 10.0),
+            Quantity("torque_Nm", "N m", 0.0, 20.0),
             Quantity("per_motor_turn", "1/turn", 1.0, 200.0),
             Quantity("phase_rad", "rad", -pi, pi),
         ),

@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.diagnosis.rows.instants import INSTANTS, voltage_change
 from identification.diagnosis.rows.marks import RISE_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.row_noise import noise, without_tones
@@ -200,32 +201,11 @@ def held_voltage(equation: Equation) -> float:
     """Return the noise of the rows of the voltage equation, V, due to changes of the voltage
     between samples: a voltage that changes during a sample period is known only to within this
     change, unless the channel is declared as averaged. A constant delay of the voltage samples is a
-    parameter (:func:`_change`).
+    parameter (:data:`INSTANTS`).
     """
     if equation.name != "voltage":
         return 0.0
-    return float(np.sqrt(np.mean(equation.rows(_change) ** 2) / 12.0))
-
-
-def between_samples(equation: Equation) -> float:
-    """Return the error of the voltage equation, V, that voltages between the samples may cause; 0
-    for other equations and for averaged channels.
-
-    A control loop that is faster than the log changes its voltage between two samples. If log and
-    loop are synchronised, every sample is taken at one phase of the loop's cycle, so that the error
-    depends on the motion and no filter averages it. This error is not white noise
-    (:func:`held_voltage`), but the deviation of an instant within a sample period times the rate of
-    change of the voltage.
-    """
-    if equation.name != "voltage":
-        return 0.0
-    changes = [
-        np.diff(v.voltage[np.isfinite(v.voltage)])
-        for v in equation.views
-        if v.voltage is not None and "voltage" not in v.recording.averaged
-    ]
-    every = np.concatenate([np.zeros(1), *changes])
-    return float(np.sqrt(np.mean(every**2) / 12.0))
+    return float(np.sqrt(np.mean(equation.rows(voltage_change) ** 2) / 12.0))
 
 
 def least_noise(equation: Equation) -> float:
@@ -364,29 +344,15 @@ def _voltage(views: Sequence[View]) -> Equation | None:
             - emf
         )
 
-    held = any("voltage" not in v.recording.averaged for v in known)
+    unsure = {name: make for name, make in INSTANTS.items() if any(np.any(make(v)) for v in known)}
 
     def tangent(view: View) -> Array:
         assert view.current is not None
-        columns = [view.current, view.motor_speed, *([_change(view)] if held else [])]
-        return np.stack(columns)
+        return np.stack([view.current, view.motor_speed, *(make(view) for make in unsure.values())])
 
     kept = [v.low_pass.untouched(np.isnan(v.voltage)) for v in known if v.voltage is not None]
-    names = ("R", "Ke", *(("hold",) if held else ()))
+    names = ("R", "Ke", *unsure)
     return _build("voltage", "V", known, kept, measured, tangent, names)
-
-
-def _change(view: View) -> Array:
-    """Return the change of the voltage over one sample period, V; zero for an averaged channel.
-
-    A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
-    channel is declared as averaged, start and duration of this cycle are unknown; therefore the
-    delay of the voltage is a parameter of the voltage equation.
-    """
-    assert view.voltage is not None
-    if "voltage" in view.recording.averaged:
-        return np.zeros(len(view.time))
-    return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
 
 
 def _has_voltage(view: View) -> bool:

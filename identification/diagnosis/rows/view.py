@@ -36,6 +36,7 @@ from identification.signals import (
     decimator,
     resample,
     smooth,
+    values_at_ends,
 )
 
 LEAST_STEADY = 0.1
@@ -328,8 +329,8 @@ def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
     values = recording.channels.get(name)
     if values is None or not np.all(np.isfinite(values)):
         return None
-    offset = -0.5 * recording.period if name in recording.averaged else 0.0
-    return resample(recording.time, values, grid, offset)
+    at_ends = values_at_ends(values) if name in recording.averaged else values
+    return resample(recording.time, at_ends, grid)
 
 
 def _voltage(recording: Recording, grid: Array) -> Array | None:
@@ -342,10 +343,11 @@ def _voltage(recording: Recording, grid: Array) -> Array | None:
     off = ~np.isfinite(values)
     if "enabled" in recording.channels:
         off |= recording.channels["enabled"] < 0.5
-    offset = -0.5 * recording.period if "voltage" in recording.averaged else 0.0
-    series = resample(recording.time, np.where(off, 0.0, values), grid, offset)
-    dark = resample(recording.time, off.astype(np.float64), grid, offset) > 0.0
-    return np.where(dark, np.nan, series)
+    known = np.where(off, 0.0, values)
+    if "voltage" in recording.averaged:
+        known, off = values_at_ends(known), off | np.append(off[1:], off[-1:])
+    dark = resample(recording.time, off.astype(np.float64), grid) > 0.0
+    return np.where(dark, np.nan, resample(recording.time, known, grid))
 
 
 def _speed(recording: Recording, motor: Array, velocity: Array, cutoff: float) -> Array:
@@ -393,8 +395,6 @@ def torque_per_ampere(view: View) -> float:
 
 
 def lacks_common_origin(views: Sequence[View]) -> bool:
-    """Whether the recordings have no common origin of angles, because only the speed was
-    recorded.
-    """
+    """Whether only the speed was recorded, so that angles have no common origin."""
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0

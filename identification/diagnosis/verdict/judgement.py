@@ -12,7 +12,8 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
-from identification.diagnosis.rows.equations import Equation, between_samples
+from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.instants import between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
 from identification.diagnosis.score.significance import greatest, over_own_noise
@@ -89,8 +90,8 @@ def named_or_ambiguous(found: Search) -> Verdict:
 
 
 def without_unlogged(judged: Judged, found: Search) -> Judged:
-    """Return the verdict; a mismatch outside the catalogue that voltages between the samples may
-    cause has the verdict *nothing missing*.
+    """Return the verdict; a mismatch outside the catalogue that voltages and currents between the
+    samples may cause has the verdict *nothing missing*.
 
     This function is called after all searches, so that it does not prevent a search.
     """
@@ -109,15 +110,15 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
         joint: Fit of the nominal model.
         least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
             noise.
-        between: Whether a mismatch that voltages between the samples may cause counts as noise. A
-            mismatch of at least :data:`VISIBLE` times the noise never counts as noise.
+        between: Whether a mismatch that voltages and currents between the samples may cause counts
+            as noise. A mismatch of at least :data:`VISIBLE` times the noise never counts as noise.
     """
     for equation in joint.equations:
         if equation.name == "breakaway":
             continue
         rows = over_own_noise(joint, equation)
-        if between:
-            hidden = (between_samples(equation) / equation.sigma) ** 2 / equation.allowed()
+        if between and equation.name == "voltage":
+            hidden = (between_samples(equation.views) / equation.sigma) ** 2 / equation.allowed()
             rows = rows / np.sqrt(1.0 + np.minimum(hidden, VISIBLE**2 / RULES.excess - 1.0))
         if float(np.mean(rows**2)) > least or greatest(rows, equation) > RULES.excess_of_one:
             return True

@@ -23,7 +23,7 @@ class Kind(Enum):
     CANCELLING = "two effects nearly cancel"
     INFEASIBLE = "nominal parameters would be outside their physical limits"
     TOO_LITTLE = "the effects explain too little of the mismatch"
-    BETWEEN_SAMPLES = "voltages between the samples may cause the mismatch"
+    BETWEEN_SAMPLES = "values between the samples may cause the mismatch"
     REVERSALS = "the remaining mismatch depends on travel or time since each reversal"
 
 

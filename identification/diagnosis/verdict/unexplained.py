@@ -9,7 +9,8 @@ import numpy as np
 
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.rows.equations import between_samples
+from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.instants import between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.held_out import DROPPED
 from identification.diagnosis.selection.search import Search
@@ -83,19 +84,26 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def _between_samples(found: Search) -> tuple[str, ...]:
-    """Return the text on a mismatch of the voltage equation that voltages between the samples may
-    cause.
+    """Return the text on a mismatch of the voltage equation that voltages and currents between the
+    samples may cause.
     """
     voltage = next(e for e in found.baseline.equations if e.name == "voltage")
     rows = found.baseline.residual[found.baseline.stack.part("voltage")]
     rms = voltage.sigma * math.sqrt(float(np.mean(rows**2)))
     return (
         f"the voltage equation has a mismatch of {rms:.3g} V rms (noise floor {voltage.sigma:.3g} "
-        f"V), which is not attributed to an effect: the logged voltage changes from sample to "
-        f"sample, so that voltages between the samples, which are not logged, may cause about "
-        f"{between_samples(voltage):.3g} V rms; log the mean voltage of each sample, and declare "
-        "`average: true`",
+        f"V), which is not attributed to an effect: values between the samples, which are not "
+        f"logged, may cause about {between_samples(voltage.views):.3g} V rms, because the logged "
+        f"{_sampled(voltage)} from sample to sample; log the mean of each sample period, and "
+        "declare `average: true`",
     )
+
+
+def _sampled(voltage: Equation) -> str:
+    """Return the channels of the voltage equation that are not averaged, with their verb."""
+    averaged = frozenset.intersection(*(v.recording.averaged for v in voltage.views))
+    names = [name for name in ("voltage", "current") if name not in averaged]
+    return f"{names[0]} changes" if len(names) == 1 else "voltage and current change"
 
 
 def _last_candidate(found: Search) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from drivers.mock.plant.parts.constants import Machine
 from rig.results.prove.excitation import experiments
 from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
 
-Kind = Literal["nothing", "one", "two", "outside"]
+Kind = Literal["nothing", "one", "two", "outside", "unscored"]
 SPREAD = 0.4
 """Greatest relative deviation of the nominal constants from those of the practical bench."""
 NOISE_SPREAD = (0.5, 1.5)

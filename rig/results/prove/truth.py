@@ -73,8 +73,10 @@ class Truth(Schema):
     @property
     def kind(self) -> Kind:
         """Return the kind of trial: the number of scored effects, and whether they are in the
-        catalogue.
+        catalogue; ``unscored`` if there are effects and none is scored.
         """
+        if self.effects and not self.scored:
+            return "unscored"
         if any(name in self.outside for name in self.scored):
             return "outside"
         kinds: tuple[Kind, ...] = ("nothing", "one", "two")

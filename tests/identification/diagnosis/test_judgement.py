@@ -229,9 +229,7 @@ def test_a_voltage_mismatch_that_unlogged_voltages_may_cause_does_not_count(
     search = replace(found(1.0), baseline=alone, final=alone, rounds=())
     bound_V = between * times_noise * voltage.sigma
     for module in (judgement, unexplained_module):
-        monkeypatch.setattr(
-            module, "between_samples", lambda e: bound_V if e.name == "voltage" else 0.0
-        )
+        monkeypatch.setattr(module, "between_samples", lambda _views: bound_V)
     judged = verdict_of(search, np.random.default_rng(0))
     assert judged.verdict is Verdict.OUTSIDE_CATALOGUE
     settled = judgement.without_unlogged(judged, search)

@@ -81,3 +81,42 @@ def test_the_plausible_mass_grows_with_the_weights_of_the_bench() -> None:
         heavy = replace(effect, term=replace(effect.term, read=lambda *_: {"mass_kg": 300.0}))
         reason = implausible(replace(joint, effects=(heavy,), equations=equations))
         assert (reason == "") == plausible
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_the_plausible_sag_grows_with_the_recorded_supply(recorded: bool) -> None:
+    """A motion that needs a tenth of the supply voltage has the same supply as a fast motion."""
+    joint = nominal_fit(honest())
+    views = tuple(
+        replace(
+            v,
+            voltage=None if v.voltage is None else 0.1 * v.voltage,
+            supply=np.full(len(v.time), 480.0) if recorded else None,
+        )
+        for v in joint.equations[0].views
+    )
+    equations = tuple(replace(e, views=views) for e in joint.equations)
+    effect = Added(TERM["supply_sag"], (), (20.0,))
+    reason = implausible(replace(joint, effects=(effect,), equations=equations))
+    assert (reason == "") is recorded
+
+
+@pytest.mark.parametrize(
+    ("name", "power"), [("asymmetric_viscous", 1), ("quadratic_drag", 2), ("asymmetric_coulomb", 0)]
+)
+@pytest.mark.parametrize(("share", "plausible"), [(0.4, True), (0.6, False)])
+def test_friction_of_half_the_greatest_torque_is_plausible(
+    name: str, power: int, share: float, plausible: bool
+) -> None:
+    joint = nominal_fit(honest())
+    views = joint.equations[0].views
+    torque = max(float(np.max(np.abs(v.torque))) for v in views)
+    speed = max(float(np.max(np.abs(v.velocity))) for v in views)
+    fast = tuple(
+        replace(v, torque=40.0 / torque * v.torque, velocity=0.5 / speed * v.velocity)
+        for v in views
+    )
+    equations = tuple(replace(e, views=fast) for e in joint.equations)
+    effect = Added(TERM[name], (), (share * 40.0 / 0.5**power,))
+    reason = implausible(replace(joint, effects=(effect,), equations=equations))
+    assert (reason == "") is plausible

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.rows.equations import between_samples, least_noise
+from identification.diagnosis.rows.equations import least_noise
+from identification.diagnosis.rows.instants import between_samples
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import beyond_noise, size_p_value
@@ -162,23 +163,26 @@ def test_what_the_best_sensor_may_read_wrong_is_within_the_noise(
         assert np.all(replace(found, sigma=sigma).allowed() >= 1.0 + sensors)
 
 
+@pytest.mark.parametrize("channel", ["voltage", "current"])
 @pytest.mark.parametrize("averaged", [True, False])
-def test_voltages_between_the_samples_are_unknown_unless_means_are_logged(averaged: bool) -> None:
-    """A voltage that changes by 2 V from sample to sample is unknown by 2 V / sqrt(12)."""
-    joint = nominal_fit(honest())
-    voltage, torque = (
-        next(e for e in joint.equations if e.name == name) for name in ("voltage", "torque")
-    )
-    swung = tuple(
+def test_values_between_the_samples_are_unknown_unless_means_are_logged(
+    channel: str, averaged: bool
+) -> None:
+    """A voltage that changes by 2 V from sample to sample is unknown by 2 V / sqrt(12); a current,
+    by as much times the resistance.
+    """
+    voltage = next(e for e in nominal_fit(honest()).equations if e.name == "voltage")
+    declared = {"voltage", "current"} - (set() if averaged else {channel})
+    swung = [
         replace(
             v,
-            voltage=np.where(np.arange(len(v.time)) % 2 == 0, -1.0, 1.0),
-            recording=replace(
-                v.recording, averaged=frozenset({"voltage"} if averaged else {"current"})
-            ),
+            **{channel: np.where(np.arange(len(v.time)) % 2 == 0, -1.0, 1.0)},
+            recording=replace(v.recording, averaged=frozenset(declared)),
         )
         for v in voltage.views
-    )
-    expected = 0.0 if averaged else 2.0 / math.sqrt(12.0)
-    assert between_samples(replace(voltage, views=swung)) == pytest.approx(expected, rel=1e-3)
-    assert between_samples(replace(torque, views=swung)) == 0.0
+    ]
+    ohm = swung[0].recording.bench.resistance
+    assert ohm is not None
+    change_V = 2.0 * (ohm if channel == "current" else 1.0)
+    expected = 0.0 if averaged else change_V / math.sqrt(12.0)
+    assert between_samples(swung) == pytest.approx(expected, rel=1e-3)

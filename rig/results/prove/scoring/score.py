@@ -43,6 +43,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
     for row in rows:
         by_kind[row["kind"]].append(row)
     one, two, nothing, outside = (by_kind[kind] for kind in ("one", "two", "nothing", "outside"))
+    scored = [row for row in rows if row["kind"] != "unscored"]
     strong = [row for row in one if row["strength"] >= STRONG]
     torque = [row for row in one if row["strength_by_channel"].get(TORQUE, 0.0) >= STRONG]
     shown = [row for row in one if (row["left"] or 0.0) >= STRONG]
@@ -70,10 +71,10 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "false_alarms": count(nothing, "alarm"),
         "alarms": [row["rig"] for row in nothing if row["alarm"]],
         "refused": count(rows, "refused"),
-        "right": rate(sum(map(right, rows)), len(rows)),
+        "right": rate(sum(map(right, scored)), len(scored)),
         "reliability": reliability(rows),
         "wrong_names": wrong_names(rows),
-        "by_axis": by_axis(rows),
+        "by_axis": by_axis(scored),
         "outside": {
             **count(placed, "right"),
             "named_confidently": sum(bool(row["confident"]) for row in outside),

@@ -107,7 +107,7 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
     body = draw_body(parts, "fall" in needs, "linear" if linear else "rotary")
     drive = draw_drive(chain)
     sensing = draw_sensing(chain, body.motor, needs, body.motion)
-    log_ = draw_log(chain, drive, _voltages(needs))
+    log_ = draw_log(chain, drive, _voltages(needs), "unfiltered current" in needs)
     load, loads = _loads(chain, needs, body.motion)
     if load == "carriage":
         body = body._replace(lever_ratio=1.0, heaviest_kg=body.constants.J)

@@ -165,15 +165,19 @@ def draw_sensing(
     )
 
 
-def draw_log(rng: np.random.Generator, drive: Drive, voltages: Sequence[str]) -> Log:
+def draw_log(
+    rng: np.random.Generator, drive: Drive, voltages: Sequence[str], unfiltered: bool
+) -> Log:
     """Draw the logger.
 
     Args:
         rng: Generator.
         drive: The drive, whose loops are at least as fast as the log.
         voltages: Ways in which the voltage may be known.
+        unfiltered: Whether the current must not be filtered.
     """
-    way: Any = str(rng.choice(("sampled", "averaged", "filtered"), p=(0.4, 0.4, 0.2)))
+    shares = (0.5, 0.5, 0.0) if unfiltered else (0.4, 0.4, 0.2)
+    way: Any = str(rng.choice(("sampled", "averaged", "filtered"), p=shares))
     voltage: Any = str(rng.choice(voltages))
     return Log(
         rate_Hz=int(rng.choice([r for r in LOG_RATES_HZ if drive.rate_Hz % r == 0])),

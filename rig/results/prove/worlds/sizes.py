@@ -241,6 +241,8 @@ NEEDS: Mapping[str, frozenset[str]] = {
     ),
     "transmission_efficiency": frozenset({"known torque"}),
     "load_dependent_friction": frozenset({"known torque"}),
+    # A low-pass filter of the current has the same delay as these effects.
+    **dict.fromkeys(("time_skew", "current_loop_lag"), frozenset({"unfiltered current"})),
     "stribeck_shape": frozenset({"fall"}),
     "friction_memory": frozenset({"fall"}),
 }
