@@ -156,6 +156,18 @@ def test_names_come_in_turn_and_pairs_share_a_load() -> None:
     assert singles == set(IN_CATALOGUE)
 
 
+def test_a_machine_has_one_coupling() -> None:
+    """MuJoCo's model has one coupling of motor and joint, and the effects of the coupling replace
+    one another in it.
+    """
+    coupling = {"backlash", "compliance", "coupling_hysteresis"}
+    drawn = worlds_assignment(600, 5, sorted({*coupling, "cogging"}), ("x_bursts",))
+    pairs = [set(names) for kind, names in drawn if kind == "two"]
+    assert len(pairs) == 60
+    assert all(len(pair & coupling) == 1 for pair in pairs)
+
+
+
 def test_make_prove_covers_every_axis_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The axes do not depend on the courses of the motions, which take most of the time."""
     makefile = (Path(__file__).parents[2] / "Makefile").read_text()

@@ -37,6 +37,8 @@ MOST_ROWS = 300_000
 """Approximate number of rows of all recordings of a world; at a high sample rate a world has fewer
 recordings, not shorter ones.
 """
+COUPLING = frozenset({"backlash", "compliance", "coupling_hysteresis"})
+"""Effects of the one coupling between motor and joint."""
 SHARES: dict[Kind, float] = {"one": 60.0, "nothing": 25.0, "two": 10.0, "outside": 5.0}
 """Number of trials of each kind in a proof of a hundred trials; other proofs have equal shares."""
 LOADS: dict[Motion, dict[str, float]] = {
@@ -81,12 +83,13 @@ def worlds_assignment(
 
 def _pair(names: Sequence[str], rng: np.random.Generator) -> tuple[str, str]:
     """Return two effects that one machine can have; a machine has either a lever or another load
-    with a known torque.
+    with a known torque, and one coupling.
     """
     while True:
         first, second = (names[k] for k in rng.choice(len(names), 2, replace=False))
         needs = NEEDS.get(first, frozenset()) | NEEDS.get(second, frozenset())
-        if not ("known torque" in needs and needs & {"lever", "two weights"}):
+        two_loads = "known torque" in needs and needs & {"lever", "two weights"}
+        if not two_loads and not {first, second} <= COUPLING:
             return first, second
 
 
