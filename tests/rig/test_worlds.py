@@ -167,7 +167,6 @@ def test_a_machine_has_one_coupling() -> None:
     assert all(len(pair & coupling) == 1 for pair in pairs)
 
 
-
 def test_make_prove_covers_every_axis_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The axes do not depend on the courses of the motions, which take most of the time."""
     makefile = (Path(__file__).parents[2] / "Makefile").read_text()
