@@ -69,7 +69,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.cli.commands.check:examine",
         "rig.config.calibration:calibration_records",
     ),
-    "rig run --dry-run --json": ("rig.results.run.dry_run:dry_run_record",),
+    "rig run --dry-run --json": (
+        "rig.results.run.dry_run:dry_run_record",
+        "rig.results.run.acceptance_text:acceptance_record",
+    ),
     "rig commission: commission.json": (
         "rig.results.commission:commission_record",
         "rig.commissioning.commission:Commissioning.record",

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli.entry import BAD_VERDICT, DONE
+from rig.config.acceptance import limits_of
+from rig.config.sequence import Sequence as SequenceFile
 from rig.config.sequence import load_acceptance
 from rig.runs.recorded_inputs import GivenFile
 
@@ -47,6 +49,17 @@ def given_acceptance(file: Path | None) -> GivenFile | None:
         return None
     load_acceptance(file)
     return GivenFile.of(file)
+
+
+def limits_before(file: Path | None, sequence: SequenceFile) -> tuple[tuple[Limit, ...], str]:
+    """Return the limits by which a run that has not begun will be judged, and their origin.
+
+    Raises:
+        InputError: The file is missing or not valid.
+    """
+    if file is None:
+        return limits_of(sequence.acceptance), "the sequence"
+    return limits_of(load_acceptance(file).value.limits), str(file)
 
 
 def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +146,49 @@ def test_the_table_is_aligned_and_the_bench_comes_first(capsys: pytest.CaptureFi
         in lines
     )
     assert not Path("runs").exists()
+
+
+def test_the_acceptance_limits_are_listed_with_their_units(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stated = "acceptance: [current worst < 20 A, 'Mc: 6.5..7.1', weight check passed]\n"
+    Path("one.yaml").write_text(SEQUENCE.format(torque=75) + stated)
+    listed = dry()[1]["acceptance"]
+    rows = [(each["quantity"], each["permitted"], each["unit"]) for each in listed]
+    assert rows == [
+        ("current worst", "< 20", "A"),
+        ("Mc, 90 % interval", "6.5 to 7.1", "N m"),
+        ("weight check", "passed", "-"),
+    ]
+    text = capsys.readouterr().out
+    assert "judged by 3 limits of the sequence" in text
+    lines = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
+    assert all(list(row) in lines for row in rows)
+
+
+def test_a_file_of_limits_replaces_those_of_the_sequence(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    stated = "acceptance: [current worst < 20 A]\n"
+    Path("one.yaml").write_text(SEQUENCE.format(torque=75) + stated)
+    Path("limits.yaml").write_text(
+        "acceptance: 1\nlimits: [nothing missing, 'mu_c: 0.1..', lost samples <= 3]\n"
+    )
+    listed = dry("--acceptance", "limits.yaml")[1]["acceptance"]
+    rows = [(each["quantity"], each["permitted"]) for each in listed]
+    assert rows == [
+        ("diagnosis", "nothing missing"),
+        ("mu_c, 90 % interval", ">= 0.1"),
+        ("lost samples", "<= 3"),
+    ]
+    assert "judged by 3 limits of limits.yaml" in capsys.readouterr().out
+
+
+def test_a_run_without_limits_will_not_be_judged(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert dry()[1]["acceptance"] == []
+    assert "states limits, so the run will not be judged" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from rig.cli import options as shared
-from rig.cli.accepting import accept_at_the_end, given_acceptance
+from rig.cli.accepting import accept_at_the_end, given_acceptance, limits_before
 from rig.cli.aftermath import STATUS, conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
@@ -18,7 +18,6 @@ from rig.common.locks import OWNER_FILE
 from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
-from rig.config.configuration import Document
 from rig.config.sequence import load_sequence
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
@@ -188,7 +187,7 @@ def _run(options: _Options) -> int:
             click.echo(f"warning: {words}", err=True)
     if options.dry_run:
         model = friction_model(constants, identification or feedforward_file)
-        return _dry_run(bench, plan, model, options.yes, options.json_file)
+        return _dry_run(options, inputs, plan, model)
     return _carry_out(options, inputs, plan, path, injector)
 
 
@@ -227,10 +226,9 @@ def _carry_out(
     return accept_at_the_end(path, options.junit_file)
 
 
-def _dry_run(
-    bench: Document[Bench], plan: Plan, model: FrictionModel, yes: bool, json_file: Path | None
-) -> int:
-    computed = compute_dry_run(bench, plan, model, asks=not yes)
+def _dry_run(options: _Options, inputs: Inputs, plan: Plan, model: FrictionModel) -> int:
+    limits = limits_before(options.acceptance, inputs.sequence.value)
+    computed = compute_dry_run(inputs.bench, plan, model, not options.yes, *limits)
     click.echo(describe_dry_run(computed))
-    write_asked(json_file, dry_run_record(computed))
+    write_asked(options.json_file, dry_run_record(computed))
     return BAD_VERDICT if computed.problems else DONE

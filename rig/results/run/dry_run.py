@@ -9,6 +9,7 @@ from typing import Any
 
 from rig.common.provenance import utc_now, versions
 from rig.common.tables import percent, table
+from rig.config.acceptance import Limit
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.friction_model import FrictionModel
@@ -20,6 +21,7 @@ from rig.planning.predicted_load import (
     moves_to_start,
     predicted_peaks,
 )
+from rig.results.run.acceptance_text import acceptance_record, describe_acceptance
 from rig.wiring.bench_text import Watcher, watcher_of
 
 SCHEMA = "loadrig.dry_run/1"
@@ -82,6 +84,8 @@ class DryRun:
         peaks: Predicted peaks in the order of the run.
         watcher: Watchdog or guardian that stops the drive when this program dies.
         duration: Expected duration.
+        acceptance: Limits by which the complete run will be judged.
+        acceptance_source: Origin of these limits.
     """
 
     bench: Document[Bench]
@@ -90,6 +94,8 @@ class DryRun:
     peaks: list[PredictedPeak]
     watcher: Watcher
     duration: Duration
+    acceptance: tuple[Limit, ...] = ()
+    acceptance_source: str = ""
 
     @property
     def problems(self) -> list[str]:
@@ -126,7 +132,14 @@ class DryRun:
         return self.model.friction_measured(loaded)
 
 
-def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool) -> DryRun:
+def dry_run(
+    bench: Document[Bench],
+    plan: Plan,
+    model: FrictionModel,
+    asks: bool,
+    acceptance: tuple[Limit, ...] = (),
+    acceptance_source: str = "",
+) -> DryRun:
     """Compute motion, peaks and duration of a run.
 
     Args:
@@ -134,12 +147,15 @@ def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool
         plan: The plan.
         model: Known friction and inertia of the bench.
         asks: Whether an operator must answer the prompts.
+        acceptance: Limits by which the complete run will be judged.
+        acceptance_source: Origin of these limits.
     """
     prompts = len(plan.stages) if asks else 0
     cycles = sum(len(move) for stage in plan.stages for move in moves_to_start(stage, plan))
     duration = Duration(plan.duration_s, cycles * plan.cycle_s, prompts)
     peaks = predicted_peaks(plan, bench.value, model)
-    return DryRun(bench, plan, model, peaks, watcher_of(bench.value), duration)
+    watcher = watcher_of(bench.value)
+    return DryRun(bench, plan, model, peaks, watcher, duration, acceptance, acceptance_source)
 
 
 def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
@@ -175,6 +191,8 @@ def describe_dry_run(run: DryRun) -> str:
     lines = [
         describe(run.plan),
         "",
+        describe_acceptance(run.acceptance, run.acceptance_source),
+        "",
         f"Predicted from {run.model.source}. {NOT_PREDICTED}",
         table(head, rows, right=range(2, 8)),
         "",
@@ -205,6 +223,7 @@ def dry_run_record(run: DryRun) -> dict[str, Any]:
         "under_power_s": run.duration.under_power_s,
         "moves_s": run.duration.moves_s,
         "prompts": run.duration.prompts,
+        "acceptance": acceptance_record(run.acceptance),
         "duration_s": run.duration.total_s,
         "warnings": run.warnings,
         "problems": run.problems,

@@ -107,7 +107,9 @@ def start(page: Page, sequence: Path) -> None:
     page.fill("#start-operator", "A. Person")
     page.click("#dry-run")
     expect(page.locator("#dry-verdict")).to_have_text("The dry run found no problem.")
-    assert "peak" in page.locator("#dry-words").inner_text()
+    words = page.locator("#dry-words").inner_text()
+    assert "peak" in words
+    assert "acceptance: " in words
     shoot(page, "dry-run")
     page.click("#start")
     expect(page.locator("#outcome")).to_contain_text("started")
