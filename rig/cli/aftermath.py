@@ -106,8 +106,10 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
     screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
     part = record.parts[-1]
+    clock = "in simulated time: " if record.simulated and not record.realtime else ""
     screen.say(
-        f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False
+        f"{part.cycles} cycles; recorded in {folder.recording}\n{clock}{summary(part.timing)}",
+        err=False,
     )
     for warning in record.warnings:
         screen.say(f"warning: {warning}")

@@ -147,6 +147,20 @@ def test_quantities_are_measured_in_the_unit_of_the_limit(evidence: Evidence) ->
     assert (lost.value, lost.passed) == (0.0, True)
 
 
+@pytest.mark.parametrize(
+    ("simulated", "realtime", "simulated_times"),
+    [(True, False, (True, True)), (True, True, (False, True)), (False, False, (False, False))],
+)
+def test_a_duration_in_simulated_time_is_marked(
+    evidence: Evidence, simulated: bool, realtime: bool, simulated_times: tuple[bool, bool]
+) -> None:
+    record = dataclasses.replace(evidence.record, simulated=simulated, realtime=realtime)
+    checks = judged(
+        dataclasses.replace(evidence, record=record), "p99 lateness < 1 ms", "p99 answer < 1 s"
+    )
+    assert tuple("in simulated time" in check.words for check in checks) == simulated_times
+
+
 def test_the_worst_recording_counts(evidence: Evidence) -> None:
     part = evidence.record.parts[0]
     late = {**part.timing, "lateness": {**part.timing["lateness"], "p99_us": 1500.0}}

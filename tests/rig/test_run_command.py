@@ -93,7 +93,9 @@ def test_an_unknown_command_is_bad_input(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_a_run(short_sequence: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(str(short_sequence), "--yes", "--out", "out", "--json", "copy.json") == 0
-    assert "done: all 2 stages done; the drive is de-energised" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "done: all 2 stages done; the drive is de-energised" in text
+    assert "\nin simulated time: lateness p99 0 us" in text
     record = read_record(Path("out"))
     assert (record.state, record.de_energised, record.overruns, record.stale) == (
         "done",

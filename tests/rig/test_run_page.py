@@ -172,8 +172,8 @@ def test_the_page_says_on_what_by_whom_and_how_to_go_on(runner: Any, fake_bench:
     assert "braking" in last_part(html)
     assert "drive off" in last_part(html)
     # Every channel twice, in the last seconds and as a whole, and the tripped one once more; there
-    # is no pressure.
-    assert len(titles(html)) == OPENING + 2 * (len(panels.PANELS) - 2) + 1
+    # is no pressure, and in simulated time no lateness.
+    assert len(titles(html)) == OPENING + 2 * (len(panels.PANELS) - 3) + 1
     assert "chamber pressure" not in html
 
 
@@ -188,6 +188,47 @@ def test_a_page_opens_with_the_result(runner: Any, fake_bench: Any) -> None:
     ]
     assert opening.index("practical <span") < opening.index("DONE") < opening.index("<svg")
     assert "prefers-color-scheme:dark" in html
+
+
+LATENESS = "lateness of the control cycle, beyond a period"
+
+
+@pytest.mark.parametrize("realtime", [False, True])
+def test_simulated_time_that_is_never_late_is_said_in_words(
+    realtime: bool, runner: Any, fake_bench: Any
+) -> None:
+    folder, _ = runner(fake_bench())
+    folder.record.realtime = realtime
+    html = page_of(folder)
+    assert LATENESS not in titles(html)
+    assert "in which every cycle of this recording started on time" in html
+    assert "Time axis: simulated time since the start of this recording" in html
+    assert html.count(">simulated time</div>") == len(titles(html))
+    computer = "How late cycles started, by the clock of this computer: worst"
+    assert (computer in html) == realtime
+    # Without pacing, there is no table of a lateness that is always zero.
+    assert ("there is no lateness to show" in html) != realtime
+
+
+def test_lateness_of_a_simulated_bench_names_its_time(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", INSIDE] = lambda: bench.clock.sleep_until_ns(
+        bench.clock.now_ns() + 5_000_000
+    )
+    folder, _ = runner(bench)
+    html = page_of(folder)
+    assert LATENESS in titles(html)
+    assert "</span>lateness, simulated time</span>" in html
+    assert "started on time" not in html
+
+
+def test_lateness_of_a_real_bench_is_by_the_clock_of_the_host(runner: Any, fake_bench: Any) -> None:
+    folder, _ = runner(fake_bench())
+    folder.record.simulated = False
+    html = page_of(folder)
+    assert LATENESS in titles(html)
+    assert "simulated time" not in html
+    assert html.count(">host time</div>") == len(titles(html))
 
 
 def test_a_real_bench_is_called_real(runner: Any, fake_bench: Any) -> None:

@@ -17,6 +17,11 @@ from rig.runs.run_record import Ending, Verdict
 COMPLETE = "run complete"
 """Name of the check that every run must pass before its limits are judged."""
 
+_SIMULATED, _PACED = ("answer",), ("lateness",)
+"""Durations that a simulated bench has in simulated time: always, or unless it runs in real time;
+in real time the lateness is that of this computer.
+"""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -111,8 +116,16 @@ def _bound(limit: Bound, evidence: Evidence) -> Check:
         return _unknown(limit, evidence, f"{limit.measure} was not recorded")
     shown = value / limit.scale
     name = f"{limit.measure} {limit.statistic}".strip()
-    words = f"{name} {number(shown, 4)} {limit.unit}".strip()
+    words = f"{name} {number(shown, 4)} {limit.unit}".strip() + _clock(limit, evidence)
     return Check(limit.text, limit.holds(shown), words, shown, unit=limit.unit)
+
+
+def _clock(limit: Bound, evidence: Evidence) -> str:
+    """Return a remark on a duration that was measured in simulated time."""
+    record = evidence.record
+    if record.simulated and limit.measure in (*_SIMULATED, *([] if record.realtime else _PACED)):
+        return ", in simulated time"
+    return ""
 
 
 def _diagnosis(limit: Limit, evidence: Evidence) -> Check:

@@ -12,6 +12,12 @@ from rig.common.errors import InputError
 from rig.common.places import write_text
 from rig.results.run.go_on import first_words, go_on_command, go_on_notes
 from rig.results.run.page import chart
+from rig.results.run.page.clock_words import (
+    ON_TIME,
+    answer_heading,
+    lateness_heading,
+    no_lateness,
+)
 from rig.results.run.page.sections import Recorded, last_seconds, result, whole
 from rig.runs.run_record import BENCH_ATTACHMENT, Ending, RunRecord
 
@@ -101,7 +107,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
         )
         yield from _part("the traces", partial(_drawn, recorded, whole))
         if part.timing:
-            yield from _part("the timing", partial(_timing, part.timing))
+            yield from _part("the timing", partial(_timing, part.timing, record))
     yield "<h2>Provenance</h2>"
     yield from _part("the provenance", lambda: _table(("fact", "value"), list(_provenance(record))))
     yield "</body></html>"
@@ -212,7 +218,7 @@ def _weights(record: RunRecord) -> Iterator[str]:
         )
 
 
-def _timing(timing: Mapping[str, Any]) -> Iterator[str]:
+def _timing(timing: Mapping[str, Any], record: RunRecord) -> Iterator[str]:
     yield from _table(
         ("missed SYNCs", "drive samples lost", "encoder samples lost", "oldest sample s"),
         [
@@ -225,13 +231,16 @@ def _timing(timing: Mapping[str, Any]) -> Iterator[str]:
         ],
     )
     for name, words in (
-        ("lateness", "How late cycles started"),
-        ("answer", "Age of a sample when the program checks it"),
+        ("lateness", lateness_heading(record)),
+        ("answer", answer_heading(record)),
     ):
         histogram = timing[name]
         counts, edges = histogram["counts"], [f"up to {edge}" for edge in histogram["edges_us"]]
         most = max([*counts, 1])
         yield f"<h3>{words}: worst {histogram['worst_us']:.0f} us</h3>"
+        if name == "lateness" and no_lateness(record, histogram["worst_us"]):
+            yield f'<p class="note">{ON_TIME}</p>'
+            continue
         yield '<div class="scroll"><table><tr><th>us</th><th>cycles</th><th></th></tr>'
         for edge, count in zip([*edges, "beyond"], counts, strict=True):
             bar = f'<span class="bar" style="width:{10.0 * count / most:.2f}rem"></span>'

@@ -53,12 +53,13 @@ STYLE = (
     ".plot .names .at::before{content:'';display:inline-block;width:.15rem}"
     ".plot .names i{display:inline-block;white-space:nowrap;font-style:normal}"
     ".plot .times{height:1.15rem}.plot .times .at{top:.2rem;transform:translateX(-50%)}"
+    ".plot .clock{padding-top:.2rem;font-size:.68rem;color:#555;white-space:nowrap}"
     ".plot .ys .at{right:.35rem;transform:translateY(50%)}"
     ".plot .bound{color:#a30000;background:#ffffffc0;padding:0 .15rem}"
     ".plot .mark{top:.15rem;color:#000;font-weight:600;background:#ffffffd0;padding:.1rem .2rem}"
     # The colours of the drawings are attributes, which a rule of the page replaces on dark paper.
     "@media screen and (prefers-color-scheme:dark){"
-    ".chart .read{color:#b4b4b4}.chart .beyond,.plot .bound{color:#ff8a8a}"
+    ".chart .read,.plot .clock{color:#b4b4b4}.chart .beyond,.plot .bound{color:#ff8a8a}"
     ".plot .bound{background:#16181bc0}.plot .mark{color:#fff;background:#16181bd0}"
     ".plot svg .s0{fill:#1d252d}.plot svg .s1{fill:#24303b}.plot svg .s2{fill:#4a2f20}"
     ".plot svg .s3{fill:#303236}.plot svg [stroke='#00000018']{stroke:#ffffff24}"
@@ -169,7 +170,7 @@ def draw(
             for label in _bound_labels(bound, chart, axis, up, on_left)
         ),
         *([] if mark is None else [_mark_label(mark, axis)]),
-        '</div><div></div><div class="times">',
+        f'</div><div class="clock">{escape(axis.clock)}</div><div class="times">',
         *(
             f'<span class="at" style="left:{100.0 * x:.2f}%">{text} s</span>'
             for x, text in axis.ticks()

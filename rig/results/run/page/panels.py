@@ -60,6 +60,14 @@ class Tripped:
     limit: float
 
 
+LATENESS = Panel(
+    "lateness of the control cycle, beyond a period",
+    "ms",
+    1e3,
+    {"late": "lateness"},
+    (Check.LATENESS,),
+    lambda limits: limits.lateness,
+)
 PANELS: tuple[Panel, ...] = (
     Panel(
         "joint angle",
@@ -161,14 +169,7 @@ PANELS: tuple[Panel, ...] = (
         (Check.SAMPLE_AGE,),
         lambda limits: limits.sample_age,
     ),
-    Panel(
-        "lateness of the control cycle, beyond a period",
-        "ms",
-        1e3,
-        {"late": "lateness"},
-        (Check.LATENESS,),
-        lambda limits: limits.lateness,
-    ),
+    LATENESS,
     Panel(
         "clocks of the devices less the host's",
         "ms",

@@ -10,9 +10,13 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from rig.control.safety import Check
 from rig.results.run.page import panels
+from rig.results.run.page.channels import NAMES
 from rig.results.run.page.chart import Chart, Mark, Shade, draw
+from rig.results.run.page.clock_words import SIMULATED, axis_words, clock_of, not_late_words
 from rig.results.run.page.envelope import Bins, of_samples
 from rig.results.run.page.limits import Attachments, Step, limit_steps, read_attachments
 from rig.results.run.page.phases import BRAKING, Moment, Span, moment_of, spans, with_braking
@@ -104,7 +108,7 @@ def last_seconds(recorded: Recorded) -> Iterator[str]:
         Shade(last, math.inf, "drive off" if recorded.record.de_energised else "not recorded", 3)
     )
     mark = Mark(moment.time, f"{moment.words} {moment.time:.3f} s")
-    axis = TimeAxis([(first, until)])
+    axis = TimeAxis([(first, until)], clock_of(recorded.record))
     charts = _charts(recorded, bins)
     yield f'<p class="note">{escape(_about(recorded, moment))}</p>'
     for each in charts[:1]:
@@ -118,7 +122,7 @@ def last_seconds(recorded: Recorded) -> Iterator[str]:
 
 def _about(recorded: Recorded, moment: Moment) -> str:
     words = f"Black line: {moment.words} at {moment.time:.3f} s since the start of this recording."
-    return f"{words} {_limits_words(recorded)}"
+    return f"{words} {axis_words(recorded.record)} {_limits_words(recorded)}"
 
 
 def _limits_words(recorded: Recorded) -> str:
@@ -139,7 +143,7 @@ def _closer(
     near = bins.part(first, until)
     charts = _charts(recorded, near)
     if charts:
-        axis = TimeAxis([(first, until)])
+        axis = TimeAxis([(first, until)], clock_of(recorded.record))
         close = dataclasses.replace(charts[0], title=f"{charts[0].title}, sample by sample")
         yield draw(close, axis, _inside(shades, first, until), Mark(moment.time, moment.words))
 
@@ -154,19 +158,22 @@ def whole(recorded: Recorded) -> Iterator[str]:
         return
     moment = recorded.moment
     found = recorded.spans if moment is None else with_braking(recorded.spans, moment)
-    axis = TimeAxis(_powered(traces))
+    axis = TimeAxis(_powered(traces), clock_of(recorded.record))
     shades = _shades(found, numbered=True)
     words = (
         f"{traces.count} samples. Each column of a chart shows the least and the greatest "
         f"value of the samples in its time interval. "
     )
     words += f"Grey: the drive was off{', which is not drawn to scale' if axis.pauses else ''}. "
+    words += f"{axis_words(recorded.record)} "
     yield f'<p class="note">{escape(words + _limits_words(recorded))}</p><div class="pair">'
     mark = None if moment is None else Mark(moment.time, f"{moment.words} {moment.time:.3f} s")
     yield from (
         draw(each, axis, shades, mark) for each in _charts(recorded, traces.bins, tall=False)
     )
     yield "</div>"
+    if _never_late(recorded, traces.bins):
+        yield f'<p class="note">{escape(not_late_words(recorded.record))}</p>'
 
 
 def result(recorded: Recorded) -> Iterator[str]:
@@ -179,7 +186,8 @@ def result(recorded: Recorded) -> Iterator[str]:
         return
     moment = recorded.moment
     found = recorded.spans if moment is None else with_braking(recorded.spans, moment)
-    axis, shades = TimeAxis(_powered(traces)), _shades(found, numbered=True)
+    axis = TimeAxis(_powered(traces), clock_of(recorded.record))
+    shades = _shades(found, numbered=True)
     mark = None if moment is None else Mark(moment.time, f"{moment.words} {moment.time:.3f} s")
     tripped = recorded.tripped
     for panel in panels.result_panels(None if tripped is None else tripped.check):
@@ -195,11 +203,23 @@ def _charts(recorded: Recorded, bins: Bins, tall: bool = True) -> list[Chart]:
     check = None if tripped is None else tripped.check
     made = []
     for panel in panels.tripped_first(check):
+        if panel is panels.LATENESS and recorded.record.simulated:
+            if _never_late(recorded, bins):
+                continue
+            panel = dataclasses.replace(panel, channels={"late": f"lateness, {SIMULATED}"})
         mine = tripped if check in panel.checks else None
         each = panels.chart(panel, bins, recorded.steps, mine, tall and mine is not None)
         if each is not None:
             made.append(each)
     return made
+
+
+def _never_late(recorded: Recorded, bins: Bins) -> bool:
+    """Return whether a chart of lateness would only show that simulated time is never late."""
+    tripped = recorded.tripped
+    if not recorded.record.simulated or (tripped and tripped.check is Check.LATENESS):
+        return False
+    return not np.any(bins.high[:, NAMES.index("late")] > 0.0)
 
 
 def _powered(traces: Traces) -> list[tuple[float, float]]:

@@ -18,12 +18,17 @@ class TimeAxis:
 
     Args:
         powered: Time intervals drawn to scale, s, in order.
+        clock: Name of the clock of these times; empty for no name on the axis.
+
+    Attributes:
+        clock: Name of the clock.
     """
 
     _PAUSE = 0.02
     """Width of a shortened pause."""
 
-    def __init__(self, powered: Sequence[tuple[float, float]]) -> None:
+    def __init__(self, powered: Sequence[tuple[float, float]], clock: str = "") -> None:
+        self.clock = clock
         joined = [powered[0]]
         longest = 0.02 * sum(stop - start for start, stop in powered)
         for start, stop in powered[1:]:
