@@ -53,7 +53,7 @@ STYLE = (
     ".plot .names .at::before{content:'';display:inline-block;width:.15rem}"
     ".plot .names i{display:inline-block;white-space:nowrap;font-style:normal}"
     ".plot .times{height:1.15rem}.plot .times .at{top:.2rem;transform:translateX(-50%)}"
-    ".plot .clock{padding-top:.2rem;font-size:.68rem;color:#555;white-space:nowrap}"
+    ".plot .clock{padding:.2rem .35rem 0 0;font-size:.68rem;color:#555;text-align:right}"
     ".plot .ys .at{right:.35rem;transform:translateY(50%)}"
     ".plot .bound{color:#a30000;background:#ffffffc0;padding:0 .15rem}"
     ".plot .mark{top:.15rem;color:#000;font-weight:600;background:#ffffffd0;padding:.1rem .2rem}"

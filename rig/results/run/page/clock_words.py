@@ -38,7 +38,7 @@ def not_late_words(record: RunRecord) -> str:
             f"{_NOT_LATE} The lateness of this computer, which paces the simulation, is in the "
             "table `How late cycles started`."
         )
-    return f"{_NOT_LATE} It says nothing about this computer or a real bench."
+    return f"{_NOT_LATE} A recording in simulated time does not show how late this computer is."
 
 
 def lateness_heading(record: RunRecord) -> str:
