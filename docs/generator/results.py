@@ -96,6 +96,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig runs compare --json": (
         "rig.results.catalogue.compare:compare_record",
         "rig.results.catalogue.compare:_difference_record",
+        "rig.results.catalogue.measured_figures:figures_record",
     ),
     "rig runs trend --json": (
         "rig.results.catalogue.trend_document:trend_record",

@@ -161,6 +161,7 @@ class Recorded:
             "verdict": verdict(head),
             "problem": head.problem,
             "identified": bool(head.identified),
+            "comparable": head.kind == "run" and head.state != "running",
             "pages": [each for each in PAGES if (folder / each[0]).is_file()],
         }
 

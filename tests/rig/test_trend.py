@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.catalogue.compare import (
     Compared,
@@ -208,6 +209,44 @@ def test_a_constant_that_is_not_determined_is_not_judged() -> None:
     assert "not known" in text(compare_document(runs))
 
 
-def test_runs_without_constants_are_refused_with_the_remedy() -> None:
-    with pytest.raises(InputError, match="rig identify runs/1"):
-        require_comparable(compared(details(np.zeros(len(TRUE))), Details()))
+def test_runs_without_constants_are_compared_by_what_was_measured(
+    short_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [str(tmp_path / name) for name in ("one", "two")]
+    for seed, run in enumerate(runs):
+        assert status(["run", str(short_sequence), "--yes", "--seed", str(seed), "--out", run]) == 0
+    capsys.readouterr()
+    result = tmp_path / "compared.json"
+    page_folder = str(tmp_path / "page")
+    assert status(["runs", "compare", *runs, "--json", str(result), "--out", page_folder]) == 0
+    shown = capsys.readouterr().out
+    for run in runs:
+        assert f"identify it with `rig identify {run}`" in shown
+    record = json.loads(result.read_text())
+    assert (record["not_identified"], record["compared"]) == (runs, [])
+    for each in record["measured"]:
+        values = {figure["name"]: figure for figure in each["figures"]}
+        assert 0.0 < values["tracking error rms"]["value"] < values["tracking error worst"]["value"]
+        assert values["lateness p99"]["remark"] == "in simulated time"
+        assert values["lost samples"]["value"] == 0.0
+        assert (each["stages_done"], each["problem"]) == ("2 of 2", "")
+    assert "<td>tracking error rms</td>" in (tmp_path / "page" / "report.html").read_text()
+
+
+def test_constants_are_those_of_the_identified_runs() -> None:
+    runs = compared(Details(motion="rotary"), details(NONE), details(NONE))
+    record = compare_record(runs)
+    assert (record["first"], record["not_identified"]) == ("runs/1", ["runs/0"])
+    assert [each["run"] for each in record["compared"]] == ["runs/2"]
+    shown = text(compare_document(runs))
+    assert "runs/2 against runs/1" in shown
+    assert "identify it with `rig identify runs/0`" in shown
+    alone = text(compare_document(runs[:2]))
+    assert "constants are compared when two or more of the runs are identified" in alone
+
+
+def test_a_run_that_cannot_be_read_is_refused_with_its_remedy() -> None:
+    (bad,) = compared(Details())
+    entry = dataclasses.replace(bad.entry, head=Head("half written", "use `rig recover`"))
+    with pytest.raises(InputError, match="runs/0: use `rig recover`"):
+        require_comparable([dataclasses.replace(bad, entry=entry)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,11 +154,13 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
 @_page
 @shared.result_file
 def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
-    """Compare the identified parameters of RUNS with those of the first run, and mark the
-    parameters that changed.
+    """Compare RUNS: state, verdicts and measured values side by side, and the identified parameters
+    with those of the first identified run.
 
-    A parameter has changed if the difference is larger than the 90 % interval of the difference.
-    --out writes a page with the figures side by side.
+    Measured values are tracking error, current, temperature, lateness and lost samples. Runs that
+    are not identified are compared by these values only. A parameter has changed if the difference
+    is larger than the 90 % interval of the difference. --out writes a page with the figures side by
+    side.
 
     \b
     Example:
@@ -169,13 +172,13 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
         compare_record,
         require_comparable,
     )
+    from rig.results.catalogue.measured_figures import figures_of
 
     if len(runs) < 2:
-        raise click.UsageError(
-            "give two or more runs; the first run is compared with each of the later runs"
-        )
+        raise click.UsageError("give two or more runs, which are compared with each other")
     found = [Compared(run, entry := _one(run), entry.parsed()) for run in runs]
     require_comparable(found)
+    found = [replace(each, measured=figures_of(each.run)) for each in found]
     _write(json_file, lambda: compare_record(found))
     _show(compare_document(found), out)
 

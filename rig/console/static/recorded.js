@@ -80,7 +80,7 @@ export class Recorded {
       || `${count} ${count === 1 ? "run" : "runs"} in ${root}${more}; \`rig runs list\` lists all runs.`;
     choose(at("recorded-bench"), [new Option("every bench", "")], benches);
     choose(at("constant"), constants.length ? [] : [new Option("none known", "")], constants);
-    const listed = new Set(runs.filter((run) => run.identified).map((run) => run.folder));
+    const listed = new Set(runs.filter((run) => run.comparable).map((run) => run.folder));
     for (const folder of this.chosen) if (!listed.has(folder)) this.chosen.delete(folder);
     const rows = runs.map((run) => this.row(run));
     // While a link or a checkbox has the focus, the list is kept, because a new list has no focus.
@@ -106,9 +106,19 @@ export class Recorded {
     const on = this.may && !this.making;
     at("compare").disabled = !on || count < LEAST || count > MOST;
     at("trend").disabled = !on || !at("constant").value;
-    const words = this.may ? `${count} runs chosen. Choose ${LEAST} to ${MOST} runs; the earliest is compared with every other.`
+    const words = this.may ? `${count} runs chosen. Choose ${LEAST} to ${MOST} runs. ${this.compared()}`
       : "Read only: without the token, no comparisons and trends are made, because they take processor time.";
     if (at("chosen-words").textContent !== words) at("chosen-words").textContent = words;
+  }
+
+  // States what a comparison of the chosen runs contains, and which identification is missing.
+  compared() {
+    const bare = (this.list?.runs || []).filter((run) => this.chosen.has(run.folder) && !run.identified);
+    const without = bare.length
+      ? ` Not identified, so compared without constants: ${bare.map((run) => run.folder).join(", ")}; \`rig identify RUN\` at a terminal identifies a run.` : "";
+    const trend = this.list && !this.list.constants.length
+      ? " No listed run is identified, so there is no constant to follow." : "";
+    return `Measured values are compared side by side, constants with those of the earliest identified run.${without}${trend}`;
   }
 
   async make(path, content) {
@@ -152,10 +162,10 @@ export class Recorded {
     return line;
   }
 
-  // A checkbox for a run that has constants.
+  // A checkbox for a run that is complete enough to be compared.
   box(run) {
     const cell = document.createElement("td");
-    if (!run.identified) {
+    if (!run.comparable) {
       cell.textContent = "-";
       return cell;
     }

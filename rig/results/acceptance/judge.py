@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from identification.recording import Array, Recording
 from rig.common.tables import number
 from rig.config.acceptance import NOTHING_MISSING, Bound, Limit, Range, Required
 from rig.results.acceptance.evidence import Evidence
+from rig.results.measured import QUANTITIES, clock_words
 from rig.runs.run_record import Ending, Verdict
 
 COMPLETE = "run complete"
 """Name of the check that every run must pass before its limits are judged."""
-
-_SIMULATED, _PACED = ("answer",), ("lateness",)
-"""Durations that a simulated bench has in simulated time: always, or unless it runs in real time;
-in real time the lateness is that of this computer.
-"""
 
 
 @dataclass(frozen=True)
@@ -111,21 +104,19 @@ def _range(limit: Range, evidence: Evidence) -> Check:
 
 
 def _bound(limit: Bound, evidence: Evidence) -> Check:
-    value = _MEASURED[limit.measure](evidence, limit.statistic)
+    if limit.measure == "torque error":
+        value = evidence.fit_rms
+    else:
+        measured = QUANTITIES[limit.measure]
+        value = measured(evidence.record, evidence.dataset, limit.statistic)
     if value is None or not math.isfinite(value):
         return _unknown(limit, evidence, f"{limit.measure} was not recorded")
     shown = value / limit.scale
     name = f"{limit.measure} {limit.statistic}".strip()
-    words = f"{name} {number(shown, 4)} {limit.unit}".strip() + _clock(limit, evidence)
+    words = f"{name} {number(shown, 4)} {limit.unit}".strip() + clock_words(
+        limit.measure, evidence.record
+    )
     return Check(limit.text, limit.holds(shown), words, shown, unit=limit.unit)
-
-
-def _clock(limit: Bound, evidence: Evidence) -> str:
-    """Return a remark on a duration that was measured in simulated time."""
-    record = evidence.record
-    if record.simulated and limit.measure in (*_SIMULATED, *([] if record.realtime else _PACED)):
-        return ", in simulated time"
-    return ""
 
 
 def _diagnosis(limit: Limit, evidence: Evidence) -> Check:
@@ -145,69 +136,3 @@ def _weight(limit: Limit, evidence: Evidence) -> Check:
     bad = {s: each for s, each in evidence.weights.items() if each[0] != Verdict.RIGHT.value}
     listed = "; ".join(f"{stage}: {verdict}, {text}" for stage, (verdict, text) in bad.items())
     return Check(limit.text, not bad, listed or f"right in {', '.join(evidence.weights)}")
-
-
-def _timing(part: str) -> Callable[[Evidence, str], float | None]:
-    """Return the function that computes a statistic of a timing histogram, s; of the values of all
-    recordings, the worst counts.
-    """
-
-    def measured(evidence: Evidence, statistic: str) -> float | None:
-        timings = [p.timing[part] for p in evidence.record.parts if p.timing]
-        values = [t.get(f"{statistic}_us") for t in timings if isinstance(t, Mapping)]
-        known = [float(v) for v in values if isinstance(v, int | float)]
-        return max(known) * 1e-6 if known and len(known) == len(values) else None
-
-    return measured
-
-
-def _count(*names: str) -> Callable[[Evidence, str], float | None]:
-    def measured(evidence: Evidence, statistic: str) -> float | None:
-        timings = [p.timing for p in evidence.record.parts if p.timing]
-        return float(sum(t[name] for t in timings for name in names)) if timings else None
-
-    return measured
-
-
-def _trace(of: Callable[[Recording], Array | None]) -> Callable[[Evidence, str], float | None]:
-    """Return the function that computes rms or greatest magnitude of a signal over all
-    excitations.
-    """
-
-    def measured(evidence: Evidence, statistic: str) -> float | None:
-        recordings = evidence.dataset.recordings if evidence.dataset else ()
-        traces = [trace for each in recordings if (trace := of(each)) is not None]
-        if not traces or len(traces) < len(recordings):
-            return None
-        every = np.concatenate(traces)
-        if statistic == "worst":
-            return float(np.max(np.abs(every)))
-        return float(np.sqrt(np.mean(np.square(every))))
-
-    return measured
-
-
-def _difference(
-    first: str, second: str, ratio: bool = False
-) -> Callable[[Recording], Array | None]:
-    def of(recording: Recording) -> Array | None:
-        one, other = recording.channels.get(first), recording.channels.get(second)
-        if one is None or other is None:
-            return None
-        return np.asarray((one / recording.bench.gear_ratio if ratio else one) - other)
-
-    return of
-
-
-_MEASURED: Mapping[str, Callable[[Evidence, str], float | None]] = {
-    "lateness": _timing("lateness"),
-    "answer": _timing("answer"),
-    "tracking error": _trace(_difference("command", "angle")),
-    "disagreement": _trace(_difference("motor_angle", "angle", ratio=True)),
-    "current": _trace(lambda recording: recording.channels.get("current")),
-    "temperature": _trace(lambda recording: recording.channels.get("temperature")),
-    "torque error": lambda evidence, statistic: evidence.fit_rms,
-    "lost samples": _count("lost_servo", "lost_encoder"),
-    "missed SYNCs": _count("missed_syncs"),
-}
-"""Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES`, SI units."""

@@ -1,5 +1,5 @@
-"""Output of ``rig runs compare``: identified parameters of several runs, and the parameters that
-changed.
+"""Output of ``rig runs compare``: measured values of several runs and, of the identified runs, the
+identified parameters that changed.
 """
 
 from __future__ import annotations
@@ -7,13 +7,18 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.results.catalogue.figures import side_by_side
+from rig.results.catalogue.measured_figures import (
+    RunFigures,
+    figures_record,
+    figures_table,
+)
 from rig.results.catalogue.show import FIGURE, stored_picture
 from rig.results.catalogue.words import begun, head_record, masses, operators, verdict
 from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table
@@ -30,11 +35,18 @@ class Compared:
         run: Run folder, as given.
         entry: Entry of the run in the catalogue of runs.
         details: Identified constants of the run.
+        measured: Measured values of the run.
     """
 
     run: Path
     entry: Entry
     details: Details
+    measured: RunFigures = field(default_factory=RunFigures)
+
+    @property
+    def identified(self) -> bool:
+        """Whether the run has identified constants."""
+        return bool(self.details.constants)
 
 
 @dataclass(frozen=True)
@@ -67,21 +79,14 @@ class Difference:
 
 
 def require_comparable(runs: Sequence[Compared]) -> None:
-    """Check that every run has identified parameters, and that all benches have the same kind of
-    motion.
+    """Check that every run can be read, and that all benches have the same kind of motion.
 
     Raises:
-        InputError: A run has no identified parameters, or the kinds of motion differ.
+        InputError: A run cannot be read, or the kinds of motion differ.
     """
-    bare = [str(each.run) for each in runs if not each.details.constants]
-    if bare:
-        raise InputError(
-            [
-                f"{run}: this run has no identified constants; identify it with `rig identify "
-                f"{run}`"
-                for run in bare
-            ]
-        )
+    bad = [f"{each.run}: {each.entry.head.problem}" for each in runs if each.entry.head.problem]
+    if bad:
+        raise InputError(bad)
     motions = {each.details.motion for each in runs}
     if len(motions) > 1:
         raise InputError(f"a rotary and a linear bench have no constants in common: {motions}")
@@ -102,25 +107,63 @@ def _difference(name: str, first: Constant, details: Details) -> Difference:
 
 
 def compare_document(runs: Sequence[Compared]) -> Document:
-    """Return a comparison of each later run with the first run, as a document."""
-    first, *others = runs
-    sections = [Section("", (_facts(runs),))]
-    for other in others:
-        found = differences(first.details, other.details)
-        title = f"{other.run} against {first.run}"
-        sections.append(Section(title, (_table(found), *_notes(found, first, other))))
-    names = list(first.details.constants)
-    constants = [each.details.constants for each in runs]
-    drawn = side_by_side(names, dict(zip(_short(runs), constants, strict=True)))
-    caption = "Constants of the runs, in percent of the first"
-    picture = Picture.of("constants", caption, drawn, lead=True)
-    beside = tuple(_figures(first, other) for other in others)
+    """Return a comparison as a document: the measured values of all runs side by side, and the
+    constants of each later identified run with those of the first identified run.
+    """
+    table = figures_table(_short(runs), [each.measured for each in runs])
+    head = [
+        Section("", (_facts(runs),)),
+        Section("Measured values", (table, *_unread(runs), *_not_identified(runs))),
+    ]
+    identified = [each for each in runs if each.identified]
+    sections = [*head, *_constants(identified)]
     return Document(
         "Comparison of runs",
         " | ".join(str(each.run) for each in runs),
         tuple(sections),
-        (Section("", (picture,)), *sections, Section("Figures", beside)),
+        (*_pictures(identified), *sections, *_beside(identified)),
     )
+
+
+def _unread(runs: Sequence[Compared]) -> Iterator[Note]:
+    for each in runs:
+        if each.measured.problem:
+            yield Note(f"no values of the excitations: {each.measured.problem}", "warning")
+
+
+def _not_identified(runs: Sequence[Compared]) -> Iterator[Note]:
+    bare = [str(each.run) for each in runs if not each.identified]
+    for run in bare:
+        yield Note(
+            f"{run}: the constants of this run are not compared, because the run is not "
+            f"identified; identify it with `rig identify {run}`"
+        )
+    if bare and len(runs) - len(bare) == 1:
+        yield Note("constants are compared when two or more of the runs are identified")
+
+
+def _constants(identified: Sequence[Compared]) -> Iterator[Section]:
+    for other in identified[1:]:
+        first = identified[0]
+        found = differences(first.details, other.details)
+        title = f"{other.run} against {first.run}"
+        yield Section(title, (_table(found), *_notes(found, first, other)))
+
+
+def _pictures(identified: Sequence[Compared]) -> Iterator[Section]:
+    if len(identified) > 1:
+        constants = [each.details.constants for each in identified]
+        drawn = side_by_side(
+            list(constants[0]), dict(zip(_short(identified), constants, strict=True))
+        )
+        caption = "Constants of the identified runs, in percent of the first"
+        yield Section("", (Picture.of("constants", caption, drawn, lead=True),))
+
+
+def _beside(identified: Sequence[Compared]) -> Iterator[Section]:
+    if len(identified) > 1:
+        first, *others = identified
+        yield Section("Figures", tuple(_figures(first, other) for other in others))
 
 
 def _short(runs: Sequence[Compared]) -> list[str]:
@@ -141,13 +184,14 @@ def _facts(runs: Sequence[Compared]) -> Table:
             each.entry.head.sequence,
             operators(each.entry.head),
             masses(each.entry.head),
-            f"{number(each.details.fit_rms, 3)} {each.details.fit_unit}",
+            f"{number(each.details.fit_rms, 3)} {each.details.fit_unit}".strip(),
+            each.entry.head.state,
             verdict(each.entry.head),
         )
         for each in runs
     )
-    header = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "torque error", "verdict")
-    return Table(header, rows, ())
+    facts = ("run", "begun, UTC", "bench", "sequence", "operator", "kg")
+    return Table((*facts, "torque error", "state", "verdict"), rows, ())
 
 
 def _table(found: Sequence[Difference]) -> Table:
@@ -224,10 +268,13 @@ def _stored(each: Compared) -> tuple[Block, ...]:
 
 def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
     """Return the record of ``rig runs compare --json``."""
-    first, *others = runs
+    identified = [each for each in runs if each.identified]
+    first = identified[0] if identified else runs[0]
     return {
         **head_record(COMPARE_SCHEMA),
         "first": str(first.run),
+        "measured": [figures_record(each.run, each.measured) for each in runs],
+        "not_identified": [str(each.run) for each in runs if not each.identified],
         "compared": [
             {
                 "run": str(other.run),
@@ -236,7 +283,7 @@ def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
                     for each in differences(first.details, other.details)
                 },
             }
-            for other in others
+            for other in identified[1:]
         ],
     }
 

@@ -17,7 +17,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from .histories import write_history
+from .histories import write_history, write_run
 from .processes import WAIT_S, Place, Served, place, served, wait_until
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -356,6 +356,30 @@ def test_runs_are_compared_and_a_constant_is_followed(
     require_accessible(page)
     for button in reading.locator("#compare, #trend").all():
         expect(button).to_be_disabled()
+
+
+def test_runs_that_are_not_identified_are_compared(
+    opened: Callable[..., Page], console: Served
+) -> None:
+    runs = ["plain/1", "plain/2"]
+    for day, run in enumerate(runs, start=1):
+        write_run(console.place.folder / "runs" / run, day, {}, "plain")
+    page = opened(width=1200)
+
+    def listed() -> int:
+        page.click("#recorded-again")
+        return page.locator("#recorded-bench option", has_text="plain").count()
+
+    wait_until(listed)
+    page.select_option("#recorded-bench", "plain")
+    expect(page.locator("#recorded tr")).to_have_count(2)
+    for run in runs:
+        page.get_by_label(f"Compare {run}").press("Enter")
+    said = page.locator("#chosen-words")
+    expect(said).to_contain_text("Not identified, so compared without constants: plain/2, plain/1")
+    expect(said).to_contain_text("there is no constant to follow")
+    page.locator("#compare").press("Enter")
+    require_made(page, "Comparison of plain", "tracking error rms")
 
 
 def require_made(page: Page, name: str, words: str) -> None:

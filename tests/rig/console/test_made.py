@@ -221,16 +221,26 @@ def test_only_constants_of_the_listed_runs_are_followed(
     assert said in words(answer)
 
 
-def test_a_run_without_constants_and_a_damaged_one_are_refused_with_the_remedy(root: Path) -> None:
+def test_damaged_runs_are_refused_with_the_remedy(root: Path) -> None:
     desk = Desk(root, *COMMAND)
     assert desk.get("/recorded")[0] == 200
     # Damaged after it was listed.
     (root / "mine-02" / "run.json").write_text("{")
     answer = desk.post("/compare", {"runs": ["mine-01", "bare", "half", "mine-02"]})
     assert answer[0] == 409
-    for run in ("bare", "half", "mine-02"):
-        assert f"{run}: this run has no identified constants" in words(answer)
+    assert "half: there is no run.json; `rig recover` rebuilds it" in words(answer)
+    assert "mine-02/run.json" in words(answer)
+    assert "bare" not in words(answer)
     assert os.listdir(root.parent / "outside") == []
+
+
+def test_a_run_without_constants_is_compared_by_what_was_measured(root: Path) -> None:
+    desk = Desk(root, *COMMAND)
+    status, text, _ = desk.post("/compare", {"runs": ["mine-01", "bare"]})
+    assert status == 200, text
+    page = desk.get(json.loads(text)["page"])[1]
+    assert "<td>tracking error rms</td>" in page
+    assert "bare: the constants of this run are not compared" in page
 
 
 def test_a_page_that_was_not_made_is_not_there(desk: Desk) -> None:
@@ -259,6 +269,8 @@ def test_the_list_can_be_chosen_and_names_its_constants(desk: Desk) -> None:
     assert everything["constants"] == ["Mc", "Ms", "J"]
     found = {run["folder"]: run["identified"] for run in everything["runs"]}
     assert [folder for folder, known in found.items() if not known] == ["bare", "half"]
+    able = {run["folder"] for run in everything["runs"] if run["comparable"]}
+    assert able == {run["folder"] for run in everything["runs"]} - {"half"}
     few = listed("bench=mine&last=3")
     assert [run["folder"] for run in few["runs"]] == ["bare", "mine-08", "mine-07"]
     assert listed("bench=nobody")["runs"] == []

@@ -1,0 +1,93 @@
+"""Computes the quantities of a run that an acceptance limits and a comparison shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from identification.recording import Array, Dataset, Recording
+from rig.runs.run_record import RunRecord
+
+Measured = Callable[[RunRecord, Dataset | None, str], float | None]
+"""Function that computes a statistic of a quantity, in SI units, from the record of a run and its
+finished excitations; the result is None if the quantity was not recorded.
+"""
+SIMULATED, PACED = ("answer",), ("lateness",)
+"""Durations that a simulated bench has in simulated time: always, or unless it runs in real time;
+in real time the lateness is that of this computer.
+"""
+
+
+def clock_words(measure: str, record: RunRecord) -> str:
+    """Return a remark on a duration that was measured in simulated time; else an empty text."""
+    if record.simulated and measure in (*SIMULATED, *(() if record.realtime else PACED)):
+        return ", in simulated time"
+    return ""
+
+
+def _timing(part: str) -> Measured:
+    """Return the function that computes a statistic of a timing histogram, s; of the values of all
+    recordings, the worst counts.
+    """
+
+    def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
+        timings = [p.timing[part] for p in record.parts if p.timing]
+        values = [t.get(f"{statistic}_us") for t in timings if isinstance(t, Mapping)]
+        known = [float(v) for v in values if isinstance(v, int | float)]
+        return max(known) * 1e-6 if known and len(known) == len(values) else None
+
+    return measured
+
+
+def _count(*names: str) -> Measured:
+    def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
+        timings = [p.timing for p in record.parts if p.timing]
+        return float(sum(t[name] for t in timings for name in names)) if timings else None
+
+    return measured
+
+
+def _trace(of: Callable[[Recording], Array | None]) -> Measured:
+    """Return the function that computes rms or greatest magnitude of a signal over all
+    excitations.
+    """
+
+    def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
+        recordings = dataset.recordings if dataset else ()
+        traces = [trace for each in recordings if (trace := of(each)) is not None]
+        if not traces or len(traces) < len(recordings):
+            return None
+        every = np.concatenate(traces)
+        if statistic == "worst":
+            return float(np.max(np.abs(every)))
+        return float(np.sqrt(np.mean(np.square(every))))
+
+    return measured
+
+
+def _difference(
+    first: str, second: str, ratio: bool = False
+) -> Callable[[Recording], Array | None]:
+    def of(recording: Recording) -> Array | None:
+        one, other = recording.channels.get(first), recording.channels.get(second)
+        if one is None or other is None:
+            return None
+        return np.asarray((one / recording.bench.gear_ratio if ratio else one) - other)
+
+    return of
+
+
+QUANTITIES: Mapping[str, Measured] = {
+    "lateness": _timing("lateness"),
+    "answer": _timing("answer"),
+    "tracking error": _trace(_difference("command", "angle")),
+    "disagreement": _trace(_difference("motor_angle", "angle", ratio=True)),
+    "current": _trace(lambda recording: recording.channels.get("current")),
+    "temperature": _trace(lambda recording: recording.channels.get("temperature")),
+    "lost samples": _count("lost_servo", "lost_encoder"),
+    "missed SYNCs": _count("missed_syncs"),
+}
+"""Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES` but the torque
+error, which is a result of the identification.
+"""
