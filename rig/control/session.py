@@ -242,7 +242,8 @@ def _start_recording(
         _head(recorder, inputs, folder.record, identities)
     except StorageError as error:
         message = f"{error}; nothing was energised"
-        folder.record.parts[-1].state = Ending.FAILED.value
+        part = folder.record.parts[-1]
+        part.state, part.message = Ending.FAILED.value, message
         with suppress(StorageError):
             folder.ended(Ending.FAILED.value, message, de_energised=True)
         if recorder is not None:
@@ -375,13 +376,14 @@ def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
 def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> None:
     """Write the ending into the record; if there is no outcome, the program failed."""
     record.seconds += part.seconds
+    part.ended = utc_now().isoformat(timespec="seconds")
     if outcome is None:
         record.state, record.message = Ending.CRASHED.value, "the program failed"
-        part.state = record.state
+        part.state, part.message = record.state, record.message
         record.stage_ended(record.state)
         return
     record.state, record.message = outcome.ending.value, outcome.message
-    part.state = record.state
+    part.state, part.message = record.state, record.message
     record.stage_ended(record.state)
     record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
     if outcome.trip is not None:

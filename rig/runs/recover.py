@@ -195,7 +195,8 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     record.message = (
         last["message"] if last else f"the writer died; {record.cycles} samples recovered"
     )
-    record.parts[-1].state = record.state if last else DIED
+    part = record.parts[-1]
+    part.state, part.message = record.state if last else DIED, record.message
     short = [stage.name for stage in record.stages if stage.state != "done"]
     if record.state == Ending.DONE.value and short:
         record.state = Ending.FAILED.value

@@ -134,6 +134,8 @@ class PartRecord:
         seconds: Length of the recording, s.
         timing: Histograms of lateness and of the answers, missed SYNCs, lost samples, oldest
             sample.
+        ended: Date and time of the end, UTC; None if unknown.
+        message: How the recording ended, as text.
     """
 
     __pydantic_config__ = STRICT
@@ -148,6 +150,8 @@ class PartRecord:
     cycles: int = 0
     seconds: float = 0.0
     timing: Mapping[str, Any] = field(default_factory=dict)
+    ended: str | None = None
+    message: str = ""
 
 
 @dataclass

@@ -18,6 +18,7 @@ from rig.cli.entry import status
 from rig.common.errors import StorageError
 from rig.config.packaged import resolve
 from rig.control.progress import RunProgress
+from rig.results.acceptance import pdf
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder
 from rig.runs.run import load_run, read_record
@@ -328,6 +329,58 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
     assert 'failures="1"' in Path("out.xml").read_text()
     assert status(["runs", "accept", "out"]) == 1
     assert judged() == expected
+
+
+def test_the_certificate_states_a_stop_and_the_continuation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stopped_in_b(monkeypatch)
+    drawn: list[str] = []
+    write = pdf._Sheet.text
+
+    def note(self: Any, x: float, y: float, words: str, *rest: Any, **kept: Any) -> None:
+        drawn.append(words)
+        write(self, x, y, words, *rest, **kept)
+
+    monkeypatch.setattr(pdf._Sheet, "text", note)
+    given = limits("given.yaml", "lost samples < 1")
+    resume = ["resume", "out", "--yes", "--operator", "Bob", "--acceptance", given]
+    assert status(resume) == 0
+    first, second = read_record(Path("out")).parts
+    page = Path("out/certificate.html").read_text()
+    on_paper = " ".join(drawn)
+    for shown in (page, on_paper):
+        for words in ("Course of the run", "continued", "Ann", "Bob"):
+            assert words in shown
+        for stamp in (first.created, first.ended, second.created, second.ended):
+            assert stamp is not None
+            assert stamp[:19].replace("T", " ") in shown
+    assert "phase excite: stopped by the operator; the drive is de-energised" in page
+    assert "phase excite: stopped by the" in on_paper
+    assert "<dd>1 (stopped); continued 1 time; see Course of the run</dd>" in page
+    html = Path("out/run.html").read_text()
+    assert "<p>stopped: stage b, phase excite: stopped by the operator;" in html
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_certificate_of_a_run_without_a_stop_says_so() -> None:
+    assert start("--acceptance", limits("given.yaml", "lost samples < 1")) == 0
+    page = Path("out/certificate.html").read_text()
+    assert "<dt>interruptions</dt><dd>none</dd>" in page
+    assert "Course of the run" not in page
+
+
+def test_a_record_without_the_ends_of_its_recordings_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stopped_in_b(monkeypatch)
+    path = Path("out/run.json")
+    raw = json.loads(path.read_text())
+    for name in ("ended", "message"):
+        del raw["parts"][0][name]
+    path.write_text(json.dumps(raw))
+    (part,) = read_record(Path("out")).parts
+    assert (part.ended, part.message) == (None, "")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -15,7 +15,7 @@ from rig.results.acceptance.evidence import Evidence
 from rig.results.acceptance.figure import overview
 from rig.results.acceptance.judge import Check, accepted
 from rig.results.document import Picture, Table
-from rig.runs.run_record import RunRecord
+from rig.runs.run_record import Ending, RunRecord
 
 FRICTION_FIGURE = "figures/stribeck_default.png"
 """Name of the figure that shows the result of an identified run."""
@@ -31,6 +31,8 @@ class Certificate:
         accepted: Whether the run is accepted.
         facts: Name and value of each fact on run, bench, time and operator.
         checks: Limits, found values and verdicts.
+        course: Recordings of a run that was interrupted, with its stops and continuations; None
+            for a run without an interruption.
         constants: Identified constants, or None if no limit is on a constant.
         masses: Stages with their masses.
         devices: Identities of the devices.
@@ -44,6 +46,7 @@ class Certificate:
     accepted: bool
     facts: tuple[tuple[str, str], ...]
     checks: Table
+    course: Table | None
     constants: Table | None
     masses: Table
     devices: Table
@@ -86,6 +89,7 @@ def make_certificate(
             tuple((c.limit, c.words, "passed" if c.passed else "FAILED") for c in checks),
             (),
         ),
+        _course(record),
         _constants(evidence),
         _masses(evidence),
         _devices(record),
@@ -100,11 +104,47 @@ def _facts(folder: Path, bench: str, record: RunRecord) -> Iterator[tuple[str, s
     operators = [part.operator for part in record.parts if part.operator]
     yield "bench", f"{bench} ({'SIMULATED' if record.simulated else 'REAL BENCH'})"
     yield "sequence", record.name
-    yield "begun", record.created.replace("T", " ").replace("+00:00", " UTC")
+    yield "begun", f"{_moment(record.created)} UTC"
     yield "operator", ", ".join(dict.fromkeys(operators)) or record.operator or "not given"
     yield "run folder", folder.resolve().name
     yield "recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"
     yield "ended", record.state
+    yield "interruptions", _interruptions(record)
+
+
+def _moment(stamp: str | None) -> str:
+    return stamp.replace("T", " ").replace("+00:00", "") if stamp else "not recorded"
+
+
+def _interruptions(record: RunRecord) -> str:
+    """Return how often the run was interrupted, and whether it was continued, as text."""
+    ends = [part.state for part in record.parts if part.state != Ending.DONE.value]
+    if not ends:
+        return "none"
+    times = len(record.parts) - 1
+    continued = (
+        f"continued {times} {'time' if times == 1 else 'times'}" if times else "not continued"
+    )
+    return f"{len(ends)} ({', '.join(ends)}); {continued}; see Course of the run"
+
+
+def _course(record: RunRecord) -> Table | None:
+    """Return when each recording began and ended, and how; None for a run without an
+    interruption.
+    """
+    if len(record.parts) == 1 and record.parts[0].state == Ending.DONE.value:
+        return None
+    rows = tuple(
+        (
+            "continued" if number else "begun",
+            _moment(part.created),
+            _moment(part.ended),
+            part.operator or "not given",
+            part.message or part.state,
+        )
+        for number, part in enumerate(record.parts)
+    )
+    return Table(("recording", "from, UTC", "to, UTC", "operator", "how it ended"), rows, ())
 
 
 def _constants(evidence: Evidence) -> Table | None:

@@ -154,6 +154,8 @@ def _drawn(it: Certificate, row_mm: float) -> _Sheet:
     sheet.text(x, sheet.y, it.title, 15.0, weight="bold")
     y = _top(sheet, it, x, sheet.y + 9.0, half)
     y = sheet.table(x, sheet.heading(x, y, "Limits"), width, it.checks)
+    if it.course is not None:
+        y = sheet.table(x, sheet.heading(x, y, "Course of the run"), width, it.course)
     ends = [y]
     if it.constants is not None:
         ends.append(sheet.table(x, sheet.heading(x, y, "Constants"), half, it.constants))

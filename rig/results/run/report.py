@@ -101,10 +101,11 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     yield from _part("the weight checks", lambda: _weights(record))
     for number, (part, recorded) in enumerate(zip(record.parts, recordings, strict=True), start=1):
         yield f"<h2>Recording {number}: {escape(part.file)}</h2>"
-        yield (
-            f"<p>{escape(part.state)}, {part.cycles} cycles, begun "
-            f"{escape(_date(part.created))}</p>"
+        times = f"begun {_date(part.created)}" + (
+            f", ended {_date(part.ended)}" if part.ended else ""
         )
+        how = f"{part.state}: {part.message}" if part.message else part.state
+        yield f"<p>{escape(f'{how}; {part.cycles} cycles, {times}')}</p>"
         yield from _part("the traces", partial(_drawn, recorded, whole))
         if part.timing:
             yield from _part("the timing", partial(_timing, part.timing, record))
