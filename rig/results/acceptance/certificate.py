@@ -112,8 +112,16 @@ def _facts(folder: Path, bench: str, record: RunRecord) -> Iterator[tuple[str, s
     yield "interruptions", _interruptions(record)
 
 
-def _moment(stamp: str | None) -> str:
-    return stamp.replace("T", " ").replace("+00:00", "") if stamp else "not recorded"
+def _moment(stamp: str) -> str:
+    return stamp.replace("T", " ").replace("+00:00", "")
+
+
+def _period(begun: str, ended: str | None) -> str:
+    """Return start and end of a recording; the date of the end only if it is another date."""
+    if ended is None:
+        return f"{_moment(begun)}, end not recorded"
+    date, _, time = _moment(ended).partition(" ")
+    return f"{_moment(begun)} to {time if begun.startswith(date) else _moment(ended)}"
 
 
 def _interruptions(record: RunRecord) -> str:
@@ -137,14 +145,13 @@ def _course(record: RunRecord) -> Table | None:
     rows = tuple(
         (
             "continued" if number else "begun",
-            _moment(part.created),
-            _moment(part.ended),
+            _period(part.created, part.ended),
             part.operator or "not given",
             part.message or part.state,
         )
         for number, part in enumerate(record.parts)
     )
-    return Table(("recording", "from, UTC", "to, UTC", "operator", "how it ended"), rows, ())
+    return Table(("recording", "time, UTC", "operator", "how it ended"), rows, ())
 
 
 def _constants(evidence: Evidence) -> Table | None:

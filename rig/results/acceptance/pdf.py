@@ -27,6 +27,8 @@ _CHARACTER = 0.52
 """Ratio of the mean width of a character to the text size."""
 _ABOVE = 0.2
 """Ratio of the space above the text of a row to the height of the row."""
+_GAP = 2
+"""Least number of characters between two columns."""
 _DIGEST = 64
 _GOOD, _BAD, _INK, _SOFT, _RULE = "#00713d", "#b00020", "#000000", "#444444", "#bbbbbb"
 _BACK = {True: "#eef8f1", False: "#fdf0f0"}
@@ -105,7 +107,7 @@ class _Sheet:
         return [
             [cell]
             if len(cell) == _DIGEST
-            else textwrap.wrap(cell, max(6, int(share * width * per_mm))) or [""]
+            else textwrap.wrap(cell, max(6, int(share * width * per_mm) - _GAP)) or [""]
             for cell, share in zip(row, shares, strict=True)
         ]
 
@@ -119,7 +121,7 @@ def _shares(cells: Table) -> list[float]:
     column.
     """
     longest = [
-        min(70, max(5, *(len(row[i]) for row in (cells.header, *cells.rows))))
+        _GAP + min(70, max(5, *(len(row[i]) for row in (cells.header, *cells.rows))))
         for i in range(len(cells.header))
     ]
     return [each / sum(longest) for each in longest]
