@@ -1,10 +1,14 @@
 """Follows one run: reads its state from its answers on the control socket, its record and its
-recording.
+recordings.
+
+A continued run has several recordings. All are read, one after the other, so that a page keeps the
+charts and events of the time before a stop.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Mapping
@@ -51,7 +55,8 @@ class Followed:
         gone: Whether the program of the run is gone.
         record: ``run.json``, or None until this file exists.
         events: Number and text of the newest events.
-        decimation: Minima and maxima of the channels.
+        decimation: Minima and maxima of the channels, over the recorded time of all recordings.
+        continued_s: Starts of the recordings after the first, on the time axis of the charts, s.
         torque_speed: Points of torque against speed.
         curves: Friction curves of the newest identification.
         values: Latest value of each channel, or None if it is not known.
@@ -76,11 +81,14 @@ class Followed:
         self.values: list[float | None] = [None] * len(CHANNELS)
         self.drive = "not read yet"
         self.trouble: str | None = None
+        self.continued_s: list[float] = []
         self._channels = channel_records(about)
         self._answers = 0
         self._stamp: tuple[int, int] | None = None
         self._masses: object = None
-        self._growing: tuple[str, Growing] | None = None
+        self._growing: Growing | None = None
+        self._part = self._parts = 0
+        self._offset_s = 0.0
         self._count = 0
 
     @property
@@ -99,6 +107,11 @@ class Followed:
         writes the page of the run.
         """
         return self.gone or not os.path.exists(self.path)
+
+    @property
+    def begun(self) -> str | None:
+        """Start of the newest recording of this program, UTC; None until it is known."""
+        return self.record.parts[self._parts - 1].created if self.record and self._parts else None
 
     def parts(self) -> dict[str, tuple[object, Any]]:
         """Return version and JSON value of the parts of the run that a page shows, by name."""
@@ -144,6 +157,9 @@ class Followed:
         except (OSError, InputError):
             return
         self.record, self._stamp = record, stamp
+        if not self._parts or not self.closed:
+            # Later recordings are those of another program, which continues the run.
+            self._parts = len(record.parts)
         masses = [stage.confirmed_kg for stage in record.stages]
         if masses != self._masses:
             self._masses = masses
@@ -152,28 +168,50 @@ class Followed:
     def _read_recording(self) -> bool:
         if self.record is None:
             return False
-        file = self.record.parts[-1].file
-        if self._growing is None or self._growing[0] != file:
-            self._growing = (file, Growing(self.folder / file))
+        if self._growing is None:
+            self._growing = Growing(self.folder / self.record.parts[self._part].file)
         try:
-            news = self._growing[1].read()
+            news = self._growing.read()
         except FileNotFoundError:
-            return False
+            return self._next_recording()
         except (OSError, DamageError, json.JSONDecodeError) as error:
             self.trouble = f"the recording cannot be read: {error}"
-            return False
+            return self._next_recording()
         self._take(news)
-        return news.more
+        return news.more or self._next_recording()
+
+    def _next_recording(self) -> bool:
+        """Continue with the next recording, if there is one; return whether there is one.
+
+        On the time axis the next recording begins at a whole second, at least a second after the
+        end of the recording before, so that the charts have a gap.
+        """
+        if self._part + 1 >= self._parts:
+            return False
+        self._part += 1
+        self._growing = None
+        self._offset_s = float(math.ceil(self.decimation.latest_s + 1.0))
+        self.continued_s.append(self._offset_s)
+        self.drive = "not read yet"
+        words = f"recording {self._part + 1} begins: the run is continued"
+        self._note(f"{self._offset_s:.1f} s  {words}")
+        return True
+
+    def _note(self, words: str) -> None:
+        self._count += 1
+        self.events.append((self._count, words))
+        del self.events[:-EVENTS]
 
     def _take(self, news: News) -> None:
         for event in news.events:
-            self._count += 1
-            self.events.append((self._count, event_words(event)))
-        del self.events[:-EVENTS]
+            time_s = event.get("time")
+            if isinstance(time_s, int | float):
+                event = {**event, "time": time_s + self._offset_s}
+            self._note(event_words(event))
         if not news.samples:
             return
         values = shown(news.samples, self.about)
-        self.decimation.add(news.samples["time"], values)
+        self.decimation.add(news.samples["time"] + self._offset_s, values)
         self.torque_speed.add(news.samples, self.about["torque_per_ampere"])
         # JSON has no NaN.
         self.values = [None if v != v else round(v, 5) for v in values[:, -1].tolist()]

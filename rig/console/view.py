@@ -123,6 +123,7 @@ class View:
                 "first": found.first,
                 "count": count,
                 "latest_s": decimation.latest_s,
+                "continued_s": run.continued_s,
             }
         ).encode()
         head += b" " * (-len(head) % 4)
@@ -139,7 +140,7 @@ def _listed(run: Followed) -> dict[str, Any]:
         "real": about["real"],
         "over": run.over,
         "folder": run.folder.name,
-        "begun": None if run.record is None else run.record.parts[-1].created,
+        "begun": run.begun,
     }
 
 

@@ -47,6 +47,7 @@ export class Charts {
     this.interval = 1;
     this.window = 30;
     this.latest = 0;
+    this.continued = [];
   }
 
   // Builds one chart for each channel.
@@ -106,7 +107,7 @@ export class Charts {
         { stroke: colour("--chart"), width: 1, points: { show: false } },
         { stroke: colour("--chart"), width: 1, points: { show: false } }],
       bands: [{ series: [2, 1], fill: colour("--chart") }],
-      hooks: { draw: [(plot) => drawLimits(plot, channel)] },
+      hooks: { draw: [(plot) => drawLimits(plot, channel), (plot) => drawContinued(plot, this.continued)] },
     };
   }
 
@@ -135,6 +136,7 @@ export class Charts {
     if (this.low.length !== channels) return;
     this.interval = head.interval_s;
     this.latest = head.latest_s;
+    this.continued = head.continued_s;
     this.window = window || Math.max(head.latest_s, 1);
     const keep = Math.ceil(this.window / this.interval) + 2;
     const start = head.first - this.first;
@@ -225,6 +227,27 @@ function drawLimits(plot, channel) {
     ctx.lineTo(bbox.left + bbox.width, y);
     ctx.stroke();
     ctx.fillText("limit", bbox.left + 4, y - 3);
+  }
+  ctx.restore();
+}
+
+// A line where a continued run begins again, on the time axis of all recordings.
+function drawContinued(plot, times) {
+  const { ctx, bbox } = plot;
+  ctx.save();
+  ctx.strokeStyle = colour("--ink");
+  ctx.fillStyle = colour("--ink");
+  ctx.lineWidth = devicePixelRatio;
+  ctx.font = `${11 * devicePixelRatio}px sans-serif`;
+  for (const time of times) {
+    if (time < plot.scales.x.min || time > plot.scales.x.max) continue;
+    const x = plot.valToPos(time, "x", true);
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.textAlign = x > bbox.left + bbox.width / 2 ? "right" : "left";
+    ctx.fillText(" continued ", x, bbox.top + 11 * devicePixelRatio);
   }
   ctx.restore();
 }

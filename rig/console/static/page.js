@@ -402,4 +402,4 @@ addEventListener("keyup", (event) => {
 }, { capture: true });
 
 // Content of the charts, for tests and for the browser's console.
-window.rigConsole = { extremes: () => charts.extremes() };
+window.rigConsole = { extremes: () => charts.extremes(), continued: () => charts.continued };

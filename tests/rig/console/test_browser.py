@@ -220,6 +220,14 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     page.press("#mass", "Enter")
     expect(page.locator("#ending")).to_contain_text("all 2 stages done")
     expect(page.locator("#resume")).to_be_hidden()
+    # Events and charts of the time before the stop are kept, and the continuation is marked.
+    events = page.locator("#events")
+    expect(events).to_contain_text("recording 2 begins: the run is continued")
+    expect(events).to_contain_text("empty: pause; the drive is off")
+    page.select_option("#window", "0")
+    page.locator("#chart-angle").scroll_into_view_if_needed()
+    wait_until(lambda: page.evaluate("window.rigConsole.continued()"))
+    shoot(page, "continued")
     # Judged at its end, as its sequence states limits.
     expect(page.locator("#judged")).to_contain_text("Verdict: accepted")
     expect(page.locator("#recorded")).to_contain_text("accepted")
