@@ -294,8 +294,31 @@ def test_a_phone_in_the_dark_and_without_the_token(
     expect(mine.locator("#chart-angle .chart-now")).to_contain_text("% of the limit")
     require_accessible(mine)
     shoot(mine, "phone")
+    require_low_bar(mine)
+    mine.set_viewport_size({"width": 390, "height": 844})
     mine.tap("#stop")
     expect(mine.locator("#ending")).to_contain_text("read back")
+
+
+LONGEST = "Refused: 30.6 kg is not the planned 20 kg; hang the planned mass, or type it again"
+
+
+def require_low_bar(page: Page) -> None:
+    """Check that the bar with STOP takes at most a quarter of a phone's screen, upright and on its
+    side, with two lines of message, and that STOP is whole and large enough to be hit.
+    """
+    page.evaluate("words => { document.getElementById('outcome').textContent = words; }", LONGEST)
+    for width, height in ((390, 664), (360, 640), (844, 390)):
+        page.set_viewport_size({"width": width, "height": height})
+        bar, stop = page.locator("#bar").bounding_box(), page.locator("#stop").bounding_box()
+        assert bar is not None
+        assert stop is not None
+        assert bar["height"] <= 0.25 * height
+        assert stop["height"] >= 56.0
+        assert stop["width"] >= 0.5 * width
+        expect(page.locator("#stop")).to_be_in_viewport(ratio=1)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        shoot(page, f"phone-bar-{width}x{height}")
 
 
 def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
