@@ -77,7 +77,8 @@ def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     limits, source = stated_limits(folder, None)
     if not limits:
         return DONE
-    click.echo(f"acceptance: {len(limits)} limits; this may take a minute")
+    count = f"{len(limits)} acceptance {'limit' if len(limits) == 1 else 'limits'}"
+    click.echo(f"The run is judged by {count}; this may take a minute.")
     try:
         found = accept_run(folder, limits, source, junit_file)
     except KeyboardInterrupt:

@@ -94,8 +94,9 @@ def summary(timing: Mapping[str, Any]) -> str:
     if late["p99_us"] is None or answer["p99_us"] is None:
         return "no cycle was completed"
     return (
-        f"lateness p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer p99 "
-        f"{answer['p99_us']:.0f} us; "
-        f"{timing['missed_syncs']} SYNCs missed, samples lost: {timing['lost_servo']} drive, "
-        f"{timing['lost_encoder']} encoder; oldest {timing['oldest_sample_s'] * 1e3:.3g} ms"
+        f"lateness of cycles p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer "
+        f"of the devices p99 {answer['p99_us']:.0f} us; "
+        f"{timing['missed_syncs']} SYNCs missed; samples lost: "
+        f"{timing['lost_servo']} of the drive, {timing['lost_encoder']} of the encoder; "
+        f"oldest sample {timing['oldest_sample_s'] * 1e3:.3g} ms"
     )

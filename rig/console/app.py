@@ -186,7 +186,7 @@ class Console:
         self._hub.controls.take(page)
         if before is not None and before is not page:
             self._hub.note(f"{page.name} took the controls from {before.name}")
-        return {"words": "this page holds the controls"}
+        return {"words": "This page now holds the controls"}
 
     async def _dry_run(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         self._require_controls(page)
@@ -198,7 +198,7 @@ class Console:
         folder = self._hub.starter.start(str(message.get("shown")), typed)
         assert page is not None
         self._hub.follow_up(page, Path(os.path.abspath(folder)))
-        return {"words": f"started; the run folder is {folder}"}
+        return {"words": f"The run was started; its folder is {folder}"}
 
     async def _resume(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         self._require_controls(page)
@@ -213,7 +213,7 @@ class Console:
         self._hub.starter.resume(run.about, typed, operator)
         assert page is not None
         self._hub.follow_up(page, run.folder)
-        return {"words": "the run continues at its first unfinished stage"}
+        return {"words": "Started again: the run continues at its first unfinished stage"}
 
     async def _compare(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         _in_contact(page)

@@ -8,17 +8,19 @@ from typing import Any
 _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "prompt": lambda e: f"{e['stage']}: the operator is asked for the weight; the drive is off",
     "answer": lambda e: f"{e['stage']}: {e['weight_kg']:g} kg confirmed",
-    "repeat": lambda e: f"{e['stage']}: begins again",
+    "repeat": lambda e: f"{e['stage']}: the stage will be repeated",
     "stage start": lambda e: f"{e['stage']}: the stage begins",
     "first pass": lambda e: f"{e['stage']}: first pass at {100 * e['amplitude']:.0f} % amplitude",
     "weight check": lambda e: f"{e['stage']}: weight check: {e['verdict']}. {e['message']}",
     "segment": lambda e: f"{e['stage']}: excitation {e['number']} begins",
     "stage end": lambda e: f"{e['stage']}: the stage is done; the drive is off",
     "paused": lambda e: f"{e['stage']}: pause; the drive is off",
-    "go on": lambda e: f"{e['stage']}: the run goes on",
-    "abort": lambda e: f"{e['stage']}: aborted",
+    "go on": lambda e: f"{e['stage']}: the run continues",
+    "abort": lambda e: f"{e['stage']}: the operator aborted the run",
     "ignition": lambda e: f"{e['stage']}: ignition",
-    "fault reset": lambda e: f"{e['stage']}: the fault of the drive is cleared; it is still off",
+    "fault reset": lambda e: (
+        f"{e['stage']}: the fault of the drive is cleared; the drive is still off"
+    ),
 }
 
 

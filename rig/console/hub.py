@@ -77,8 +77,8 @@ class Hub:
     def scope(self) -> str:
         """Description of the runs that are shown, by user and bench."""
         if self._only:
-            return f"live runs of your user on {', '.join(sorted(self._only))}"
-        return "live runs of your user on any bench"
+            return f"shows the runs of your user on {', '.join(sorted(self._only))}"
+        return "shows the runs of your user on any bench"
 
     def run_of(self, page: Page) -> Followed | None:
         """Return the run that a page shows: the run that the user chose, else the run that was

@@ -107,9 +107,10 @@ class AutomaticOperator:
         control = self._control
         if control is not None:
             control.begin(Topic.PAUSE)
+        page = "" if control is None else "press `Go on` on the page of `rig console`, or "
         self.tell(
-            f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press "
-            f"Ctrl-C to stop"
+            f"Paused after stage {stage}; the drive is off. To continue, {page}send SIGUSR1; to "
+            "stop the run, press Ctrl-C."
         )
         if control is not None:
             control.ask(_PAUSE_QUESTION)
@@ -180,13 +181,13 @@ class ConsoleOperator(AutomaticOperator):
         if self._control is not None:
             self._control.begin(Topic.WEIGHT)
         action = (
-            "Hang the weight that is planned for it"
+            "Hang the weight that is planned for this stage"
             if weight_kg
             else "Take every weight off the lever"
         )
         self.tell(
-            f"Stage {stage}: the drive is off. {action}, and let it come to rest. No hurry: this "
-            f"is a pause."
+            f"Stage {stage}: the drive is off. {action}, and wait until the lever is at rest. "
+            f"The run waits for your answer."
         )
         self.tell(
             "Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`."

@@ -206,7 +206,7 @@ class ControlSocket:
             return None
         if order.command in (Command.PAUSE, Command.NO_PAUSE):
             self._stop.pausing = order.command is Command.PAUSE
-            what = "pause requested" if self._stop.pausing else "no pause"
+            what = "pause requested" if self._stop.pausing else "pause cancelled"
             self._note(f"{what}, by {who}")
             return None
         prompt = self._state["prompt"]

@@ -38,7 +38,7 @@ PAUSE_SIGNAL = getattr(signal, "SIGUSR1", None)
 PAUSE_ASKED = (
     "pause requested: at the end of this stage, with the drive off; SIGUSR1 again cancels the pause"
 )
-PAUSE_ENDED = "no pause"
+PAUSE_ENDED = "pause cancelled"
 
 
 class OperatorStopError(Exception):

@@ -95,7 +95,7 @@ def test_a_run(short_sequence: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run(str(short_sequence), "--yes", "--out", "out", "--json", "copy.json") == 0
     text = capsys.readouterr().out
     assert "done: all 2 stages done; the drive is de-energised" in text
-    assert "\nin simulated time: lateness p99 0 us" in text
+    assert "\nin simulated time: lateness of cycles p99 0 us" in text
     record = read_record(Path("out"))
     assert (record.state, record.de_energised, record.overruns, record.stale) == (
         "done",

@@ -138,7 +138,7 @@ def test_a_pause_is_asked_for_and_taken_back() -> None:
     assert told == [
         "pause requested: at the end of this stage, with the drive off; SIGUSR1 again cancels "
         "the pause",
-        "no pause",
+        "pause cancelled",
     ]
 
 

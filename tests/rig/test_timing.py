@@ -90,7 +90,6 @@ def test_a_summary_states_every_loss() -> None:
     timing.answer.note(700_000)
     timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s = 3, 2, 1, 0.999
     assert summary(timing.record()) == (
-        "lateness p99 130 us, worst 130 us; answer p99 700 us; 3 SYNCs missed, samples lost: 2 "
-        "drive, 1 encoder; "
-        "oldest 999 ms"
+        "lateness of cycles p99 130 us, worst 130 us; answer of the devices p99 700 us; "
+        "3 SYNCs missed; samples lost: 2 of the drive, 1 of the encoder; oldest sample 999 ms"
     )

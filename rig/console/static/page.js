@@ -117,7 +117,7 @@ function going() {
 function showRuns() {
   const select = at("runs");
   const wanted = select.value;
-  const options = [new Option(state.own ? "run of this page" : "newest", "")]
+  const options = [new Option(state.own ? "run of this page" : "newest run", "")]
     .concat((state.runs || []).map((run) => new Option(runWords(run), run.key)));
   select.replaceChildren(...options);
   select.value = options.some((option) => option.value === wanted) ? wanted : "";
@@ -226,8 +226,8 @@ function showJudged() {
   const run = state.run && state.status?.ended ? recorded.of(state.about?.folder) : null;
   const line = at("judged");
   line.hidden = !run || !run.pages.length;
-  const none = !state.about?.judged ? "none, as no limits are stated"
-    : state.status?.ended?.good ? "not judged yet" : "none before all stages are done";
+  const none = !state.about?.judged ? "none, because no acceptance limits are stated"
+    : state.status?.ended?.good ? "not known yet; the run is being judged" : "none; the run is judged when all stages are done";
   const known = JSON.stringify(run && [run.folder, run.verdict, run.pages, none]);
   if (line.hidden || line.dataset.known === known) return;
   line.dataset.known = known;

@@ -21,7 +21,7 @@ export function setUpStart(link, say, started) {
     event.preventDefault();
     hide();
     at("dry-run").disabled = true;
-    say("The dry run is computed");
+    say("The console computes the dry run");
     const answer = await link.post("/dry-run", {
       bench: at("start-bench").value,
       sequence: at("start-own").value.trim() || at("start-sequence").value,

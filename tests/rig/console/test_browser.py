@@ -212,7 +212,9 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     # A stop is carried out however late it is.
     late_click(page, "stop")
     expect(page.locator("#ending")).to_contain_text("phase between stages: stopped by the operator")
-    expect(page.locator("#judged")).to_contain_text("Verdict: none before all stages are done")
+    expect(page.locator("#judged")).to_contain_text(
+        "Verdict: none; the run is judged when all stages are done"
+    )
     assert ended(where, before + 2)["de_energised"]
     page.click("#resume")
     expect(page.locator("#told")).to_contain_text("Stage heavy: the drive is off")

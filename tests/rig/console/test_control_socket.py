@@ -107,7 +107,7 @@ def test_pause_is_asked_for_and_taken_back(bound: Bound) -> None:
     assert bound.stop.pausing
     assert bound.sent(bound.peer.order("no pause"))["taken"]
     assert not bound.stop.pausing
-    assert bound.said == ["pause requested, by a test"] * 2 + ["no pause, by a test"]
+    assert bound.said == ["pause requested, by a test"] * 2 + ["pause cancelled, by a test"]
 
 
 @pytest.mark.parametrize("data", [b"\x00", b"[]", b"{" + b" " * LONGEST_BYTES + b"}", b"{}"])
@@ -261,8 +261,11 @@ def test_verbs_of_a_pause(bound: Bound, screen: Screen, verb: Verb) -> None:
 def test_a_pause_of_a_run_without_prompts_can_be_answered(bound: Bound, screen: Screen) -> None:
     bound.stop.pause()
     Answers(bound, "nonsense", "repeat")
+    told: list[str] = []
+    bound.control.tell = told.append  # type: ignore[method-assign]
     found = AutomaticOperator(screen=screen, control=bound.control).paused("empty", bound.stop)
     assert found is Verb.REPEAT
+    assert "To continue, press `Go on` on the page of `rig console`, or send SIGUSR1" in told[0]
 
 
 @pytest.mark.parametrize("typed", [b"30.6\n", b""])

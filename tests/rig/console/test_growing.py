@@ -63,6 +63,12 @@ def test_events_are_told_in_words() -> None:
     assert event_words({"time": 1.25, "event": "answer", "stage": "heavy", "weight_kg": 30.6}) == (
         "1.2 s  heavy: 30.6 kg confirmed"
     )
+    assert event_words({"time": 3.0, "event": "repeat", "stage": "heavy"}) == (
+        "3.0 s  heavy: the stage will be repeated"
+    )
+    assert event_words({"time": 4.0, "event": "abort", "stage": "heavy"}) == (
+        "4.0 s  heavy: the operator aborted the run"
+    )
     assert event_words({"time": 2, "event": "stopped", "message": "by the operator"}) == (
         "2.0 s  stopped: by the operator"
     )
