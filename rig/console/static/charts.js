@@ -23,8 +23,10 @@ export function limitWords(channel) {
 }
 
 export class Charts {
-  constructor(holder) {
+  // `widened` is called when the width of the charts has changed, also when they are first shown.
+  constructor(holder, widened) {
     this.holder = holder;
+    this.width = holder.clientWidth;
     this.list = [];
     this.signature = "";
     this.reset();
@@ -37,7 +39,12 @@ export class Charts {
       this.draw();
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
-    addEventListener("resize", () => this.resize());
+    new ResizeObserver(() => {
+      if (holder.clientWidth === this.width) return;
+      this.width = holder.clientWidth;
+      this.resize();
+      widened();
+    }).observe(holder);
   }
 
   reset() {

@@ -22,7 +22,7 @@ let answered = null; // prompt that this page answered, until its answer is know
 let unconfirmed = null; // key of the run that has not confirmed STOP
 let starting = false; // whether a run was started and is not found yet
 
-const charts = new Charts(at("charts"));
+const charts = new Charts(at("charts"), ask);
 const friction = new Friction(at("friction"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
 const start = setUpStart(link, say, awaitRun);
@@ -266,6 +266,7 @@ function showPrompt() {
   if (box.dataset.number !== String(prompt.number)) {
     box.dataset.number = String(prompt.number);
     at("mass").value = "";
+    if (!weight) say("The run is paused; the drive is off", state.run);
   }
 }
 
@@ -291,8 +292,10 @@ function showControls() {
   const on = mine && going() && !status.stopping;
   at("pause").hidden = may && !mine;
   at("pause").disabled = !on || Boolean(status?.prompt);
-  at("pause").setAttribute("aria-pressed", String(Boolean(status?.pausing)));
-  at("pause").textContent = status?.pausing ? "Cancel the requested pause"
+  const paused = going() && status.prompt?.topic === "pause";
+  const asked = going() && status.pausing && !paused;
+  at("pause").setAttribute("aria-pressed", String(asked));
+  at("pause").textContent = paused ? "Paused" : asked ? "Cancel the requested pause"
     : "Pause at the end of the stage";
   at("resume").disabled = !mine || !state.live?.closed;
   for (const id of ["mass", "go-on", "repeat", "abort"]) at(id).disabled = !on;
@@ -384,7 +387,6 @@ at("take").addEventListener("click", async () => {
 });
 at("runs").addEventListener("change", ask);
 at("window").addEventListener("change", ask);
-addEventListener("resize", () => ask());
 document.addEventListener("visibilitychange", () => charts.draw());
 
 function isSpaceOfStop(event) {

@@ -83,6 +83,13 @@ def opened(browser: Browser, console: Served) -> Iterator[Callable[..., Page]]:
     assert not errors
 
 
+CHART_SHARE = """() => {
+    const place = document.querySelector("#chart-angle [role=img]");
+    return place.querySelector(".uplot").clientWidth / place.clientWidth;
+}"""
+"""Share of the width of its place that a chart takes."""
+
+
 def shoot(page: Page, name: str) -> None:
     folder = os.environ.get("CONSOLE_SHOTS")
     if folder:
@@ -154,6 +161,8 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     expect(page.locator("#pause")).to_have_text("Cancel the requested pause")
     expect(page.locator("#told")).to_contain_text("Paused after stage empty; the drive is off")
     expect(page.locator("#go-on")).to_be_visible()
+    expect(page.locator("#pause")).to_have_text("Paused")
+    expect(page.locator("#outcome")).to_have_text("The run is paused; the drive is off")
     shoot(page, "pause")
     page.click("#repeat")
     expect(page.locator("#told")).to_contain_text("Stage empty: the drive is off")
@@ -166,6 +175,8 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     page.press("#mass", "Enter")
     in_phase(page, "excite")
     wait_until(lambda: drawn(page) > 3.0)
+    # The charts are drawn over their whole width, although they were hidden at first.
+    wait_until(lambda: page.evaluate(CHART_SHARE) > 0.95)
     expect(page.locator("#limits-when")).to_have_text("Now")
     second = opened()
     expect(second.locator("#holder")).to_contain_text("holds the controls; STOP works on this page")
@@ -216,6 +227,8 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
         "Verdict: none; the run is judged when all stages are done"
     )
     assert ended(where, before + 2)["de_energised"]
+    # The pause that was requested has ended with the run.
+    expect(page.locator("#pause")).to_have_text("Pause at the end of the stage")
     page.click("#resume")
     expect(page.locator("#told")).to_contain_text("Stage heavy: the drive is off")
     page.fill("#mass", "20")
