@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.amt21.encoder import Amt21Encoder
+from drivers.errors import LinkError
 from drivers.interfaces import Link, RawFrame
 from drivers.port_errors import close_all
 
@@ -13,7 +14,8 @@ class EncoderLink(Link):
     """A servo's link combined with the line of an encoder.
 
     Each cycle sends the request to the encoder first, or at the instant at which the values of the
-    servo hold, and receives its answer last.
+    servo hold, and receives its answer last. The servo's exchange is made even if the line of the
+    encoder has failed.
 
     Args:
         servo_link: The link of the servo, on the same clock.
@@ -34,6 +36,7 @@ class EncoderLink(Link):
         self._encoder = encoder
         self._line = encoder.line
         self._asked = True
+        self._failure: LinkError | None = None
         self._first = at_instant is None
         if at_instant is not None:
             at_instant(self._ask)
@@ -66,20 +69,25 @@ class EncoderLink(Link):
             DriveFault: A device sent an emergency message.
         """
         began_ns = self.clock.now_ns()
-        self._asked = False
+        self._asked, self._failure = False, None
         if self._first:
             self._ask()
         self._servo_link.exchange()
         # After a lost answer of the servo no time of this cycle may be left.
         since_ns = began_ns if self._asked else None
         self._ask()
+        if self._failure is not None:
+            raise self._failure
         self._encoder.collect(since_ns)
 
     def _ask(self) -> None:
-        """Ask the encoder, once in a cycle."""
+        """Ask the encoder, once in a cycle; store the error of a failed line."""
         if not self._asked:
             self._asked = True
-            self._encoder.ask()
+            try:
+                self._encoder.ask()
+            except LinkError as error:
+                self._failure = error
 
     def take_frames(self) -> list[RawFrame]:
         """Return the frames of link and line since the last call, oldest first."""

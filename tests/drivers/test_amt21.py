@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, PlausibilityGate, decode, encode
 from drivers.amt21.line import Amt21Line
 from drivers.errors import ConfigurationError, LinkError
+from drivers.interfaces import ServoState
 from drivers.mock.amt21 import RESTART_S
 from drivers.units import EncoderScales
 
@@ -253,3 +254,19 @@ def test_another_resolution_is_refused(host: SerialHost) -> None:
         ConfigurationError, match="has 16384 counts per turn, but the bench file states 4096"
     ):
         Amt21Encoder(line, EncoderScales(4096), GATE)
+
+
+def test_the_servo_exchanges_its_values_although_the_line_of_the_encoder_is_gone(
+    host: SerialHost,
+) -> None:
+    live(host)
+
+    def gone(_data: bytes) -> None:
+        raise OSError(5, "gone")
+
+    host.encoder_line.write = gone  # type: ignore[method-assign]
+    host.servo.quick_stop(at_once=False)
+    with pytest.raises(LinkError, match="gone"):
+        host.cycles(1)
+    assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
+    assert host.servo.sample().fresh
