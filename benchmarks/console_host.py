@@ -122,7 +122,7 @@ def host(bench_name: str, count: int, realtime: bool, log: bool) -> None:
 
 def _noted(marks: dict[str, int]) -> None:
     """Note when the loop takes a press, and when the shaft stands, ns."""
-    press, wait = StopButton.press, teardown.wait_for_standstill
+    press, wait = StopButton.press, teardown.brake_with_ramp
 
     def pressed(button: StopButton, cause: str = "") -> None:
         marks.setdefault("taken_ns", time.monotonic_ns())
@@ -133,7 +133,7 @@ def _noted(marks: dict[str, int]) -> None:
         marks["stood_ns"] = time.monotonic_ns()
 
     StopButton.press = pressed  # type: ignore[method-assign]
-    teardown.wait_for_standstill = stood
+    teardown.brake_with_ramp = stood
 
 
 def _patient(limits: Limits) -> Limits:

@@ -295,8 +295,11 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """
 
     @abstractmethod
-    def quick_stop(self) -> None:
-        """Brake with the drive's own ramp; the method never switches the power on."""
+    def quick_stop(self, *, at_once: bool = True) -> bool:
+        """Order the drive to brake with its own ramp, in all further exchanges and, with
+        ``at_once``, before the next one, without waiting until the drive has stopped; return
+        whether the drive is prepared, so that there are exchanges.
+        """
 
     @abstractmethod
     def reset_fault(self) -> None:
@@ -373,10 +376,7 @@ class PressureTransmitter(ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Read the pressure, Pa, of a transmitter that need not be prepared; NaN without a
-        pressure.
-
-        The method writes nothing.
+        """Read the pressure, Pa, by read requests alone; NaN if there is no pressure.
 
         Raises:
             LinkError: The transmitter cannot be reached.

@@ -65,9 +65,6 @@ CONTROLWORDS: Final[Mapping[tuple[S, Command], int]] = {
 }
 """Controlword that executes a command in a state; a pair that is absent is not permitted."""
 
-STOPPED: Final = frozenset({S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT})
-"""States in which a quick stop may end."""
-
 _REMEDY: Final[Mapping[Command, str]] = {
     Command.ENABLE: "disable the drive first; if it is in fault, reset the fault first",
     Command.RESET_FAULT: (

@@ -214,6 +214,7 @@ class Cia402Servo(HomingServo):
                 f"the drive is in state '{state.value}': disable it before it is prepared"
             )
         self._word = cia402.DISABLE_VOLTAGE
+        self._cycle_ns = 0
         channel = self._channel
         for error in cia402_checks.unit_refusals(channel, self._scales, self._motion, cycle_s):
             raise error
@@ -274,17 +275,15 @@ class Cia402Servo(HomingServo):
             self._channel.write(*TORQUE_OFFSET, 0)
         self._channel.unwatch()
 
-    def quick_stop(self) -> None:
-        """Brake with the drive's own ramp (605Ah, 6085h); the method never switches the power on.
+    def quick_stop(self, *, at_once: bool = True) -> bool:
+        """Order the drive to brake with its own ramp (605Ah, 6085h), in all further exchanges and,
+        with ``at_once``, by SDO; return whether there are exchanges.
 
         Raises:
-            StateError: The drive does not reach a stopped state, and is in none already.
-            LinkError: The drive cannot be reached.
+            LinkError: The drive does not answer.
         """
-        self._command(Command.QUICK_STOP)
-        self._await(
-            lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault"
-        )
+        self._command(Command.QUICK_STOP, at_once)
+        return self._cycle_ns > 0
 
     def reset_fault(self) -> None:
         """Reset a fault. Afterwards the drive is in the state SWITCH ON DISABLED and does not move.
@@ -351,7 +350,7 @@ class Cia402Servo(HomingServo):
         self._target = counts
         self._motion.stage(self._channel, self._word, counts, self._values.observed)
 
-    def _command(self, command: Command) -> None:
+    def _command(self, command: Command, at_once: bool = True) -> None:
         # The controlword of the process data is changed first, so that no later exchange can undo
         # the command.
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
@@ -360,7 +359,8 @@ class Cia402Servo(HomingServo):
             self._stage(self._target)
         brakes = command is Command.QUICK_STOP
         self._channel.limit_wait(_WAIT_SHARE * self._watch_s if brakes else None)
-        self._channel.insist(*cia402.CONTROLWORD, self._word)
+        if at_once:
+            self._channel.insist(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)

@@ -185,10 +185,12 @@ class CanopenLink(Link):
         self._missing = 0
         now = self.clock.now_ns()
         for node in self._nodes.values():
-            if node.monitored and now - node.heard_ns > node.silence_ns:
-                self._troubles.append((node.node_id, self._lost(node)))
+            # After a frame that cannot be sent, no device counts as fresh.
             node.cycle = self.cycle
             node.missing = node.expected
+        for node in self._nodes.values():
+            if node.monitored and now - node.heard_ns > node.silence_ns:
+                self._troubles.append((node.node_id, self._lost(node)))
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
             node.sent()

@@ -10,6 +10,7 @@ from drivers.clock import NS
 from drivers.dbc.channel import PERIODS_KEPT, DbcChannel, Slot
 from drivers.dbc.link import DbcLink
 from drivers.errors import LinkError
+from drivers.interfaces import ServoState
 from drivers.units import Unwrapper
 
 _ANSWER_S: Final = 0.3
@@ -79,6 +80,16 @@ class Feedback:
         if again or not (slot.count or self._fault_asked):
             self._fault_asked = True
             self._await(slot)
+
+    def state_since(self, since_ns: int, cycle_ns: int) -> ServoState | None:
+        """Return the state, or None if its last frame is not after ``since_ns``, or is older than
+        its period permits, or if no cycle is set.
+        """
+        channel = self._channel
+        slot = channel.slot(channel.wiring.status_message)
+        kept_ns = PERIODS_KEPT * max(slot.message.period_s * NS, cycle_ns)
+        recent = since_ns < slot.time_ns >= self._clock.now_ns() - kept_ns
+        return channel.state if cycle_ns and recent else None
 
     def value(self, name: str) -> float:
         """Return a quantity from its last valid frame, or NaN if the drive does not report the

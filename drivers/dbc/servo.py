@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Final
 
 from drivers.canopen import cia402
@@ -15,7 +15,7 @@ from drivers.dbc.feedback import Feedback
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
 from drivers.dbc.wiring import Order
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -28,8 +28,6 @@ from drivers.interfaces import (
 from drivers.objects import refusal
 from drivers.transitions import await_state, exchanges
 
-_ANSWER_S: Final = 0.3
-_RETRY_S: Final = 0.02
 _FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
 _STATUSWORDS: Final = {state: value for _, value, state in cia402.STATUS}
 _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
@@ -66,6 +64,7 @@ class DbcServo(Servo):
         self._cycle_ns = 0
         self._target = self._previous = 0.0
         self._staged_in = 0
+        self._stopped_ns = 0
 
     def identity(self) -> Identity:
         """Return the identity from the bench file and from the frames of the drive.
@@ -99,6 +98,12 @@ class DbcServo(Servo):
                 "contain: add this value under servo.status.states"
             )
         return state
+
+    def sent_state(self) -> ServoState | None:
+        """Return the state in the last frames, or None if the drive is not prepared, or if these
+        are older than the last quick stop.
+        """
+        return self._feedback.state_since(self._stopped_ns, self._cycle_ns)
 
     def _told(self) -> ServoState:
         """Return the state after the next fault code, which may arrive later than the state."""
@@ -236,22 +241,17 @@ class DbcServo(Servo):
         self._link.stop(self._channel)
         self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
 
-    def quick_stop(self) -> None:
-        """Brake with the drive's own ramp; the method never switches the power on.
-
-        Raises:
-            StateError: The drive does not reach a stopped state, and is in none already.
-            LinkError: The drive cannot be reached.
+    def quick_stop(self, *, at_once: bool = True) -> bool:
+        """Order the drive to brake with its own ramp, at once and in all further exchanges; return
+        whether there are exchanges. Without ``at_once``, a refusal of the bus raises no error.
         """
         # The periodic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
-        self._link.stop(self._channel)
-        self._command(self._wiring.stop)
-        self._await(
-            lambda state: state in cia402.STOPPED,
-            "quick stop active, switch on disabled or fault",
-            self._wiring.stop,
-        )
+        self._stopped_ns = self._clock.now_ns()
+        with nullcontext() if at_once else suppress(LinkError):
+            self._link.stop(self._channel)
+            self._command(self._wiring.stop)
+        return self._cycle_ns > 0
 
     def reset_fault(self) -> None:
         """Reset a fault. Afterwards the drive is de-energised and does not move.

@@ -15,7 +15,8 @@ from rig.control.cycle import TripError
 from rig.control.motion_witness import MotionWitness
 from rig.control.motion_words import RATIO_TOLERANCE
 from rig.control.safety import Check
-from rig.wiring.teardown import wait_for_standstill
+from rig.wiring.braking import brake
+from rig.wiring.steps import Steps
 
 HOLD_S: Final = 0.5
 DRIFT_DEG: Final = 0.2
@@ -142,7 +143,7 @@ def stop(setup: Setup, step: StepRecord) -> None:
     Raises:
         WrongError: The drive does not stop.
     """
-    servo, encoder, cycle = setup.devices.servo, setup.devices.encoder, setup.cycle
+    encoder, cycle = setup.devices.encoder, setup.cycle
     speed = math.radians(_fastest_deg_s(setup))
     with setup.power("stop") as here:
         end = here + _way(setup, here, LARGE_DEG)
@@ -150,20 +151,7 @@ def stop(setup: Setup, step: StepRecord) -> None:
         cycles = round(0.5 * abs(end - here) / abs(step_rad))
         cycle.follow([here + step_rad * n for n in range(1, cycles)], 0, "stop")
         began, at = setup.devices.link.clock.now_ns(), encoder.sample().angle_rad
-        try:
-            servo.quick_stop()
-        except DeviceError as failure:
-            raise WrongError(
-                f"the drive does not execute the quick stop: {failure}. The power was taken off; "
-                "check 605Ah and 6085h"
-            ) from failure
-        clock, cycle_ns = setup.devices.link.clock, setup.bench.cycle_ns
-        try:
-            state = wait_for_standstill(servo, cycle.watch, clock, cycle_ns, lambda: False)
-        except DriveFault:
-            state = servo.state()
-            if state is not ServoState.FAULT:
-                raise
+        state = _brake(setup)
         took_s = (setup.devices.link.clock.now_ns() - began) / NS
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:
@@ -182,6 +170,47 @@ def stop(setup: Setup, step: StepRecord) -> None:
             "deg; check 605Ah and 6085h"
         )
     step.words = "the drive stops and is off"
+
+
+def _brake(setup: Setup) -> ServoState:
+    """Stop the drive by its quick stop; return the state in which it ended.
+
+    Raises:
+        WrongError: The drive does not execute the quick stop.
+        DeviceError: Another device failed.
+    """
+    link, failures, steps = setup.devices.link, list[DeviceError](), Steps()
+
+    def watch() -> ServoState | None:
+        try:
+            return setup.cycle.watch()
+        except DeviceError as failure:
+            failures.append(failure)
+            raise
+
+    state = brake(
+        setup.devices.servo,
+        watch,
+        link.clock,
+        setup.bench.cycle_ns,
+        lambda: False,
+        steps,
+        link.has_watchdog,
+    )
+    if steps.interrupted:
+        raise KeyboardInterrupt
+    for defect in steps.unforeseen:
+        raise defect
+    if state is None or state is ServoState.OPERATION_ENABLED:
+        why = steps.problems[0] if state is None else f"it reports the state {state.value!r}"
+        raise WrongError(
+            f"the drive does not execute the quick stop: {why}. The power was taken off; check "
+            "605Ah and 6085h"
+        )
+    for failure in failures:
+        if not (isinstance(failure, DriveFault) and state is ServoState.FAULT):
+            raise failure
+    return state
 
 
 def _fastest_deg_s(setup: Setup) -> float:

@@ -19,7 +19,8 @@ from rig.terminal.stop_button import OperatorStopError
 from rig.weighing.scale import Scale
 from rig.wiring.devices import Devices
 from rig.wiring.preflight import RESET_HINT
-from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe, words_of
+from rig.wiring.steps import words_of
+from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 
 @dataclass(frozen=True)

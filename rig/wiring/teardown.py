@@ -7,15 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.clock import NS, Clock
-from drivers.errors import DeviceError
 from drivers.interfaces import Servo, ServoLimits, ServoState
-from rig.common.errors import StorageError
+from rig.wiring.braking import brake as brake_with_ramp
+from rig.wiring.steps import Steps
 
-BRAKING_TIMEOUT_S = 1.0
-STATE_INTERVAL_S = 0.005
-"""Time, s, between two reads of the state while the drive brakes and does not send its state;
-after standstill the power stays on for at most this time, independent of the control cycle.
-"""
 DISABLE_ATTEMPTS = 2
 INSISTENT_ATTEMPTS = 5
 REPEATED_S = 0.05
@@ -72,50 +67,17 @@ class SafeState:
         }
 
 
-def words_of(error: BaseException) -> str:
-    """Return an exception's class and message, even if its ``__str__`` fails."""
-    try:
-        return f"{type(error).__name__}: {error}"
-    except Exception:  # noqa: BLE001 - the class alone is shown if the message fails
-        return type(error).__name__
-
-
-class _Steps:
-    """Runs the steps of a teardown in order; an error in one step does not prevent the next."""
-
-    def __init__(self) -> None:
-        self.problems: list[str] = []
-        self.unforeseen: list[BaseException] = []
-
-    def attempt(self, step: Callable[[], object]) -> None:
-        """Run one step, and store its error, if any."""
-        try:
-            step()
-        except KeyboardInterrupt:
-            self.problems.append("interrupted again while stopping")
-        except (DeviceError, StorageError) as error:
-            self.problems.append(str(error))
-        except BaseException as error:  # noqa: BLE001 - a defect must not keep the power on
-            self.problems.append(f"unforeseen {words_of(error)}")
-            self.unforeseen.append(error)
-
-    def repeat(self, watch: Callable[[], object], clock: Clock) -> None:
-        """Run control cycles for :data:`REPEATED_S`, also after cycles that failed: the process
-        data of each cycle contain the last command. Errors of devices are not stored.
-        """
-        cycles = _Steps()
-        end_ns = clock.now_ns() + round(REPEATED_S * NS)
-        for _ in range(MOST_REPEATED):
-            if clock.now_ns() >= end_ns:
-                break
-            cycles.attempt(watch)
-        self.unforeseen += cycles.unforeseen
-
-    def state(self, servo: Servo) -> ServoState | None:
-        """Read the drive's state; return None if the read fails."""
-        found: list[ServoState] = []
-        self.attempt(lambda: found.append(servo.state()))
-        return next(iter(found), None)
+def _repeat(steps: Steps, watch: Callable[[], object], clock: Clock) -> None:
+    """Run control cycles for :data:`REPEATED_S`, also after cycles that failed: the process data of
+    each cycle contain the last command. Errors of devices are not stored.
+    """
+    cycles = Steps()
+    end_ns = clock.now_ns() + round(REPEATED_S * NS)
+    for _ in range(MOST_REPEATED):
+        if clock.now_ns() >= end_ns:
+            break
+        cycles.attempt(watch)
+    steps.unforeseen += cycles.unforeseen
 
 
 def make_safe(
@@ -137,9 +99,9 @@ def make_safe(
 
     Args:
         servo: The drive.
-        watch: Runs one control cycle; called while the drive brakes, so that the drive's watchdog
-            does not interrupt the ramp, and so that the recording contains the braking. The
-            result is the state that the drive sent in this cycle, or None.
+        watch: Runs one control cycle; called while the drive brakes, also so that the recording
+            contains the braking. The result is the state that the drive sent in this cycle, or
+            None.
         clock: Clock of the link, which measures the time of the braking.
         cycle_ns: Control cycle, ns.
         brake: Whether to start with a quick stop, as after every end of a run but a regular end.
@@ -152,17 +114,16 @@ def make_safe(
     Returns:
         The final state of the drive; unexpected exceptions are in ``unforeseen``.
     """
-    steps = _Steps()
+    steps = Steps()
     if brake:
-        steps.attempt(servo.quick_stop)
-        steps.attempt(lambda: wait_for_standstill(servo, watch, clock, cycle_ns, hurry))
+        brake_with_ramp(servo, watch, clock, cycle_ns, hurry, steps, watched)
     state = None if brake else steps.state(servo)
     for _ in range(INSISTENT_ATTEMPTS if insistent else DISABLE_ATTEMPTS):
         known = len(steps.problems)
         if state is not ServoState.SWITCH_ON_DISABLED:
             steps.attempt(servo.disable)
         if insistent and len(steps.problems) > known:
-            steps.repeat(watch, clock)
+            _repeat(steps, watch, clock)
         state = steps.state(servo)
         if state is not None and not state.energised:
             break
@@ -177,60 +138,10 @@ def make_safe(
 
 def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
     """Run every step, also after steps that raised errors; return the unexpected errors."""
-    taken = _Steps()
+    taken = Steps()
     for step in steps:
         taken.attempt(step)
     return tuple(taken.unforeseen)
-
-
-def wait_for_standstill(
-    servo: Servo,
-    watch: Callable[[], ServoState | None],
-    clock: Clock,
-    cycle_ns: int,
-    hurry: Callable[[], bool],
-) -> ServoState:
-    """Run control cycles until the drive has stopped, the time is over, or the operator presses
-    Ctrl-C again.
-
-    While the drive sends that it brakes, its state is not read, so that a lost answer does not end
-    the ramp. Any other state is read to confirm it, because a late frame contains an old one. If
-    this answer is lost, only a de-energised state counts as sent: no frame from before the stop
-    contains one.
-
-    Args:
-        servo: The drive, after its quick stop was commanded.
-        watch: Runs one control cycle, as in :func:`make_safe`.
-        clock: Clock of the link.
-        cycle_ns: Control cycle, ns.
-        hurry: Whether to stop waiting.
-
-    Returns:
-        The state in which the drive ended, or QUICK STOP ACTIVE if it did not end.
-
-    Raises:
-        DeviceError: A cycle failed, or a drive that sends no state did not answer.
-    """
-    between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
-    braking = ServoState.QUICK_STOP_ACTIVE
-    deadline = clock.now_ns() + round(BRAKING_TIMEOUT_S * NS)
-    sends = servo.sent_state() is not None
-    for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
-        if hurry() or clock.now_ns() >= deadline:
-            break
-        sent = watch()
-        sends = sends or sent is not None
-        if cycle % between if sent is None else sent is braking:
-            continue
-        try:
-            state = servo.state()
-        except DeviceError:
-            if not sends:
-                raise
-            state = braking if sent is None or sent.energised else sent
-        if state is not braking:
-            return state
-    return braking
 
 
 def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:

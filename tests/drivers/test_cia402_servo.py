@@ -560,7 +560,6 @@ def test_before_it_is_prepared_a_stop_stages_nothing() -> None:
     ("verb", "wanted"),
     [
         ("disable", "a de-energised state"),
-        ("quick_stop", "quick stop active, switch on disabled or fault"),
         ("reset_fault", "switch on disabled"),
     ],
 )
@@ -596,14 +595,30 @@ def test_a_drive_that_obeys_late_has_obeyed() -> None:
     assert drive.take()[-1] == ("unwatch",)
 
 
-@pytest.mark.parametrize("state", [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED, State.FAULT])
-def test_what_a_quick_stop_may_end_in(state: State) -> None:
+def test_a_quick_stop_goes_with_the_exchanges_and_at_once_by_sdo() -> None:
     drive = Drive()
     servo = enabled(drive)
     drive.follows = False
-    drive.state = state
-    servo.quick_stop()
+    assert servo.quick_stop(at_once=False)
+    assert drive.take() == [("stage", 1, (2, 1304))]
+    assert servo.quick_stop()
     assert drive.take() == [("stage", 1, (2, 1304)), ("insist", CONTROLWORD, 2)]
+
+
+def test_a_preparation_that_failed_leaves_no_exchanges_for_the_quick_stop() -> None:
+    drive = Drive()
+    servo = enabled(drive)
+    drive.state = State.SWITCH_ON_DISABLED
+
+    def refuse(*_: object, **__: object) -> None:
+        raise LinkError("gone")
+
+    drive.map_process_data = refuse  # type: ignore[method-assign]
+    with pytest.raises(LinkError):
+        servo.prepare(CYCLE_S)
+    drive.take()
+    assert not servo.quick_stop(at_once=False)
+    assert drive.take() == []
 
 
 @pytest.mark.parametrize("in_fault", [True, False])

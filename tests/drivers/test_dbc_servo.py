@@ -102,6 +102,7 @@ def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
 
     host.bench.bus.frame_filters.append(drop)
     VERBS[verb](host)
+    host.cycles(2)
     assert host.bench.drive.state in (State.OFF, State.STOPPING)
 
 
@@ -355,3 +356,22 @@ def test_limits_may_be_written_again(host: DbcHost) -> None:
     host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
     host.servo.write_limits(replace(HELD, speed_rad_s=0.5))
     enabled(host).cycles(300)
+
+
+def test_the_exchanges_contain_the_state_after_the_last_order_to_stop(host: DbcHost) -> None:
+    host.servo.state()
+    assert host.servo.sent_state() is None
+    enabled(host)
+    assert host.servo.sent_state() is ServoState.OPERATION_ENABLED
+    host.cycles(20, lambda t: t)
+    host.servo.quick_stop(at_once=False)
+    assert host.servo.sent_state() is None
+    host.cycles(2)
+    assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
+    host.bench.bus.frame_filters.append(
+        lambda _t, found, data, _s: None if found == MOTION else (found, data)
+    )
+    host.cycles(1)
+    assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
+    host.cycles(3)
+    assert host.servo.sent_state() is None

@@ -528,20 +528,23 @@ def test_disabling() -> None:
     ]
 
 
-@pytest.mark.parametrize("state", [S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT])
-def test_stopping(state: ServoState) -> None:
+@pytest.mark.parametrize("at_once", [True, False])
+def test_stopping(at_once: bool) -> None:
     bench = Bench()
     servo = enabled(bench)
-    bench.follows = False
-    bench.state = state
-    servo.quick_stop()
+    assert servo.quick_stop(at_once=at_once)
     assert bench.take() == [
         ("order", b"stop", False),
         ("send", *STOP_FRAME),
         ("order", b"stop", False),
         ("command", b"stop"),
-        ("await", "Status", 0.3),
     ]
+
+
+def test_before_it_is_prepared_no_exchange_stops_it() -> None:
+    bench = Bench()
+    assert not make(bench).quick_stop()
+    assert bench.image == b"stop"
 
 
 def test_the_order_to_stop_stays_where_the_bus_does_not_take_it() -> None:
@@ -554,6 +557,7 @@ def test_the_order_to_stop_stays_where_the_bus_does_not_take_it() -> None:
     bench.send = send  # type: ignore[method-assign]
     with pytest.raises(LinkError):
         servo.quick_stop()
+    assert servo.quick_stop(at_once=False)  # the exchanges repeat the order
     assert bench.image == b"stop"
 
 
@@ -587,12 +591,6 @@ def test_where_there_is_no_fault_nothing_is_sent(state: ServoState) -> None:
     ("verb", "state", "wanted", "orders"),
     [
         ("disable", S.OPERATION_ENABLED, "a de-energised state", (b"off",)),
-        (
-            "quick_stop",
-            S.OPERATION_ENABLED,
-            "quick stop active, switch on disabled or fault",
-            (b"stop",),
-        ),
         ("reset_fault", S.FAULT, "switch on disabled", (b"off", b"reset", b"off")),
     ],
 )

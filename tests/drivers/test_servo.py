@@ -177,24 +177,14 @@ def test_disable_believes_only_the_statusword(host: Host) -> None:
         host.servo.disable()
 
 
-def test_quick_stop_believes_only_the_statusword(host: Host) -> None:
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_quick_stop_that_gets_lost_goes_with_the_next_exchange(host: Host, at_once: bool) -> None:
     enabled(host)
     change_controlword(host, 0x0F)
-    host.drive.write(0x1016, 1, 0)
-    with pytest.raises(
-        StateError, match="quick stop active, switch on disabled or fault is expected"
-    ):
-        host.servo.quick_stop()
-    # The cyclic word was changed all the same, so the next exchange stops it.
+    host.servo.quick_stop(at_once=at_once)
+    assert host.servo.state() is ServoState.OPERATION_ENABLED
     host.cycles(2)
     assert host.servo.state() is ServoState.QUICK_STOP_ACTIVE
-
-
-def test_a_fault_is_a_stop(host: Host) -> None:
-    enabled(host)
-    host.bench.drive.connection_lost(0x8130)
-    host.servo.quick_stop()
-    assert host.servo.state() is ServoState.FAULT
 
 
 def test_enabling_that_fails_leaves_no_power(host: Host) -> None:

@@ -233,8 +233,10 @@ class Stuck:
     def sent_state(self) -> ServoState | None:
         return None
 
-    def quick_stop(self) -> None:
-        self._do("quick stop")
+    def quick_stop(self, *, at_once: bool = True) -> bool:
+        if at_once:
+            self._do("quick stop")
+        return False
 
     def disable(self) -> None:
         self._do("disable")

@@ -45,8 +45,10 @@ class Servo:
     def sent_state(self) -> ServoState | None:
         return None
 
-    def quick_stop(self) -> None:
-        self.stopped += 1
+    def quick_stop(self, *, at_once: bool = True) -> bool:
+        if at_once:
+            self.stopped += 1
+        return False
 
     def disable(self) -> None:
         pass

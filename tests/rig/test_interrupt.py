@@ -38,10 +38,11 @@ def count(self, targets, segment, *rest):
     self._progress = lambda stage, cycles, sample: print("cycles", segment, flush=True)
     follow(self, targets, segment, *rest)
 
-def brake(self):
-    quick_stop(self)
+def brake(self, **keys):
+    prepared = quick_stop(self, **keys)
     print("braking", flush=True)
     sys.stdin.readline()
+    return prepared
 
 limits = rig.planning.plan._limits
 # A busy machine is late; the signals are on trial here.

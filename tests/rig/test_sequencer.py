@@ -280,7 +280,8 @@ def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench
 
 def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench(overrides={"stuck": True})
-    bench.faults["quick_stop", 1] = throw(LinkError("gone"))
+    for call in range(1, 1000):
+        bench.faults["quick_stop", call] = throw(LinkError("gone"))
     folder, outcome = runner(bench)
     assert outcome.ending is Ending.FAILED
     assert not outcome.safe.verified

@@ -1,0 +1,182 @@
+"""Brakes a drive with its own ramp, and waits until the drive has stopped.
+
+The control cycle continues while the drive brakes: each cycle repeats the order, ends the last
+command of speed or torque, and prevents that the drive's watchdog interrupts the ramp. Requests
+outside the exchange stop the cycle until they are answered; they are made only where the cycles do
+not show what the drive does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from drivers.clock import NS, Clock
+from drivers.errors import DeviceError, LinkError
+from drivers.interfaces import Servo, ServoState
+from rig.wiring.steps import Steps
+
+BRAKING_TIMEOUT_S: Final = 1.0
+STATE_INTERVAL_S: Final = 0.005
+"""Time, s, between two reads of the state of a drive that does not send that it brakes; after
+standstill the power stays on for at most this time, independent of the control cycle.
+"""
+UNHEARD_S: Final = 0.02
+"""Time, s, for which only cycles order the quick stop while the drive sends no state. A shorter
+outage of the bus ends within this time.
+"""
+REACTION_S: Final = 0.3
+"""Time, s, after which a drive that still operates is given up; its watchdog has had time to act.
+"""
+_BRAKING: Final = frozenset({ServoState.QUICK_STOP_ACTIVE, ServoState.FAULT_REACTION})
+
+
+def brake(
+    servo: Servo,
+    watch: Callable[[], ServoState | None],
+    clock: Clock,
+    cycle_ns: int,
+    hurry: Callable[[], bool],
+    steps: Steps,
+    watched: bool,
+) -> ServoState | None:
+    """Order the quick stop, and run control cycles until the drive has stopped, the time is over,
+    or the operator presses Ctrl-C again. The function raises no error.
+
+    A cycle that fails, for example because another device is lost, does not end the ramp. If the
+    drive sends no state, the quick stop is also ordered outside the exchange. If this gets no
+    answer either, and the drive has not shown that it brakes, or if the drive goes on operating,
+    the cycles pause: the drive does not follow orders, and its watchdog brakes it. The cycles of a
+    drive without a watchdog continue.
+
+    Any state except that the drive brakes is read to confirm it, because a late frame contains an
+    old one. If this answer is lost, only a de-energised state counts as sent: no frame from before
+    the stop contains one.
+
+    Args:
+        servo: The drive.
+        watch: Runs one control cycle; returns the state that the drive sent in it, or None.
+        clock: Clock of the link.
+        cycle_ns: Control cycle, ns.
+        hurry: Whether to stop waiting.
+        steps: Stores the errors; of the cycles, only the first.
+        watched: Whether the drive takes the power off by itself when the cycles end.
+
+    Returns:
+        The state in which the drive ended; an energised state other than QUICK STOP ACTIVE if the
+        drive does not execute the quick stop; QUICK STOP ACTIVE if the drive did not end; None if
+        a drive that is not prepared does not answer.
+    """
+    cycles = Steps()
+    try:
+        return _Braking(servo, watch, clock, cycle_ns, steps, cycles, watched).run(hurry)
+    finally:
+        steps.take_first(cycles)
+
+
+class _Braking:
+    """Course of one quick stop, with the arguments of :func:`brake`."""
+
+    def __init__(
+        self,
+        servo: Servo,
+        watch: Callable[[], ServoState | None],
+        clock: Clock,
+        cycle_ns: int,
+        steps: Steps,
+        cycles: Steps,
+        watched: bool,
+    ) -> None:
+        self._servo, self._watch, self._clock = servo, watch, clock
+        self._cycle_ns = cycle_ns
+        self._steps, self._cycles = steps, cycles
+        self._watched = watched
+        self._silent = False
+        self._refusing_ns: int | None = None
+
+    def run(self, hurry: Callable[[], bool]) -> ServoState | None:
+        """Brake, and return what :func:`brake` returns."""
+        clock, interval_ns = self._clock, round(STATE_INTERVAL_S * NS) - self._cycle_ns // 2
+        deadline_ns = clock.now_ns() + round(BRAKING_TIMEOUT_S * NS)
+        cyclic = self._order()
+        # A drive that is not prepared has its state read in the first cycle.
+        known_ns = clock.now_ns() - (0 if cyclic else interval_ns)
+        obeyed = not cyclic
+        for _ in range(round(BRAKING_TIMEOUT_S * NS / self._cycle_ns)):
+            if hurry() or clock.now_ns() >= deadline_ns:
+                break
+            sent = self._cycle()
+            if self._steps.interrupted or self._cycles.interrupted:
+                break
+            if sent in _BRAKING:
+                known_ns, obeyed, self._refusing_ns = clock.now_ns(), True, None
+                continue
+            off = sent is not None and not sent.energised
+            patience_ns = round(UNHEARD_S * NS) if sent is None and cyclic else interval_ns
+            if not off and clock.now_ns() - known_ns < patience_ns:
+                continue
+            # An order may restart the watchdog of a drive with frames of its own.
+            state = self._ask(again=not (obeyed or off or self._silent))
+            known_ns = clock.now_ns()
+            if state is None:
+                if off or not cyclic:
+                    return sent
+                if obeyed:
+                    continue
+                if sent is None:
+                    self._silent = self._watched
+                    continue
+                state = sent  # it may be an old one, but none later is known
+            if not state.energised or self._refuses(state):
+                return state
+            obeyed = state in _BRAKING
+        return ServoState.QUICK_STOP_ACTIVE
+
+    def _order(self) -> bool:
+        """Order the quick stop; return whether cycles send the order."""
+        found: list[bool] = []
+        self._steps.attempt(lambda: found.append(self._servo.quick_stop(at_once=False)))
+        if not any(found):
+            self._steps.attempt(self._servo.quick_stop)
+        return any(found)
+
+    def _cycle(self) -> ServoState | None:
+        """Run one cycle, or wait for one if the drive is to be left alone; return the state that
+        the drive sent.
+        """
+        end_ns = self._clock.now_ns() + self._cycle_ns
+        if self._silent:
+            self._clock.sleep_until_ns(end_ns)
+            return None
+        found: list[ServoState | None] = []
+        error = self._cycles.attempt(lambda: found.append(self._watch()))
+        if error is None:
+            return found[0]
+        if isinstance(error, DeviceError):
+            # The other devices may have exchanged their values all the same.
+            self._cycles.attempt(lambda: found.append(self._servo.sent_state()))
+        if not self._cycles.interrupted:
+            self._clock.sleep_until_ns(end_ns)
+        return next(iter(found), None)
+
+    def _ask(self, again: bool) -> ServoState | None:
+        """Read the state, after the order was given once more if ``again``; return None if the
+        drive does not answer.
+        """
+        if again and isinstance(self._steps.attempt(self._servo.quick_stop), LinkError):
+            return None
+        return self._steps.state(self._servo)
+
+    def _refuses(self, state: ServoState) -> bool:
+        """Decide whether the cycles continue by a state that was read; return whether the drive has
+        not begun to brake for too long.
+        """
+        if state in _BRAKING:
+            self._silent, self._refusing_ns = False, None
+            return False
+        now_ns = self._clock.now_ns()
+        if self._refusing_ns is None:
+            self._refusing_ns = now_ns
+        refused_s = (now_ns - self._refusing_ns) / NS
+        self._silent = self._watched and refused_s >= UNHEARD_S
+        return refused_s >= REACTION_S

@@ -1,0 +1,63 @@
+"""Steps of a teardown: an error in one step does not prevent the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.errors import DeviceError
+from drivers.interfaces import Servo, ServoState
+from rig.common.errors import StorageError
+
+
+def words_of(error: BaseException) -> str:
+    """Return an exception's class and message, even if its ``__str__`` fails."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # noqa: BLE001 - the class alone is shown if the message fails
+        return type(error).__name__
+
+
+class Steps:
+    """Runs steps in order, and stores their errors.
+
+    Attributes:
+        problems: Text of each error.
+        unforeseen: Exceptions other than device errors, storage errors and Ctrl-C, each once.
+        interrupted: Whether Ctrl-C interrupted a step.
+    """
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        self.unforeseen: list[BaseException] = []
+        self.interrupted = False
+
+    def attempt(self, step: Callable[[], object]) -> BaseException | None:
+        """Run one step; store its error, if any, and return it."""
+        try:
+            step()
+        except KeyboardInterrupt as error:
+            self.problems.append("interrupted again while stopping")
+            self.interrupted = True
+            return error
+        except (DeviceError, StorageError) as error:
+            self.problems.append(str(error))
+            return error
+        except BaseException as error:  # noqa: BLE001 - a defect must not keep the power on
+            words = f"unforeseen {words_of(error)}"
+            if words not in self.problems:
+                self.unforeseen.append(error)
+            self.problems.append(words)
+            return error
+        return None
+
+    def take_first(self, others: Steps) -> None:
+        """Store the first error of steps that were repeated, and whether one was interrupted."""
+        self.problems += others.problems[:1]
+        self.unforeseen += others.unforeseen[:1]
+        self.interrupted = self.interrupted or others.interrupted
+
+    def state(self, servo: Servo) -> ServoState | None:
+        """Read the drive's state; return None if the read fails."""
+        found: list[ServoState] = []
+        self.attempt(lambda: found.append(servo.state()))
+        return next(iter(found), None)

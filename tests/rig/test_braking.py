@@ -1,0 +1,461 @@
+"""The braking: whatever is lost, cycles go on, and the drive ends its ramp."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from drivers.clock import NS
+from drivers.errors import DriveFault, LinkError
+from drivers.interfaces import ServoState
+from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE
+from drivers.mock.dbc_drive import COMMAND, STOP
+from drivers.mock.faults import WireFaults
+from drivers.mock.power_state import Command, State
+from rig.wiring.braking import BRAKING_TIMEOUT_S, REACTION_S, UNHEARD_S, brake
+from rig.wiring.steps import Steps
+from rig.wiring.teardown import SafeState, make_safe
+from tests.drivers.dbc_host import enabled as enabled_dbc
+from tests.drivers.dbc_host import make_dbc_host
+from tests.drivers.host import enabled, make_host
+from tests.drivers.serial_host import make_serial_host
+from tests.drivers.test_modes import host_in
+from tests.drivers.test_servo import LIMITS
+
+from .test_teardown import Servo
+
+CYCLE_NS = 10_000_000
+OFF, ON, BRAKING, REACTION, FAULT = (
+    ServoState.SWITCH_ON_DISABLED,
+    ServoState.OPERATION_ENABLED,
+    ServoState.QUICK_STOP_ACTIVE,
+    ServoState.FAULT_REACTION,
+    ServoState.FAULT,
+)
+STOPPED_RAD_S = 0.05
+"""Speed at the end of a ramp; it begins at 0.8 rad/s."""
+
+
+def braked(
+    servo: Any,
+    watch: Callable[[], ServoState | None] | None = None,
+    watched: bool = True,
+    hurry: Callable[[], bool] = lambda: False,
+) -> tuple[ServoState | None, Steps]:
+    steps = Steps()
+    state = brake(servo, watch or servo.watch, servo.clock, CYCLE_NS, hurry, steps, watched)
+    return state, steps
+
+
+def sending(servo: Servo, *states: ServoState | None) -> Callable[[], ServoState | None]:
+    """Return a cycle of a prepared drive that sends these states in turn, and has them."""
+    left = list(states)
+    servo.prepared = True
+
+    def watch() -> ServoState | None:
+        servo.watch()
+        state = left.pop(0)
+        servo.power = state or servo.power
+        return state
+
+    return watch
+
+
+def test_hurry_ends_the_braking_at_once() -> None:
+    servo, asked = Servo({}), iter([False, False, True])
+    assert braked(servo, hurry=lambda: next(asked))[0] is BRAKING
+    assert servo.order == ["quick_stop", *["watch", "state"] * 2]
+
+
+def test_ctrl_c_in_a_cycle_ends_the_braking_at_once() -> None:
+    servo = Servo({"watch": KeyboardInterrupt})
+    _, steps = braked(servo)
+    assert servo.order == ["quick_stop", "watch"]
+    assert steps.problems == ["interrupted again while stopping"]
+
+
+def test_braking_ends_after_its_time_out() -> None:
+    servo = Servo({})
+    assert braked(servo)[0] is BRAKING
+    assert servo.order == ["quick_stop", *["watch", "state"] * 100]
+    assert servo.clock.now_ns() == BRAKING_TIMEOUT_S * NS
+
+
+@pytest.mark.parametrize("cycle_ms", [1, 2, 4, 10])
+def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None:
+    servo: Any = Servo({})
+    began = servo.clock.now_ns()
+
+    def stopped() -> None:
+        servo.order.append("watch")
+        servo.pass_time(cycle_ms * NS // 1000)
+        if servo.order.count("watch") == 31:
+            servo.power = OFF
+
+    cycle_ns = cycle_ms * NS // 1000
+    brake(servo, stopped, servo.clock, cycle_ns, lambda: False, Steps(), True)
+    assert 0 <= servo.clock.now_ns() - began - 31 * cycle_ns < 5 * NS // 1000
+
+
+def test_while_the_drive_sends_that_it_brakes_its_state_is_not_read() -> None:
+    servo = Servo({})
+    watch = sending(servo, ON, *[BRAKING] * 40, REACTION, BRAKING, OFF)
+    state, _ = braked(servo, watch)
+    # It is read after a cycle in which the drive sends another state, and to confirm its end.
+    assert [verb for verb in servo.order if verb != "watch"] == ["quick_stop"] * 2 + ["state"] * 2
+    assert state is OFF
+
+
+def test_an_old_state_in_late_frames_does_not_end_the_braking() -> None:
+    servo = Servo({})
+    servo.sent, servo.prepared = ON, True
+    assert braked(servo)[0] is BRAKING
+    assert servo.order[:4] == ["quick_stop", "watch", "quick_stop", "state"]
+    assert servo.order[4:] == ["watch", "state"] * 99
+
+
+def test_after_a_lost_answer_an_old_state_in_a_late_frame_does_not_end_the_braking() -> None:
+    servo = Servo({"state": lambda: LinkError("no answer")})
+    watch = sending(servo, BRAKING, ON, None, ON, OFF)
+    state, steps = braked(servo, watch)
+    assert state is OFF
+    assert set(steps.problems) == {"no answer"}
+
+
+def test_a_lost_answer_of_a_drive_that_is_not_prepared_ends_the_braking() -> None:
+    servo = Servo({"state": lambda: LinkError("no answer")})
+    assert braked(servo)[0] is None
+    assert servo.order == ["quick_stop", "watch", "state"]
+
+
+@pytest.mark.parametrize(("answers", "watched"), [(True, True), (True, False), (False, False)])
+def test_a_drive_that_goes_on_operating_is_given_up_after_its_time(
+    answers: bool, watched: bool
+) -> None:
+    servo = Servo({} if answers else {"state": lambda: LinkError("no answer")})
+    servo.quick_stop = lambda **_: servo.order.append("quick_stop") or True  # type: ignore
+    servo.sent = ON
+    state, _ = braked(servo, watched=watched)
+    assert state is ON
+    cycles = servo.order.count("watch") * CYCLE_NS / NS
+    assert UNHEARD_S < cycles < 3 * UNHEARD_S if watched else cycles > REACTION_S
+    late_s = servo.clock.now_ns() / NS - REACTION_S
+    assert CYCLE_NS / NS <= late_s <= 2 * CYCLE_NS / NS
+
+
+def test_the_reaction_to_a_fault_is_waited_for() -> None:
+    servo = Servo({})
+    assert braked(servo, sending(servo, *[REACTION] * 50, FAULT))[0] is FAULT
+    assert servo.order.count("watch") == 51
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_only_a_drive_with_a_watchdog_is_left_alone_if_nothing_reaches_it(watched: bool) -> None:
+    gone = lambda: LinkError("gone")  # noqa: E731
+    servo = Servo({"quick_stop": gone, "state": gone})
+    servo.quick_stop = lambda at_once=True: Servo.quick_stop(servo) if at_once else True  # type: ignore
+    state, steps = braked(servo, watched=watched)
+    cycles = round(UNHEARD_S * NS) // CYCLE_NS
+    assert servo.order.count("watch") == (cycles if watched else 100)
+    assert (state, set(steps.problems)) == (BRAKING, {"gone"})
+    assert servo.clock.now_ns() == BRAKING_TIMEOUT_S * NS
+
+
+def test_a_drive_that_has_shown_that_it_brakes_is_not_left_alone() -> None:
+    servo = Servo({"state": lambda: LinkError("gone")})
+    assert braked(servo, sending(servo, BRAKING, *[None] * 99))[0] is BRAKING
+    assert servo.order.count("watch") == 100
+
+
+@pytest.mark.parametrize("error", [LinkError("the encoder is lost"), DriveFault(1, "a warning")])
+def test_cycles_that_fail_do_not_end_the_braking_and_keep_their_period(error: Exception) -> None:
+    servo = Servo({})
+    servo.prepared, servo.sent = True, BRAKING
+
+    def watch() -> ServoState | None:
+        servo.order.append("watch")
+        if servo.order.count("watch") == 30:
+            servo.sent = servo.power = OFF
+        raise error
+
+    state, steps = braked(servo, watch)
+    assert state is OFF
+    assert servo.order == ["quick_stop", *["watch"] * 30, "state"]
+    assert servo.clock.now_ns() == 30 * CYCLE_NS
+    assert steps.problems == [str(error)]
+
+
+def test_a_defect_of_the_cycle_is_kept_once_and_the_state_is_read() -> None:
+    servo = Servo({"watch": ZeroDivisionError})
+    servo.prepared, servo.sent = True, OFF  # of an exchange before the defect
+    state, steps = braked(servo)
+    assert state is BRAKING
+    assert [type(defect) for defect in steps.unforeseen] == [ZeroDivisionError]
+    assert "state" in servo.order
+
+
+class Wire:
+    """A drive under power on a simulated bus, in motion, with the recorded course of its stop.
+
+    Attributes:
+        speeds: Speed that the drive sends in each cycle, rad/s.
+        entered: States of the drive.
+        entered_s: Time from the stop until each.
+        off_rad_s: Speed of the joint as the power goes off.
+        off_s: Time from the stop until then.
+    """
+
+    def __init__(self, mode: str = "csp") -> None:
+        self.host = make_host() if mode == "csp" else host_in(mode)
+        self.host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=2))
+        enabled(self.host)
+        self.host.cycles(400, lambda t: t * t)
+        self.faults = WireFaults(self.host.bench.bus, self.host.clock)
+        self.speeds: list[float] = []
+        self.entered: list[State] = []
+        self.off_rad_s = self.off_s = float("nan")
+        self.watched = self.host.link.has_watchdog
+        self.began_ns = self.host.clock.now_ns()
+        self.entered_s: list[float] = []
+        self.host.bench.drive.entered.append(self._enter)
+        switch = self.host.bench.machine.power
+
+        def power(on: bool) -> None:
+            self.off_rad_s = self.host.bench.machine.truth().velocity_rad_s
+            self.off_s = (self.host.clock.now_ns() - self.began_ns) / NS
+            switch(on)
+
+        self.host.bench.machine.power = power  # type: ignore[method-assign]
+
+    def _enter(self, state: State) -> None:
+        self.entered.append(state)
+        self.entered_s.append((self.host.clock.now_ns() - self.began_ns) / NS)
+
+    def lose_answers(self, count: int) -> None:
+        self.faults.lose(lambda identifier, host: identifier == 0x580 + DRIVE_NODE, count)
+
+    def lose_all(self, for_s: float, *, orders: bool = True) -> None:
+        """Lose all frames from the drive and, with ``orders``, all frames to it except heartbeats,
+        for this time.
+        """
+        end_ns = self.host.clock.now_ns() + round(for_s * NS)
+
+        def lost(identifier: int, host: bool) -> bool:
+            mine = identifier & 0x7F == DRIVE_NODE
+            return mine and (orders or not host) and self.host.clock.now_ns() < end_ns
+
+        self.faults.lose(lost, 1 << 30)
+
+    def watch(self) -> ServoState | None:
+        self.host.cycles(1)
+        self.speeds.append(self.host.servo.sample().velocity_rad_s)
+        return self.host.servo.sent_state()
+
+    def safe(self) -> SafeState:
+        host = self.host
+        return make_safe(
+            host.servo,
+            self.watch,
+            host.clock,
+            NS // 1000,
+            brake=True,
+            hurry=lambda: False,
+            watched=self.watched,
+        )
+
+    def stop(self) -> None:
+        """Bring the drive to a stop, which must be that of its own ramp."""
+        assert self.safe().verified
+        assert self.entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+        assert abs(self.off_rad_s) < STOPPED_RAD_S
+
+    def stop_from_speed(self) -> None:
+        self.stop()
+        assert abs(self.speeds[0]) > 10 * abs(self.speeds[-1])
+        assert len(self.speeds) > 10
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_lost_answers_while_the_drive_brakes_do_not_cut_its_ramp_short(lost: int) -> None:
+    wire = Wire()
+    watch = wire.watch
+
+    def lossy() -> ServoState | None:
+        if not wire.speeds:
+            wire.lose_answers(lost)
+        return watch()
+
+    wire.watch = lossy  # type: ignore[method-assign]
+    wire.stop_from_speed()
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_lost_answers_to_the_quick_stop_do_not_cut_its_ramp_short(lost: int) -> None:
+    wire = Wire()
+    wire.lose_answers(lost)
+    wire.stop_from_speed()
+
+
+def test_a_quick_stop_that_is_lost_in_one_cycle_arrives_with_the_next() -> None:
+    wire = Wire()
+    wire.faults.lose(lambda identifier, host: identifier == 0x200 + DRIVE_NODE, 1)
+    wire.stop_from_speed()
+
+
+def test_a_drive_without_process_data_is_braked_by_sdo() -> None:
+    wire = Wire()
+    wire.faults.lose(lambda identifier, host: identifier == 0x200 + DRIVE_NODE, 1 << 30)
+    wire.stop_from_speed()
+    assert wire.off_s > UNHEARD_S / 4
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv", "cst", "pp"])
+def test_an_outage_only_delays_the_stop(mode: str) -> None:
+    wire = Wire(mode)
+    outage_s = 0.75 * UNHEARD_S
+    wire.lose_all(outage_s)
+    wire.stop()
+    assert outage_s < wire.entered_s[0] < outage_s + 0.002
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv", "cst", "pp"])
+def test_a_drive_that_hears_heartbeats_only_is_braked_by_its_watchdog(mode: str) -> None:
+    wire = Wire(mode)
+    wire.lose_all(10.0)
+    assert not wire.safe().verified
+    assert wire.entered == [State.FAULT_REACTION, State.FAULT]
+    assert abs(wire.off_rad_s) < STOPPED_RAD_S
+    watch_s = wire.host.servo.watch_s
+    assert watch_s is not None
+    assert watch_s < wire.entered_s[0] < UNHEARD_S + watch_s + 0.002
+
+
+@pytest.mark.parametrize("heard", [0, 3])
+def test_a_ramp_of_which_nothing_is_heard_is_not_cut_short(heard: int) -> None:
+    """The drive hears all, and of the drive nothing arrives from the start or from a cycle on."""
+    wire = Wire()
+    watch = wire.watch
+
+    def deaf() -> ServoState | None:
+        if len(wire.speeds) == heard:
+            wire.lose_all(10.0, orders=False)
+        return watch()
+
+    wire.watch = deaf  # type: ignore[method-assign]
+    assert not wire.safe().verified
+    assert wire.entered[0] is State.QUICK_STOP_ACTIVE
+    assert abs(wire.off_rad_s) < STOPPED_RAD_S
+    assert wire.entered[-1] is State.SWITCH_ON_DISABLED
+
+
+def test_a_drive_in_torque_mode_that_refuses_the_stop_has_no_torque() -> None:
+    wire = Wire("cst")
+    drive = wire.host.bench.drive
+    drive.deaf_to = frozenset({Command.QUICK_STOP})
+    torques: list[int] = []
+    watch = wire.watch
+
+    def noting() -> ServoState | None:
+        state = watch()
+        torques.append(drive.objects.integer(0x6071))
+        return state
+
+    wire.watch = noting  # type: ignore[method-assign]
+    assert wire.safe().verified
+    assert wire.entered[:2] == [State.FAULT_REACTION, State.FAULT]  # by its watchdog
+    assert len(torques) > UNHEARD_S / 0.001
+    assert not any(torques[1:])
+    assert abs(wire.off_rad_s) < STOPPED_RAD_S
+
+
+def test_a_lost_encoder_does_not_cut_the_ramp_short() -> None:
+    wire = Wire()
+    wire.faults.lose(lambda identifier, host: identifier == 0x700 + ENCODER_NODE, 1 << 30)
+    wire.host.cycles(150)
+    with pytest.raises(LinkError, match="node 2 sent no heartbeat"):
+        wire.host.cycles(100)
+    wire.stop()
+
+
+def test_the_wait_for_answers_is_limited_while_a_watched_drive_brakes_only() -> None:
+    wire = Wire()
+    host = wire.host
+    host.servo.quick_stop()
+    for limit_s in (0.04, 0.3):
+        wire.lose_answers(1)
+        with pytest.raises(LinkError, match=f"no SDO response within {limit_s:g} s"):
+            host.servo.state()
+        host.servo.disable()
+    wire.lose_answers(1)
+    with pytest.raises(LinkError, match=r"no SDO response within 0\.3 s"):
+        host.servo.quick_stop()  # of a drive that misses no heartbeat
+
+
+def test_a_serial_drive_brakes_although_the_line_of_its_encoder_is_gone() -> None:
+    host = make_serial_host()
+    host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=2))
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    host.servo.enable()
+    host.cycles(100, lambda t: 0.5 * t)
+    entered: list[State] = []
+    host.bench.drive.entered.append(entered.append)
+
+    def gone(_data: bytes) -> None:
+        raise OSError(5, "gone")
+
+    host.encoder_line.write = gone  # type: ignore[method-assign]
+    cycles = [0]
+
+    def watch() -> ServoState | None:
+        cycles[0] += 1
+        with pytest.raises(LinkError, match="gone") as failed:
+            host.cycles(1)
+        raise failed.value
+
+    steps = Steps()
+    cycle_ns = round(host.cycle_s * NS)
+    state = brake(host.servo, watch, host.link.clock, cycle_ns, lambda: False, steps, False)
+    assert state is OFF
+    assert entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+    assert cycles[0] > 10
+    assert not steps.unforeseen
+    host.link.close()
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(deaf: bool) -> None:
+    """The cycles also repeat an order that was lost; a drive that ignores it is left alone."""
+    host = make_dbc_host()
+    enabled_dbc(host)
+    host.cycles(200, lambda t: 0.5 * t)
+    drive = host.bench.drive
+    entered: list[object] = []
+    if deaf:
+        drive._obey = lambda order: None
+        drive._port.listen(STOP, lambda data: None)
+    sent: list[int] = []
+
+    def note(time_ns: int, found: int, data: bytes, by_host: bool) -> tuple[int, bytes]:
+        if found == COMMAND:
+            sent.append(time_ns)
+        return found, data
+
+    host.bench.bus.frame_filters.append(note)
+
+    def watch() -> ServoState | None:
+        host.cycles(1)
+        entered.append(drive.state)
+        return host.servo.sent_state()
+
+    state = brake(host.servo, watch, host.clock, NS // 1000, lambda: False, Steps(), True)
+    assert state is not None
+    assert not state.energised
+    usual = sent[: round(UNHEARD_S * 1000)]
+    assert max(b - a for a, b in itertools.pairwise(usual)) < 2.5e6
+    assert len(entered) > 10
+    host.link.close()
