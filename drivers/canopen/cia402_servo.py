@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Final
 
 from drivers import servo_limits
@@ -15,7 +15,7 @@ from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -277,12 +277,12 @@ class Cia402Servo(HomingServo):
 
     def quick_stop(self, *, at_once: bool = True) -> bool:
         """Order the drive to brake with its own ramp (605Ah, 6085h), in all further exchanges and,
-        with ``at_once``, by SDO; return whether there are exchanges.
-
-        Raises:
-            LinkError: The drive does not answer.
+        with ``at_once``, by a request; return whether there are exchanges. Without ``at_once``, a
+        drive that does not answer raises no error.
         """
-        self._command(Command.QUICK_STOP, at_once)
+        # Without a SYNC an exchange sends nothing while an answer to an earlier request is missing.
+        with nullcontext() if at_once else suppress(LinkError):
+            self._command(Command.QUICK_STOP, at_once or not self._channel.latches)
         return self._cycle_ns > 0
 
     def reset_fault(self) -> None:

@@ -18,8 +18,8 @@ from rig.wiring.steps import Steps
 
 BRAKING_TIMEOUT_S: Final = 1.0
 STATE_INTERVAL_S: Final = 0.005
-"""Time, s, between two reads of the state of a drive that does not send that it brakes; after
-standstill the power stays on for at most this time, independent of the control cycle.
+"""Time, s, between two reads of the state of a drive that is not prepared, or that sends another
+state; after standstill the power stays on for at most this time, independent of the control cycle.
 """
 UNHEARD_S: Final = 0.02
 """Time, s, for which only cycles order the quick stop while the drive sends no state. A shorter

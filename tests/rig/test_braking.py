@@ -15,6 +15,7 @@ from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE
 from drivers.mock.dbc_drive import COMMAND, STOP
 from drivers.mock.faults import WireFaults
+from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import Command, State
 from rig.wiring.braking import BRAKING_TIMEOUT_S, REACTION_S, UNHEARD_S, brake
 from rig.wiring.steps import Steps
@@ -458,4 +459,20 @@ def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(deaf: bo
     usual = sent[: round(UNHEARD_S * 1000)]
     assert max(b - a for a, b in itertools.pairwise(usual)) < 2.5e6
     assert len(entered) > 10
+    host.link.close()
+
+
+def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost() -> None:
+    host = make_serial_host()
+    host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=2))
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    host.servo.enable()
+    host.cycles(100, lambda t: 0.5 * t)
+    entered: list[State] = []
+    host.bench.drive.entered.append(entered.append)
+    LineFaults(host.line, host.link.clock).lose(False, 0)
+    host.cycles(2)
+    host.servo.quick_stop(at_once=False)
+    assert entered[0] is State.QUICK_STOP_ACTIVE
     host.link.close()
