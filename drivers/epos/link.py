@@ -220,14 +220,16 @@ class EposSerialLink(Link):
         if not self._in_step and not self._find_step(deadline_ns):
             return None
         self._send(frame)
+        # After an error in the wait for the answer, the answer may still arrive.
+        self._in_step = False
         found = self._receive(min(deadline_ns, self.clock.now_ns() + self._answer_wait_ns))
         if (
             len(found) == 1
             and found[0].opcode == Opcode.ANSWER
             and len(found[0].data) >= ERROR.size
         ):
+            self._in_step = True
             return found[0].data
-        self._in_step = False
         self.lost += 1
         return None
 

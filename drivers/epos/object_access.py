@@ -46,7 +46,8 @@ class Guard(Protocol):
         The method takes little time, and does nothing while the guard is not armed.
 
         Raises:
-            LinkError: The guard has taken over the line, or has ended: the line must not be used.
+            LinkError: The guard has taken over the line, which must not be used while the error is
+                raised; or the guard has ended, which is reported once.
         """
         ...
 

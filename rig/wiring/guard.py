@@ -34,7 +34,8 @@ class Guard:
     """Opens a drive's port, and runs a guardian process while the drive is energised.
 
     Program and guardian never use the port at the same time: while the guardian has the port,
-    :meth:`feed` raises an error.
+    :meth:`feed` raises an error. A guardian that has ended or does not read is reported once; the
+    program can then take the power off itself.
 
     Args:
         port: Device of this computer.
@@ -66,6 +67,7 @@ class Guard:
         self._process: subprocess.Popen[bytes] | None = None
         self._armed = False
         self._taken = False
+        self._deaf = False
         self._heard = b""
 
     def open_port(self) -> BytePort:
@@ -99,7 +101,7 @@ class Guard:
             self._process = self._start()
         folder = {} if self._folder is None else {"folder": str(self._folder)}
         self._tell({"armed": True, "limit_s": limit_s, **folder})
-        self._armed = True
+        self._armed, self._deaf = True, False
         self._fed_ns = time.monotonic_ns()
 
     def feed(self) -> None:
@@ -107,9 +109,9 @@ class Guard:
         is armed.
 
         Raises:
-            LinkError: The guardian has taken over, or is gone. While the guardian has the drive,
-                every call raises LinkError; after the guardian has released the drive, only the
-                next call raises LinkError, so that the drive can then be read back.
+            LinkError: The guardian has taken over, has ended, or accepts no messages. While the
+                guardian has the drive, every call raises LinkError. Otherwise only one call raises
+                LinkError, so that the drive can then be stopped and read back.
         """
         if self._taken:
             self._await_report(0.0)
@@ -127,21 +129,29 @@ class Guard:
                 f"stopped the drive: {words}"
             )
         self._fed_ns = now
-        self._write(b"\n")
+        reported = self._deaf
+        try:
+            self._write(b"\n")
+        except LinkError:
+            # A guardian that reads again later must find signs of life, and its takeover is noticed
+            # above.
+            if not (reported and self._deaf):
+                raise
 
     def release(self) -> None:
         """Disarm the guardian after the drive was verified off; the next :meth:`arm` arms it again.
 
         Raises:
-            LinkError: The guardian is gone.
+            LinkError: The guardian has ended, or accepts no messages. In the second case it stays
+                armed, so that its takeover is still noticed.
         """
         if self._armed:
-            self._armed = False
             self._tell({"armed": False})
+            self._armed = False
 
     def close(self) -> None:
         """End the guardian. If :meth:`release` was not called, the guardian stops the drive now,
-        and repeats this until the stop is verified.
+        and repeats this for at most a minute until the stop is verified.
         """
         process, self._process = self._process, None
         if process is None:
@@ -197,7 +207,7 @@ class Guard:
         """Return the guardian's output up to and including a text; None after a time-out.
 
         Raises:
-            LinkError: The guardian is gone.
+            LinkError: The guardian has ended.
         """
         assert self._process is not None
         descriptor = _pipe(self._process.stdout).fileno()
@@ -208,11 +218,16 @@ class Guard:
                 return None
             data = os.read(descriptor, _CHUNK)
             if not data:
+                self._forget()
                 raise LinkError(f"the guardian of {self.name} has ended; stop and run again")
             self._heard += data
         end = self._heard.index(words) + len(words)
         said, self._heard = self._heard[:end], self._heard[end:]
         return said
+
+    def _forget(self) -> None:
+        """Note that the guardian has ended: nobody else uses the port any more."""
+        self._armed = self._taken = self._deaf = False
 
     def _tell(self, words: dict[str, object]) -> None:
         self._write(json.dumps(words).encode() + b"\n")
@@ -223,10 +238,12 @@ class Guard:
             # A pipe accepts a short line completely or not at all.
             os.write(_pipe(self._process.stdin).fileno(), data)
         except BlockingIOError as error:
+            self._deaf = True
             raise LinkError(
                 f"the guardian of {self.name} accepts no messages; stop and run again"
             ) from error
         except OSError as error:
+            self._forget()
             raise LinkError(
                 f"the guardian of {self.name} has ended ({error.strerror}); stop and run again"
             ) from error

@@ -205,6 +205,27 @@ def test_a_late_answer_is_not_taken_for_the_next(host: SerialHost) -> None:
         assert abs(sample.motor_angle_rad / 100.0 - host.bench.machine.truth().angle_rad) < 1e-3
 
 
+def test_an_answer_that_was_not_awaited_is_not_taken_for_the_next(host: SerialHost) -> None:
+    class Guard:
+        """A guard that reports its end in the wait for the first answer."""
+
+        calls = 0
+
+        def feed(self) -> None:
+            self.calls += 1
+            if self.calls == 2:
+                raise LinkError("the guardian has ended")
+
+    prepared(host)
+    asked = [host.drive.read(0x1018, subindex) for subindex in (1, 2)]
+    assert asked[0] != asked[1]
+    host.epos.guard = Guard()  # type: ignore[assignment]
+    with pytest.raises(LinkError, match="has ended"):
+        host.drive.read(0x1018, 1)
+    # The answer arrives after the next request was sent.
+    assert host.drive.read(0x1018, 2) == asked[1]
+
+
 def test_two_frames_for_one_request_are_not_believed(host: SerialHost) -> None:
     enabled(host)
     host.cycles(5)

@@ -16,10 +16,16 @@ from typing import Any
 
 import pytest
 
+from drivers.clock import NS
 from drivers.errors import LinkError
+from drivers.interfaces import ServoState
+from drivers.mock.power_state import State
 from drivers.units import ServoScales
 from rig.wiring.guard import Guard
 from rig.wiring.guardian import READY, TOOK_OVER
+from rig.wiring.teardown import make_safe
+
+from ..drivers.serial_host import make_serial_host
 
 DE_ENERGISED = b"the drive is de-energised (read back: switch on disabled)\n"
 NAME = "EPOS4 at /dev/some"
@@ -53,6 +59,17 @@ class Guardian:
         if self.stubborn:
             raise subprocess.TimeoutExpired("guardian", timeout)
         return 0
+
+
+def fill(guardian: Guardian) -> None:
+    """Fill the pipe of a guardian that does not read."""
+    # Small writes last, so that not even a sign of life fits.
+    for size in (4096, 1):
+        while True:
+            try:
+                os.write(guardian.stdin.fileno(), b"x" * size)
+            except BlockingIOError:
+                break
 
 
 class Time:
@@ -315,6 +332,76 @@ def test_a_guardian_that_is_gone_ends_the_run(guard: Guard, guardian: Guardian, 
     with pytest.raises(LinkError) as caught:
         guard.feed()
     assert str(caught.value) == f"the guardian of {NAME} has ended; stop and run again"
+    # Nobody else uses the port: the drive can be stopped without the guardian.
+    time.wait(0.1)
+    guard.feed()
+    guard.release()
+    guardian.hears.close()
+    with pytest.raises(LinkError, match="has ended"):
+        guard.arm(0.2)
+
+
+def test_a_guardian_that_ends_during_its_takeover_leaves_the_port_to_the_program(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    time.wait(1.0)
+    guardian.speaks.write(TOOK_OVER)
+    with pytest.raises(LinkError, match="is still trying to take the power off"):
+        guard.feed()
+    guardian.speaks.close()
+    with pytest.raises(LinkError, match="has ended"):
+        guard.feed()
+    time.wait(1.0)
+    guard.feed()
+
+
+@pytest.mark.parametrize("suspended", [False, True])
+def test_without_its_guardian_the_program_takes_the_power_off(
+    guard: Guard, guardian: Guardian, monkeypatch: pytest.MonkeyPatch, suspended: bool
+) -> None:
+    host = make_serial_host()
+    clock = host.bench.clock
+    monkeypatch.setattr("rig.wiring.guard.time.monotonic_ns", clock.now_ns)
+    host.epos.guard = guard
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    host.servo.enable()
+    host.cycles(50, lambda time: 0.3 * time)
+    if suspended:
+        fill(guardian)
+    else:
+        guardian.hears.close()
+        guardian.speaks.close()
+    with pytest.raises(LinkError, match="accepts no messages" if suspended else "has ended"):
+        host.cycles(50)
+
+    entered: list[State] = []
+    host.bench.drive.entered.append(entered.append)
+    braking: list[int] = []
+
+    def watch() -> ServoState | None:
+        braking.append(clock.now_ns())
+        host.cycles(1)
+        return host.servo.sent_state()
+
+    safe = make_safe(
+        host.servo,
+        watch,
+        clock,
+        round(host.cycle_s * NS),
+        brake=True,
+        hurry=lambda: False,
+        watched=False,
+        insistent=True,
+    )
+    host.link.close()
+    assert entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+    assert safe.verified
+    # The ramp was not cut short: the wait for the standstill ran control cycles.
+    assert len(braking) > 2
+    if not suspended:
+        assert safe.problems == ()
 
 
 def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Guardian) -> None:
@@ -331,15 +418,58 @@ def test_a_guardian_that_does_not_listen_ends_the_run(
     guard: Guard, guardian: Guardian, time: Time
 ) -> None:
     guard.arm(0.2)
-    while True:
-        try:
-            os.write(guardian.stdin.fileno(), b"x" * 4096)
-        except BlockingIOError:
-            break
+    fill(guardian)
     time.wait(0.1)
     with pytest.raises(LinkError) as caught:
         guard.feed()
     assert str(caught.value) == f"the guardian of {NAME} accepts no messages; stop and run again"
+    for _ in range(3):
+        time.wait(0.1)
+        guard.feed()
+
+
+def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    fill(guardian)
+    time.wait(0.1)
+    with pytest.raises(LinkError, match="accepts no messages"):
+        guard.feed()
+    # It cannot be told that the drive is off, and must not use the port unnoticed later.
+    with pytest.raises(LinkError, match="accepts no messages"):
+        guard.release()
+    while guardian.heard():
+        pass
+    time.wait(0.1)
+    guard.feed()
+    assert guardian.heard() == b"\n"
+    guardian.speaks.write(TOOK_OVER + DE_ENERGISED)
+    time.wait(0.1)
+    with pytest.raises(LinkError, match="the guardian stopped the drive"):
+        guard.feed()
+    # Armed again, it is missed again.
+    guard.arm(0.2)
+    fill(guardian)
+    time.wait(0.1)
+    with pytest.raises(LinkError, match="accepts no messages"):
+        guard.feed()
+
+
+def test_a_guardian_that_ends_after_it_did_not_listen_is_reported_as_well(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    fill(guardian)
+    time.wait(0.1)
+    with pytest.raises(LinkError, match="accepts no messages"):
+        guard.feed()
+    guardian.hears.close()
+    time.wait(0.1)
+    with pytest.raises(LinkError, match="has ended"):
+        guard.feed()
+    time.wait(0.1)
+    guard.feed()
 
 
 def test_a_guardian_that_does_not_start_keeps_the_drive_off(
