@@ -219,14 +219,13 @@ class Setup:
             yield
             done = True
         finally:
-            presses = self.stop.presses
             self.safe = make_safe(
                 servo,
                 cycle.watch,
                 self.devices.link.clock,
                 self.bench.cycle_ns,
                 brake=not done,
-                hurry=lambda: self.stop.presses > presses,
+                hurry=self.stop.hurry(),
                 watched=self.devices.link.has_watchdog,
                 insistent=not self.devices.link.has_watchdog,
             )

@@ -118,14 +118,13 @@ def move(
     servo = devices.servo
     own: list[ServoLimits] = []
     ending, words, error = _moves(jog, bench, devices, cycle, stop, reset_fault, own)
-    presses = stop.presses
     safe = make_safe(
         servo,
         cycle.watch,
         devices.link.clock,
         bench.cycle_ns,
         brake=ending is not Ending.DONE,
-        hurry=lambda: stop.presses > presses,
+        hurry=stop.hurry(),
         watched=devices.link.has_watchdog,
         insistent=not devices.link.has_watchdog,
     )

@@ -89,7 +89,6 @@ class Sequencer:
         no error; an unexpected exception becomes the ``error`` of the outcome.
         """
         ending, message, trip, error = self._attempt()
-        presses = self._stop.presses
         # Before the first phase with power there is no ramp, and no cycle that would be recorded.
         unpowered = self.phase is Phase.LOAD and not self._cycle.count
         safe = make_safe(
@@ -98,7 +97,7 @@ class Sequencer:
             self._devices.link.clock,
             self._plan.cycle_ns,
             brake=ending is not Ending.DONE,
-            hurry=lambda: self._stop.presses_now() > presses,
+            hurry=self._stop.hurry(),
             watched=self._devices.link.has_watchdog,
             insistent=not self._devices.link.has_watchdog,
         )

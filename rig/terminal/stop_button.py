@@ -9,8 +9,8 @@ sends.
 - SIGUSR1 (``kill -USR1``) requests a pause at the end of the stage; a second SIGUSR1 cancels the
   pause.
 
-A second stop signal while the drive brakes takes the power off at once. Further stop signals change
-nothing. The stop button is a stop function in software, not an emergency stop.
+A second stop signal, before or while the drive brakes, takes the power off at once. Further stop
+signals change nothing. The stop button is a stop function in software, not an emergency stop.
 """
 
 from __future__ import annotations
@@ -140,6 +140,14 @@ class StopButton:
         if self.listen is not None:
             self.listen()
         return self.presses
+
+    def hurry(self) -> Callable[[], bool]:
+        """Return whether to take the power off without waiting for the end of the braking ramp, as
+        a function to be called while the drive brakes: true after a stop request in this time, or
+        if there were two requests before, of which SIGQUIT alone counts as both.
+        """
+        before = min(self.presses, 1)
+        return lambda: self.presses_now() > before
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:

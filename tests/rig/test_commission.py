@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from rig.commissioning.patch import patched
 from rig.commissioning.setup import FASTEST_DEG_S, Setup
 from rig.common.errors import StorageError
 from rig.config.bench import load_bench
+from rig.control.cycle import Cycle
 from rig.control.motion_words import Change
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder
@@ -235,6 +237,33 @@ def test_however_a_step_ends_the_drive_is_read_back_as_off(
     assert (record["state"], record["sessions"][0][-1]["name"]) == (state, "small move")
     assert record["drive"]["verified"]
     assert record["drive"]["state"] == "switch on disabled"
+
+
+@pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
+def test_sigquit_takes_the_power_off_without_the_ramp(
+    here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
+) -> None:
+    go, watch = Setup.go, Cycle.watch
+    pressed: list[signal.Signals] = []
+    braking: list[ServoState | None] = []
+
+    def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
+        self.cycle.follow([start] * 10, 0, "hold")
+        pressed.append(number)
+        signal.raise_signal(number)
+        go(self, start, end, speed)
+
+    def noted(self: Cycle) -> ServoState | None:
+        state = watch(self)
+        if pressed:
+            braking.append(state)
+        return state
+
+    monkeypatch.setattr(Setup, "go", interrupted)
+    monkeypatch.setattr(Cycle, "watch", noted)
+    ended, record = commissioned("--angle", "0")
+    assert (ended, record["state"], record["drive"]["verified"]) == (3, "stopped", True)
+    assert bool(braking) == brakes
 
 
 FLOW = "servo: {node: 1, sign: 1}  # kept\nencoder:\n  node: 2  # kept\n  sign: 1\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,19 @@ def test_the_stop_button(fake_bench: Any) -> None:
     outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), stop, ignore, silent)
     assert (outcome.ending, outcome.safe.verified) == (Ending.STOPPED, True)
     assert bench.calls["quick_stop"] == 1
+
+
+@pytest.mark.parametrize(("number", "cycles"), [(signal.SIGINT, 50), (signal.SIGQUIT, 0)])
+def test_sigquit_takes_the_power_off_without_the_ramp(
+    fake_bench: Any, number: signal.Signals, cycles: int
+) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 200] = lambda: signal.raise_signal(number)
+    with StopButton() as stop:
+        outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), stop, ignore, silent)
+    assert (outcome.ending, outcome.safe.verified) == (Ending.STOPPED, True)
+    # The fake stands at the exchange numbered 250; its state is read every 5 ms.
+    assert 0 <= bench.calls["exchange"] - 200 - cycles <= 5 * bool(cycles)
 
 
 def test_a_bus_that_dies(fake_bench: Any) -> None:

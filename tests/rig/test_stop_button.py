@@ -50,6 +50,10 @@ def test_what_ends_a_run_and_how_that_is_said(name: str) -> None:
         # A drive that brakes is taken off the power at once by two presses, of which SIGQUIT is
         # both.
         assert stop.presses == (2 if name == "SIGQUIT" else 1)
+        hurry = stop.hurry()
+        assert hurry() == (name == "SIGQUIT")
+        stop.press()
+        assert hurry()
         with pytest.raises(OperatorStopError) as caught:
             stop.check()
         assert str(caught.value) == stop.words
@@ -63,6 +67,15 @@ def test_the_first_cause_is_the_one_that_counts() -> None:
     stop.press("SIGTERM")
     stop.press("Ctrl-C")
     assert (stop.presses, stop.words) == (3, "stopped by the operator (SIGTERM)")
+
+
+def test_without_a_stop_before_the_braking_the_first_press_is_enough() -> None:
+    stop = StopButton()
+    hurry = stop.hurry()
+    assert not hurry()
+    # The control socket is read as well.
+    stop.listen = stop.press
+    assert hurry()
 
 
 def test_all_signals_are_taken_over_and_given_back() -> None:

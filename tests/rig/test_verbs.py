@@ -222,6 +222,16 @@ def test_ctrl_c_while_braking_takes_the_power_off_at_once(
     assert folder.record.cycles == (705 if presses == 2 else 751)
 
 
+def test_sigquit_takes_the_power_off_without_the_ramp(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    with StopButton() as stop:
+        bench.faults["exchange", 700] = lambda: signal.raise_signal(signal.SIGQUIT)
+        _, outcome = runner(bench, stop=stop)
+    assert outcome.ending is Ending.STOPPED
+    assert outcome.safe.verified
+    assert (bench.calls["quick_stop"], bench.calls["exchange"]) == (1, 700)
+
+
 def test_ctrl_c_during_the_reading_back_changes_nothing(runner: Any, fake_bench: Any) -> None:
     bench, stop = fake_bench(), StopButton()
     bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=26.0)
