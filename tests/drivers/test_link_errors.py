@@ -28,7 +28,7 @@ from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.frames import Opcode, encode
 from drivers.epos.link import EposSerialLink
-from drivers.errors import ConfigurationError, DeviceError, LinkError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame, Servo
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
 from drivers.mock.dbc_bench import simulated_dbc_bench
@@ -37,7 +37,7 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.wires.serial_line import SimulatedLine
-from drivers.serial_port import InheritedPort
+from drivers.serial_port import BytePort, InheritedPort
 from drivers.units import EncoderScales
 
 from .dbc_host import DRIVE, MAP
@@ -344,6 +344,35 @@ def test_where_the_encoder_cannot_be_opened_the_drive_is_closed(error: BaseExcep
         with_encoder(servo_link, Part(opening=error)).open()
     assert caught.value is error
     assert servo_link.closed == 1
+
+
+@pytest.mark.parametrize("at_instant", [False, True])
+@pytest.mark.parametrize("servo_error", [None, DriveFault(0x2310, "over-current")])
+def test_a_line_that_is_gone_does_not_keep_the_servo_from_its_exchange(
+    at_instant: bool, servo_error: Exception | None
+) -> None:
+    calls: list[str] = []
+    instant: list[Callable[[], None]] = []
+
+    class Servo(Part):
+        def exchange(self) -> None:
+            calls.append("orders")
+            for call in instant:
+                call()
+            calls.append("values")
+            if servo_error is not None:
+                raise servo_error
+
+    def gone() -> BytePort:
+        raise AssertionError("not opened")
+
+    line = Amt21Line(SimulatedClock(), gone, "AMT21")
+    encoder = Amt21Encoder(line, EncoderScales(COUNTS_PER_TURN), GATE)
+    link = EncoderLink(Servo(), encoder, instant.append if at_instant else None)
+    for _ in range(3):
+        with pytest.raises(DriveFault if servo_error else LinkError):
+            link.exchange()
+    assert calls == ["orders", "values"] * 3
 
 
 def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> None:
