@@ -101,12 +101,16 @@ class Sequencer:
             watched=self._devices.link.has_watchdog,
             insistent=not self._devices.link.has_watchdog,
         )
-        if self._cycle.units is not None:
-            message = self._cycle.units.after_braking(message)
+        units = self._cycle.units
+        words = [message]
+        unforeseen = [*safe.unforeseen]
+        if units is not None:
+            unforeseen += attempt_all(lambda: words.append(units.after_braking(message)))
+        message = words[-1]
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
         outcome = Outcome(ending, f"{message}; {safe.message}", safe, trip, error)
-        unforeseen = [*safe.unforeseen, *self._announce(outcome)]
+        unforeseen += self._announce(outcome)
         if self._handlers.own_limits is not None:
             unforeseen += give_back(self._devices.servo, self._handlers.own_limits, safe)
         noted: list[Outcome] = []

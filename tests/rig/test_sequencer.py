@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import itertools
 from collections.abc import Callable
@@ -12,12 +13,14 @@ import pytest
 
 from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
+from rig.control.motion_witness import MotionWitness
 from rig.control.operator import AutomaticOperator
 from rig.runs.mcap.reader import read_run
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run import load_run, read_record
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.devices import Nominal
 
 
 def throw(error: BaseException) -> Callable[[], None]:
@@ -276,6 +279,35 @@ def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench
     assert read_run(runner.folder / "recording.mcap").damage is None
     record = read_record(runner.folder)
     assert (record.state, record.de_energised) == ("crashed", True)
+
+
+def test_a_defect_in_the_explanation_does_not_hide_the_state_of_the_drive(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wrong(self: MotionWitness, message: str) -> str:
+        raise IndexError("a defect")
+
+    monkeypatch.setattr(MotionWitness, "after_braking", wrong)
+    devices = fake_bench.devices
+    monkeypatch.setattr(
+        fake_bench,
+        "devices",
+        lambda self: dataclasses.replace(devices(self), nominal=Nominal(0.05, 100.0)),
+    )
+    bench = fake_bench()
+    bench.faults["exchange", 30] = lambda: bench.overrides.update(current_A=26.0)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.CRASHED
+    assert isinstance(outcome.error, IndexError)
+    assert outcome.trip is not None
+    assert outcome.safe.verified
+    assert "motor current 26 A is beyond its limit" in outcome.message
+    assert "the drive is de-energised" in outcome.message
+    assert bench.order[-2:] == ["state", "write_limits"]
+    record = read_record(runner.folder)
+    assert (record.state, record.de_energised) == ("crashed", True)
+    log = read_run(runner.folder / "recording.mcap")
+    assert (log.damage, log.events[-1]["event"]) == (None, "tripped")
 
 
 def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
