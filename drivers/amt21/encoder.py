@@ -220,9 +220,9 @@ class Amt21Encoder(Encoder):
         Raises:
             LinkError: The line is gone.
         """
+        self._fresh = False
         self.line.ask()
         self._asked_ns = self.line.asked_ns
-        self._fresh = False
 
     def collect(self, since_ns: int | None = None) -> None:
         """Receive the answer to the request; use its position if it is plausible.

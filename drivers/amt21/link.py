@@ -36,7 +36,8 @@ class EncoderLink(Link):
         self._encoder = encoder
         self._line = encoder.line
         self._asked = True
-        self._failure: LinkError | None = None
+        self._failures: list[LinkError] = []
+        self._failed = False
         self._first = at_instant is None
         if at_instant is not None:
             at_instant(self._ask)
@@ -65,29 +66,37 @@ class EncoderLink(Link):
         """Exchange process data with the servo while the encoder prepares its answer.
 
         Raises:
-            LinkError: The bus or the line failed.
+            LinkError: The bus failed, or the line of the encoder failed, which is reported once
+                until it works again; the values of the encoder are then not fresh.
             DriveFault: A device sent an emergency message.
         """
         began_ns = self.clock.now_ns()
-        self._asked, self._failure = False, None
+        self._asked = False
+        self._failures.clear()
         if self._first:
             self._ask()
         self._servo_link.exchange()
         # After a lost answer of the servo no time of this cycle may be left.
         since_ns = began_ns if self._asked else None
         self._ask()
-        if self._failure is not None:
-            raise self._failure
-        self._encoder.collect(since_ns)
+        if not self._failures:
+            self._attempt(lambda: self._encoder.collect(since_ns))
+        reported, self._failed = self._failed, bool(self._failures)
+        if self._failures and not reported:
+            raise self._failures[0]
 
     def _ask(self) -> None:
-        """Ask the encoder, once in a cycle; store the error of a failed line."""
+        """Ask the encoder, once in a cycle."""
         if not self._asked:
             self._asked = True
-            try:
-                self._encoder.ask()
-            except LinkError as error:
-                self._failure = error
+            self._attempt(self._encoder.ask)
+
+    def _attempt(self, step: Callable[[], None]) -> None:
+        """Use the line; store its error."""
+        try:
+            step()
+        except LinkError as error:
+            self._failures.append(error)
 
     def take_frames(self) -> list[RawFrame]:
         """Return the frames of link and line since the last call, oldest first."""

@@ -177,7 +177,8 @@ class CanopenLink(Link):
         method waits for process data at most 80 % of the cycle.
 
         Raises:
-            LinkError: The bus failed, or a device was lost, stopped or restarted.
+            LinkError: The bus failed, or a device was lost, stopped or restarted. Such a device is
+                reported once until it is prepared again; its values are then not fresh.
             DriveFault: A device sent an emergency message.
         """
         self._receive(0.0)
@@ -190,7 +191,7 @@ class CanopenLink(Link):
             node.missing = node.expected
         for node in self._nodes.values():
             if node.monitored and now - node.heard_ns > node.silence_ns:
-                self._troubles.append((node.node_id, self._lost(node)))
+                self._lose(node, self._silence(node))
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
             node.sent()
@@ -326,15 +327,17 @@ class CanopenLink(Link):
                 if state == INITIALISING
                 else f"left the NMT state OPERATIONAL for {NMT_NAMES.get(state, state)}"
             )
-            lost = LinkError(
-                f"{node.label} {what}; check the supply of the device, then prepare the device "
-                "again"
-            )
-            self._troubles.append((node.node_id, lost))
+            remedy = "check the supply of the device, then prepare the device again"
+            self._lose(node, f"{node.label} {what}; {remedy}")
 
-    def _lost(self, node: CanopenNode) -> LinkError:
+    def _lose(self, node: CanopenNode, words: str) -> None:
+        # Reported once, so that the exchanges of a drive that brakes then return values.
+        node.monitored = False
+        self._troubles.append((node.node_id, LinkError(words)))
+
+    def _silence(self, node: CanopenNode) -> str:
         silent_s = (self.clock.now_ns() - node.heard_ns) / NS
-        return LinkError(
+        return (
             f"{node.label} sent no heartbeat for {silent_s:.3f} s "
             f"(limit {node.silence_ns / NS:g} s); check its supply and the bus cable"
         )

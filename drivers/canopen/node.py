@@ -60,7 +60,8 @@ class CanopenNode:
         nmt_state: NMT state in the last heartbeat; None before the first heartbeat.
         heard_ns: Time of the last heartbeat, ns.
         silence_ns: Time without a heartbeat after which the device counts as lost, ns.
-        monitored: Whether process data is exchanged, so that a lost device is detected.
+        monitored: Whether process data is exchanged, so that a lost device is detected; False
+            after the device was reported as lost.
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:

@@ -147,7 +147,8 @@ class EposSerialLink(Link):
         not change.
 
         Raises:
-            LinkError: The line is gone, or a drive was silent for too long.
+            LinkError: The line is gone, or a drive was silent for too long, which is reported once
+                until the drive is prepared again.
         """
         self.cycle += 1
         now = self.clock.now_ns()
@@ -162,6 +163,7 @@ class EposSerialLink(Link):
         if node.fresh or not node.heard_ns:
             node.heard_ns = now
         elif now - node.heard_ns > self._silence_ns:
+            node.monitored = False
             raise LinkError(
                 f"{node.label} sent no complete answer for {(now - node.heard_ns) / NS:.3f} s "
                 f"(limit {self._silence_ns / NS:g} s); check its supply and the serial cable"

@@ -123,7 +123,7 @@ class EposSerialNode(ObjectAccess):
     Attributes:
         node_id: Node identifier, 1 to 127.
         cycle: Number of the last exchange.
-        monitored: Whether process data are exchanged.
+        monitored: Whether process data are exchanged; False after the drive was reported as silent.
         heard_ns: Time of the last complete answer, ns.
     """
 

@@ -270,3 +270,27 @@ def test_the_servo_exchanges_its_values_although_the_line_of_the_encoder_is_gone
         host.cycles(1)
     assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
     assert host.servo.sample().fresh
+    assert not host.encoder.sample().fresh
+
+
+@pytest.mark.parametrize("use", ["write", "read"])
+def test_a_line_that_fails_is_reported_once_until_it_works_again(
+    host: SerialHost, monkeypatch: pytest.MonkeyPatch, use: str
+) -> None:
+    live(host)
+
+    def gone(*_: object) -> None:
+        raise OSError(5, "gone")
+
+    for _ in range(2):
+        with monkeypatch.context() as patch:
+            patch.setattr(host.encoder_line, use, gone)
+            with pytest.raises(LinkError, match="gone"):
+                host.cycles(1)
+            before = host.servo.sample().device_time_s
+            host.cycles(3)
+            assert host.servo.sample().fresh
+            assert host.servo.sample().device_time_s > before
+            assert not host.encoder.sample().fresh
+        host.cycles(5)
+        assert host.encoder.sample().fresh

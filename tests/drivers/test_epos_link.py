@@ -243,6 +243,17 @@ def test_a_silent_drive_is_reported_as_lost(host: SerialHost) -> None:
         LinkError, match=r"node 1 sent no complete answer for 0\.20\d s \(limit 0\.2 s\)"
     ):
         host.cycles(150)
+    host.cycles(150)
+    assert not host.servo.sample().fresh
+    host.line.cut = False
+    host.cycles(10)
+    assert host.servo.sample().fresh
+    # Prepared again, it is missed again.
+    host.servo.disable()
+    prepared(host)
+    host.line.cut = True
+    with pytest.raises(LinkError, match="sent no complete answer"):
+        host.cycles(150)
 
 
 def test_one_lost_answer_outside_the_cycle_is_asked_for_again(host: SerialHost) -> None:

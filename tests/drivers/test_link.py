@@ -132,6 +132,22 @@ def test_a_silent_device_is_lost(host: Host) -> None:
         LinkError, match=r"node 2 sent no heartbeat for 0\.2\d\d s \(limit 0\.2 s\)"
     ):
         host.cycles(100)
+    goes_on(host)
+
+
+def goes_on(host: Host) -> None:
+    """The lost encoder was reported; the exchange serves the others, until it is prepared."""
+    before = host.servo.sample().device_time_s
+    host.cycles(300)
+    assert host.servo.sample().fresh
+    assert host.servo.sample().device_time_s > before
+    host.bench.bus.frame_filters.clear()
+    host.bench.bus.send(frame(0, bytes([128, 2])))  # in STOPPED it answers no request
+    host.encoder.prepare(host.cycle_s)
+    host.cycles(10)
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x702 else (i, d))
+    with pytest.raises(LinkError, match="node 2 sent no heartbeat"):
+        host.cycles(300)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +159,7 @@ def test_a_device_that_leaves_operational_is_noticed(host: Host, command: int, m
     host.bench.bus.send(frame(0, bytes([command, 2])))
     with pytest.raises(LinkError, match=f"node 2 .*{match}"):
         host.cycles(60)
+    goes_on(host)
 
 
 def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
