@@ -17,6 +17,8 @@ _LEAST_STEPS = 8
 """Least number of small steps for which a common divisor of the steps is not attributed to
 chance.
 """
+_LONGEST_STEP = 1.5
+"""Longest step between two samples without a missing sample, in sample periods."""
 _KAISER = 5.0
 """Shape parameter beta of the Kaiser window of the low-pass."""
 
@@ -49,20 +51,30 @@ def resample(time: Array, values: Array, grid: Array, offset: float = 0.0) -> Ar
     return np.interp(grid, time + offset, values)
 
 
-def values_at_ends(means: Array) -> Array:
+def values_at_ends(
+    time: Array, means: Array, period: float, known: BoolArray | None = None
+) -> Array:
     """Return the values of a channel at the ends of its sample periods, from its means over them.
 
     The reconstruction is exact for cubics; interpolation between means would also smooth the
-    channel over two periods. At both ends of the recording it is the mean of neighbours.
+    channel over two periods. Where a sample is missing or unknown nearby, the means are
+    interpolated along a straight line, and the last value is the last mean.
 
     Args:
+        time: Times at which the sample periods end, s, shape (n,).
         means: Mean of each sample over the period that ends at its time, shape (n,).
+        period: Sample period, s.
+        known: Samples whose means are known, shape (n,); all by default.
     """
-    later = np.append(means[1:], means[-1:])
-    out = 0.5 * (means + later)
-    if len(means) >= 4:
-        out[1:-2] += (out[1:-2] - 0.5 * (means[:-3] + means[3:])) / 6.0
-    return np.asarray(out)
+    out = np.interp(time, time - 0.5 * period, means)
+    if len(means) < 4:
+        return out
+    good = np.ones(len(means), bool) if known is None else known
+    even = np.diff(time) < _LONGEST_STEP * period
+    whole = good[:-3] & good[1:-2] & good[2:-1] & good[3:] & even[:-2] & even[1:-1] & even[2:]
+    curved = means[1:-2] + means[2:-1] - means[:-3] - means[3:]
+    out[1:-2] += np.where(whole, curved / 12.0, 0.0)
+    return out
 
 
 def derivative(values: Array, step: float) -> Array:

@@ -211,7 +211,7 @@ def test_values_at_the_ends_of_sample_periods_follow_from_means() -> None:
     ends = np.arange(1.0, 31.0)
     integral = np.polynomial.Polynomial([0.0, 2.0, -0.3, 0.04, -0.001])
     means = integral(ends) - integral(ends - 1.0)
-    found = values_at_ends(means)
+    found = values_at_ends(ends, means, 1.0)
     np.testing.assert_allclose(found[1:-2], integral.deriv()(ends)[1:-2], rtol=1e-12)
     np.testing.assert_allclose(found[[0, -2]], 0.5 * (means[[0, -2]] + means[[1, -1]]))
     assert found[-1] == means[-1]
@@ -221,4 +221,18 @@ def test_values_at_the_ends_of_sample_periods_follow_from_means() -> None:
 def test_a_few_means_are_only_averaged(means: list[float]) -> None:
     values = np.array(means)
     later = np.append(values[1:], values[-1:])
-    np.testing.assert_array_equal(values_at_ends(values), 0.5 * (values + later))
+    found = values_at_ends(np.arange(len(values)) * 0.01, values, 0.01)
+    np.testing.assert_allclose(found, 0.5 * (values + later), rtol=1e-12, atol=1e-9)
+
+
+def test_a_missing_sample_leaves_a_ramp_of_means_exact() -> None:
+    ends = np.delete(np.arange(1.0, 31.0), 12)
+    np.testing.assert_allclose(values_at_ends(ends, ends - 0.5, 1.0)[:-1], ends[:-1], rtol=1e-12)
+
+
+def test_an_unknown_mean_reaches_no_further_than_its_neighbour() -> None:
+    """The mean of an unknown sample, here 0, takes no part in the curvature."""
+    ends, known = np.arange(1.0, 31.0), np.ones(30, bool)
+    known[10:20] = False
+    found = values_at_ends(ends, np.where(known, 24.0, 0.0), 1.0, known)
+    np.testing.assert_array_equal(found[known & np.append(known[1:], True)], 24.0)

@@ -118,7 +118,7 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
     assert told == [*TRUTHS, *["opened"] * 4]
     result = score(rows)
-    assert result["counts"] == {"one": 2, "two": 0, "nothing": 1, "outside": 1}
+    assert result["counts"] == {"one": 2, "two": 0, "nothing": 1, "outside": 1, "unscored": 0}
     assert result["alarms"] == ["bench_a"]
     assert (result["refused"]["n"], result["right"]["n"], result["right"]["of"]) == (1, 2, 4)
     assert [(n["rig"], n["name"]) for n in result["wrong_names"]] == [("bench_a", "compliance")]

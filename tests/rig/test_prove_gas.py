@@ -122,6 +122,6 @@ def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert status(["prove", "--gas", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 0
     result = json.loads((out / "prove.json").read_text())
     assert result["false_alarms"]["n"] == 0
-    assert result["counts"] == {"one": 2, "two": 0, "nothing": 2, "outside": 0}
+    assert result["counts"] == {"one": 2, "two": 0, "nothing": 2, "outside": 0, "unscored": 0}
     assert all(set(row["nominal"]) == {"n"} for row in result["rigs"])
     assert status(["prove", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 2

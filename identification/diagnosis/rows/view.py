@@ -329,8 +329,9 @@ def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
     values = recording.channels.get(name)
     if values is None or not np.all(np.isfinite(values)):
         return None
-    at_ends = values_at_ends(values) if name in recording.averaged else values
-    return resample(recording.time, at_ends, grid)
+    if name in recording.averaged:
+        values = values_at_ends(recording.time, values, recording.period)
+    return resample(recording.time, values, grid)
 
 
 def _voltage(recording: Recording, grid: Array) -> Array | None:
@@ -345,7 +346,8 @@ def _voltage(recording: Recording, grid: Array) -> Array | None:
         off |= recording.channels["enabled"] < 0.5
     known = np.where(off, 0.0, values)
     if "voltage" in recording.averaged:
-        known, off = values_at_ends(known), off | np.append(off[1:], off[-1:])
+        known = values_at_ends(recording.time, known, recording.period, ~off)
+        off = off | np.append(off[1:], off[-1:])
     dark = resample(recording.time, off.astype(np.float64), grid) > 0.0
     return np.where(dark, np.nan, resample(recording.time, known, grid))
 
@@ -377,9 +379,7 @@ def _lag(recording: Recording, grid: Array) -> Array | None:
 
 
 def _encoder_lag(recording: Recording) -> Array | None:
-    """Return motor angle over gear ratio less joint angle at the samples, rad; None unless both
-    encoders were recorded.
-    """
+    """Return motor angle over gear ratio less joint angle, rad; None without both encoders."""
     channels = recording.channels
     if "motor_angle" not in channels or "angle" not in channels:
         return None

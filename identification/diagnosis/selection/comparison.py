@@ -142,13 +142,15 @@ def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
     torque, speed, angle = torque_scale(views), speed_scale(views), travel_scale(views)
     current = _greatest([v.current for v in views], USUAL_CURRENT_A)
     mass = max(v.recording.weight_mass for v in views) / REFERENCE_MASS_KG
-    # A slow motion needs a small part of the supply voltage, and effects of the supply do not.
-    voltage = _greatest([c for v in views for c in (v.voltage, v.supply)], USUAL_VOLTAGE_V)
+    voltage = _greatest([v.voltage for v in views], USUAL_VOLTAGE_V)
+    # A slow motion needs a small part of the supply voltage; the resistance of the supply does not
+    # follow the motion.
+    supply = _greatest([c for v in views for c in (v.voltage, v.supply)], USUAL_VOLTAGE_V)
     return {
         "A": current,
         "A/s": current,
         "V": voltage,
-        "ohm": voltage / current,
+        "ohm": supply / current,
         "K/W": 1.0 / (voltage * current),
         "kg": mass,
         "N m": torque,

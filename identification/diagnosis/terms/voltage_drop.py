@@ -12,7 +12,7 @@ from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Context, Shape, everywhere, rows
 from identification.recording import Array
-from identification.signals import resample
+from identification.signals import resample, values_at_ends
 
 STEP_SHARES = (0.001, 0.03)
 """Limits of the range of current over which a dead-time step is smeared, relative to the greatest
@@ -85,8 +85,10 @@ def _mean_over_sample(
     change = after - before
     small = np.abs(change) < 1e-9
     mean = (antiderivative(after) - antiderivative(before)) / np.where(small, 1.0, change)
-    offset = -0.5 * recording.period if "current" in recording.averaged else 0.0
-    return resample(recording.time, np.where(small, function(current), mean), view.time, offset)
+    values = np.where(small, function(current), mean)
+    if "current" in recording.averaged:
+        values = values_at_ends(recording.time, values, recording.period)
+    return resample(recording.time, values, view.time)
 
 
 def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:

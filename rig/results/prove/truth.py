@@ -35,7 +35,8 @@ class Truth(Schema):
         not_scored: Names whose values are not scored, for example because this simulator has
             another formula: a nominal parameter, or `effect.parameter`. The name of an effect
             alone, injected or not, excludes the effect from the score: neither a diagnosis that
-            names the effect nor a diagnosis that does not name it counts as an error.
+            names the effect nor a diagnosis that does not name it counts as an error. A rig whose
+            injected effects are all excluded takes no part in the rates.
         axes: Value of the rig on each axis of the worlds, such as rates, encoders, excitation,
             loads. The results are listed by these values.
         strength: For each channel, the rms change by the effects over the noise of the channel.

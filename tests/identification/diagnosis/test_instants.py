@@ -28,7 +28,7 @@ def rippled(
         speed = central_difference(r.channels["command"], r.period)
         current = r.channels["current"]
         if "current" not in averaged:
-            current = values_at_ends(current)
+            current = values_at_ends(r.time, current, r.period)
         voltage = r.channels["voltage"] + size * central_difference(speed, r.period)
         out.append(
             replace(

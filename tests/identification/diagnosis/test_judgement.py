@@ -238,6 +238,20 @@ def test_a_voltage_mismatch_that_unlogged_voltages_may_cause_does_not_count(
     assert bool(said) is not counts
 
 
+def test_values_between_the_samples_excuse_no_mismatch_of_the_torque(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    joint = replace(found(1.0).final, effects=())
+    (torque,) = (e for e in joint.equations if e.name == "torque")
+    residual = np.sign(np.sin(np.arange(len(joint.residual))))
+    residual[joint.stack.part("torque")] *= 2.5 * np.sqrt(torque.allowed())
+    alone = replace(joint, residual=residual)
+    search = replace(found(1.0), baseline=alone, final=alone, rounds=())
+    monkeypatch.setattr(judgement, "between_samples", lambda _views: 10.0 * torque.sigma)
+    judged = verdict_of(search, np.random.default_rng(0))
+    assert judgement.without_unlogged(judged, search).verdict is Verdict.OUTSIDE_CATALOGUE
+
+
 @pytest.mark.parametrize(
     ("action", "expected"),
     [

@@ -120,3 +120,22 @@ def test_friction_of_half_the_greatest_torque_is_plausible(
     effect = Added(TERM[name], (), (share * 40.0 / 0.5**power,))
     reason = implausible(replace(joint, effects=(effect,), equations=equations))
     assert (reason == "") is plausible
+
+
+@pytest.mark.parametrize("supply_V", [None, 480.0])
+def test_the_plausible_heating_does_not_follow_the_supply(supply_V: float | None) -> None:
+    """A supply far above the voltage of a slow motion heats the winding no more."""
+    joint = nominal_fit(honest())
+    views = tuple(
+        replace(
+            v,
+            voltage=None if v.voltage is None else 0.1 * v.voltage,
+            current=None if v.current is None else 0.1 * v.current,
+            supply=None if supply_V is None else np.full(len(v.time), supply_V),
+        )
+        for v in joint.equations[0].views
+    )
+    equations = tuple(replace(e, views=views) for e in joint.equations)
+    starts = (0.0,) * len(views)
+    effect = Added(TERM["winding_heating"], (60.0, 4.0, 0.0), (100.0, *starts[1:]))
+    assert implausible(replace(joint, effects=(effect,), equations=equations)) == ""

@@ -8,9 +8,10 @@ import statistics
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, get_args
 
 from rig.common.result_files import Provenance
+from rig.results.prove.draw import Kind
 from rig.results.prove.scoring.rates import Row, rate
 from rig.results.prove.scoring.reliability import by_axis, reliability, right, wrong_names
 
@@ -52,7 +53,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
     ]
     placed = [{"right": row["verdict"] == "outside_catalogue"} for row in outside]
     return {
-        "counts": {kind: len(by_kind[kind]) for kind in ("one", "two", "nothing", "outside")},
+        "counts": {kind: len(by_kind[kind]) for kind in get_args(Kind)},
         "top1": count(strong, "top1"),
         "alias_group": count(strong, "alias"),
         "top1_torque": count(torque, "top1"),
@@ -72,8 +73,8 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "alarms": [row["rig"] for row in nothing if row["alarm"]],
         "refused": count(rows, "refused"),
         "right": rate(sum(map(right, scored)), len(scored)),
-        "reliability": reliability(rows),
-        "wrong_names": wrong_names(rows),
+        "reliability": reliability(scored),
+        "wrong_names": wrong_names(scored),
         "by_axis": by_axis(scored),
         "outside": {
             **count(placed, "right"),
