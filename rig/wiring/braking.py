@@ -155,8 +155,7 @@ class _Braking:
         if isinstance(error, DeviceError):
             # The other devices may have exchanged their values all the same.
             self._cycles.attempt(lambda: found.append(self._servo.sent_state()))
-        if not self._cycles.interrupted:
-            self._clock.sleep_until_ns(end_ns)
+        self._clock.sleep_until_ns(end_ns)
         return next(iter(found), None)
 
     def _ask(self, again: bool) -> ServoState | None:
