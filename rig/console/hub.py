@@ -5,6 +5,7 @@ runs.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +23,38 @@ _ENDED: Final = 5
 _READS: Final = 4
 """Greatest number of blocks of a recording that are read in one tick."""
 _NOTES: Final = 20
+_AGAIN_S: Final = 0.5
+"""Least time after which a run without an answer is asked again, s."""
+
+
+class Questions:
+    """When each run is asked again.
+
+    The queue of a run holds about ten messages. Questions to a run that hangs must not fill this
+    queue, because STOP would then not get into it.
+    """
+
+    def __init__(self) -> None:
+        self._times: dict[str, tuple[float, float]] = {}
+
+    def due(self, path: str, now_s: float) -> bool:
+        """Return whether a run is to be asked now, which is then taken as done: at once after an
+        answer; otherwise when as much time has passed since the last question as between the last
+        answer and this question, at least :data:`_AGAIN_S`.
+
+        Args:
+            path: Control socket of the run.
+            now_s: Monotonic time, s.
+        """
+        heard_s, asked_s = self._times.get(path, (now_s, -math.inf))
+        if now_s - asked_s < max(_AGAIN_S, asked_s - heard_s):
+            return False
+        self._times[path] = heard_s, now_s
+        return True
+
+    def answered(self, path: str) -> None:
+        """Note that a run has answered."""
+        self._times.pop(path, None)
 
 
 class Refusal(Exception):
@@ -52,6 +85,7 @@ class Hub:
         self._links = Links(self._heard)
         self._by_path: dict[str, Followed] = {}
         self._ignored: set[str] = set()
+        self._questions = Questions()
         self._looked_s = 0.0
         self._noted = self._found = 0
 
@@ -161,9 +195,9 @@ class Hub:
         now = time.monotonic()
         if now - self._looked_s >= _LOOK_S:
             self._looked_s = now
-            self._look()
+            self._look(now)
         for run in list(self.runs.values()):
-            if not run.over:
+            if not run.over and self._questions.due(run.path, now):
                 self._ask(run)
             for _ in range(_READS):
                 if not run.read():
@@ -171,10 +205,11 @@ class Hub:
         for words in self.starter.failures():
             self.note(words)
 
-    def _look(self) -> None:
+    def _look(self, now_s: float) -> None:
         """Find new runs, and remove the oldest runs that have ended and that no page shows."""
         for path in self._links.runs():
-            if path not in self._by_path and path not in self._ignored:
+            known = path in self._by_path or path in self._ignored
+            if not known and self._questions.due(path, now_s):
                 try:
                     self._links.ask(path, "about")
                 except Unreachable:
@@ -192,6 +227,7 @@ class Hub:
 
     def _heard(self, path: str, message: dict[str, Any]) -> None:
         """Process a message of a run."""
+        self._questions.answered(path)
         known = self._by_path.get(path)
         about = message.get("about")
         if known is None and isinstance(about, dict):

@@ -91,62 +91,76 @@ class Links:
     ) -> dict[str, Any]:
         """Send a command to a run, repeatedly, until the run has answered.
 
-        The command is sent again with its first number, so that the run executes the command only
-        once. If another program has sent a command in the meantime, the command gets a new number.
+        A command that waits in the queue of the run is sent again with its number, so that the run
+        executes the command only once. A command that did not get into the queue, or that the run
+        refused because of a later command of another program, gets a new number. So the commands
+        of this console wait in the queue in the order of their numbers, and no command is refused
+        because another command of this console got into the queue first.
 
         Returns:
             The answer: ``taken`` and, for a refused command, ``words``.
 
         Raises:
-            Unreachable: The program is gone, or did not answer.
+            Unreachable: The program is gone, or did not answer; the text states whether the run
+                will execute the command later.
         """
+        queued = False
         order = self._order(run, command, who, prompt, text)
-        sent_before = False
         for _ in range(ATTEMPTS):
-            answer = await self._once(path, order)
-            if answer is None:
-                sent_before = True
-            elif answer["taken"] or answer["words"] != RECEIVED_BEFORE:
+            sent, answer = await self._once(path, order)
+            if answer is not None and (answer["taken"] or answer["words"] != RECEIVED_BEFORE):
                 return answer
-            elif sent_before:
-                # The command was carried out when it was first sent; only the answer was lost.
+            if answer is not None and queued:
+                # The command was executed when it was first sent; only the answer was lost.
                 return {"taken": True, "words": ""}
-            else:
+            queued = queued or (sent and answer is None)
+            if not queued:
                 order = self._order(run, command, who, prompt, text)
+        if not queued:
+            raise Unreachable(
+                f"the run did not accept the command within {ATTEMPTS * REPLY_S:g} s and will NOT "
+                "execute it later"
+            )
         raise Unreachable(
             f"the run did not answer within {ATTEMPTS * REPLY_S:g} s; the run will execute the "
             "command when it responds again"
         )
 
-    async def _once(self, path: str, order: Order) -> dict[str, Any] | None:
-        """Send a command once; return the answer, or None if no answer arrives in time.
+    async def _once(self, path: str, order: Order) -> tuple[bool, dict[str, Any] | None]:
+        """Send a command once; return whether it got into the queue of the run, and the answer, or
+        None if no answer arrives in time.
 
         Raises:
             Unreachable: The program is gone.
         """
-        future = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._waiting[order.number] = future
+        sent = False
         try:
-            self._send(path, {**order.__dict__, "command": order.command.value})
-            answer: dict[str, Any] = await asyncio.wait_for(future, REPLY_S)
+            sent = self._send(path, {**order.__dict__, "command": order.command.value})
+            return sent, await asyncio.wait_for(future, REPLY_S)
         except TimeoutError:
-            return None
+            return sent, None
         finally:
             self._waiting.pop(order.number, None)
-        return answer
 
     def _order(self, run: str, command: Command, who: str, prompt: int, text: str) -> Order:
         self._last = max(self._clock.now_ns(), self._last + 1)
         return Order(command, run, self._last, who, prompt, text)
 
-    def _send(self, path: str, message: Mapping[str, Any]) -> None:
+    def _send(self, path: str, message: Mapping[str, Any]) -> bool:
+        """Send a message; return False if the queue of the run is full.
+
+        Raises:
+            Unreachable: The program is gone.
+        """
         try:
             self._socket.sendto(encode(message), path)
         except BlockingIOError:
-            # The queue of the run is full; the message is sent again later.
-            return
+            return False
         except OSError as error:
             raise Unreachable(f"the program of the run has ended ({error.strerror})") from error
+        return True
 
     def _read(self) -> None:
         while True:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,8 +12,9 @@ from starlette.websockets import WebSocketDisconnect
 
 from rig.console.app import Console
 from rig.console.controls import Page
+from rig.console.followed import SILENT_S
 from rig.console.gate import Token
-from rig.console.hub import Hub, Refusal
+from rig.console.hub import TICK_S, Hub, Refusal
 from rig.console.starting import Starter
 from rig.terminal.control_messages import VERSION
 
@@ -134,7 +136,7 @@ def test_a_page_keeps_the_end_of_its_own_run(desk: Desk, own: Callable[[Desk, st
     for number in range(9):
         desk.begin(f"more-{number}")
         desk.end(f"more-{number}")
-    desk.hub._look()
+    desk.hub._look(0.0)
     assert desk.shown() == "mine"
     assert "more-1" not in desk.hub.runs
     assert desk.shown(opened_again(desk, "mine", own=True)) == "mine"
@@ -227,3 +229,33 @@ def test_a_page_that_showed_no_run_in_progress_shows_the_newest(desk: Desk, show
     desk.begin("mine")
     desk.begin("other")
     assert desk.shown(opened_again(desk, shown)) == "other"
+
+
+def test_questions_to_a_run_that_hangs_leave_room_for_stop_in_its_queue(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[float, str]] = []
+    now_s = 0.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(desk.hub._links, "runs", lambda: ["/mine.sock", "/new.sock"])
+    monkeypatch.setattr(desk.hub._links, "ask", lambda path, what: asked.append((now_s, path)))
+    desk.begin("mine")
+    for tick in range(600):
+        now_s = tick * TICK_S
+        desk.hub._tick()
+    for path in ("/mine.sock", "/new.sock"):
+        assert 5 < len([each for each in asked if each[1] == path]) < 9
+    # A run that answers is asked at each tick.
+    desk.tell("mine", ended=None)
+    del asked[:]
+    for _ in range(5):
+        now_s += TICK_S
+        desk.hub._tick()
+        desk.tell("mine", ended=None)
+    assert len([each for each in asked if each[1] == "/mine.sock"]) == 5
+    # One answer that is lost does not make the run silent.
+    del asked[:]
+    for _ in range(11):
+        now_s += TICK_S
+        desk.hub._tick()
+    assert asked[1][0] - asked[0][0] < SILENT_S
