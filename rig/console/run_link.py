@@ -149,17 +149,18 @@ class Links:
         return Order(command, run, self._last, who, prompt, text)
 
     def _send(self, path: str, message: Mapping[str, Any]) -> bool:
-        """Send a message; return False if the queue of the run is full.
+        """Send a message; return False if it cannot be sent now: the queue of the run is full, or
+        the system lacks memory.
 
         Raises:
             Unreachable: The program is gone.
         """
         try:
             self._socket.sendto(encode(message), path)
-        except BlockingIOError:
-            return False
-        except OSError as error:
+        except (ConnectionRefusedError, FileNotFoundError) as error:
             raise Unreachable(f"the program of the run has ended ({error.strerror})") from error
+        except OSError:
+            return False
         return True
 
     def _read(self) -> None:

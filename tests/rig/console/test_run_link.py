@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -140,3 +142,35 @@ def test_a_stop_after_a_later_command_of_another_program_gets_a_new_number(line:
     assert line.tries == 2
     assert line.stop.presses == 1
     assert line.stop.pausing
+
+
+@pytest.mark.parametrize("number", [errno.ENOBUFS, errno.ENOMEM, errno.EAGAIN])
+def test_a_message_that_cannot_be_sent_now_does_not_end_a_run(
+    line: Line, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    sending = line.links._socket
+
+    class Short:
+        def sendto(self, data: bytes, path: str) -> None:
+            if not line.tries:
+                raise OSError(number, os.strerror(number))
+            sending.sendto(data, path)
+
+        def recvfrom(self, size: int) -> Any:
+            return sending.recvfrom(size)
+
+    with monkeypatch.context() as context:
+        context.setattr(line.links, "_socket", Short())
+        line.links.ask(line.path, "status")
+        line.steps = [line.nothing, line.take_all]
+        assert line.stop_it()["taken"]
+    assert line.stop.presses == 1
+
+
+@pytest.mark.parametrize("left", [True, False])
+def test_a_run_whose_program_has_ended_is_gone(line: Line, left: bool) -> None:
+    line.run._socket.close()
+    if not left:
+        Path(line.path).unlink()
+    with pytest.raises(Unreachable, match="the program of the run has ended"):
+        line.links.ask(line.path, "status")
