@@ -6,7 +6,7 @@ import { Link } from "./link.js";
 import { Recorded } from "./recorded.js";
 import { setUpStart } from "./start.js";
 import { showTables } from "./tables.js";
-import { OFF, PHASES, timeWords } from "./words.js";
+import { driveWords, OFF, PHASES, timeWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press
@@ -177,15 +177,6 @@ function showRun() {
 // With the drive off, no samples are taken: the values are those of the last sample.
 function valuesWhen() {
   return going() && !OFF.includes(state.status.phase) ? "now" : "last";
-}
-
-// In phases without power, the run has read back that the drive is off; the last sample is older.
-function driveWords(phase, over, live, record) {
-  if (over && (record?.drive_state || record?.de_energised)) {
-    return `${[record.de_energised && "off", record.drive_state].filter(Boolean).join(": ")} (read back)`;
-  }
-  if (phase === "connecting") return "not read yet";
-  return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
 }
 
 function showEnding() {

@@ -19,6 +19,16 @@ export const PHASES = {
 // Phases in which the run has verified that the drive is off.
 export const OFF = ["load", "prepare", "between stages", "finished"];
 
+// In phases without power, the run has read back that the drive is off; the last sample is older.
+export function driveWords(phase, over, live, record) {
+  if (over && (record?.drive_state || record?.de_energised)) {
+    if (!record.de_energised && record.drive_state === "unknown") return "unknown, NOT verified";
+    return `${[record.de_energised && "off", record.drive_state].filter(Boolean).join(": ")} (read back)`;
+  }
+  if (phase === "connecting") return "not read yet";
+  return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
+}
+
 export function timeWords(seconds) {
   if (seconds === null || seconds === undefined) return "-";
   const whole = Math.max(0, Math.round(seconds));

@@ -487,6 +487,29 @@ def test_a_run_whose_program_is_killed_is_said_to_be_gone(
     require_accessible(page)
 
 
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ({"de_energised": True, "drive_state": "fault"}, "off: fault (read back)"),
+        ({"de_energised": True, "drive_state": None}, "off (read back)"),
+        (
+            {"de_energised": False, "drive_state": "operation enabled"},
+            "operation enabled (read back)",
+        ),
+        ({"de_energised": False, "drive_state": "unknown"}, "unknown, NOT verified"),
+    ],
+)
+def test_a_drive_that_could_not_be_read_is_not_said_to_be_read_back(
+    opened: Callable[..., Page], record: dict[str, Any], words: str
+) -> None:
+    page = opened()
+    imported = """async (record) => {
+        const { driveWords } = await import("/static/words.js");
+        return driveWords("release", {}, null, record);
+    }"""
+    assert page.evaluate(imported, record) == words
+
+
 def test_the_charts_hold_the_extremes_of_the_recording(
     opened: Callable[..., Page], where: Place
 ) -> None:
