@@ -59,8 +59,11 @@ class Followed:
         continued_s: Starts of the recordings after the first, on the time axis of the charts, s.
         torque_speed: Points of torque against speed.
         curves: Friction curves of the newest identification.
-        values: Latest value of each channel, or None if it is not known.
-        drive: State of the drive in the latest sample, as text.
+        values: Value of each channel in the latest sample that was read, or None if it is not
+            known.
+        drive: State of the drive in this sample, as text.
+        current: Whether this sample is the newest sample of this program: not while the program
+            connects and its recording does not exist yet, and not while older samples are read.
         trouble: Reason why the recording cannot be read, or None if it can be read.
     """
 
@@ -80,6 +83,7 @@ class Followed:
         self.curves: dict[str, Any] | None = None
         self.values: list[float | None] = [None] * len(CHANNELS)
         self.drive = "not read yet"
+        self.current = False
         self.trouble: str | None = None
         self.continued_s: list[float] = []
         self._channels = channel_records(about)
@@ -88,6 +92,7 @@ class Followed:
         self._masses: object = None
         self._growing: Growing | None = None
         self._part = self._parts = 0
+        self._sampled = False
         self._offset_s = 0.0
         self._count = 0
 
@@ -127,7 +132,8 @@ class Followed:
     def _live(self) -> dict[str, Any]:
         return {
             "values": self.values,
-            "drive": self.drive,
+            "current": self.current,
+            "drive": self.drive if self.current or self.over else "not read yet",
             "silent": self.silent and not self.over,
             "gone": self.gone and not (self.status and self.status["ended"]),
             "closed": self.closed,
@@ -144,8 +150,12 @@ class Followed:
         """Read the new content of the run folder; return whether more content can be read
         immediately.
         """
+        # A program that reported another phase had named its recording in run.json before.
+        connecting = self.status is None or self.status["phase"] == "connecting"
         self._read_record()
-        return self._read_recording()
+        more = self._read_recording()
+        self.current = self._sampled and not (more or connecting)
+        return more
 
     def _read_record(self) -> None:
         try:
@@ -190,6 +200,7 @@ class Followed:
             return False
         self._part += 1
         self._growing = None
+        self._sampled = False
         self._offset_s = float(math.ceil(self.decimation.latest_s + 1.0))
         self.continued_s.append(self._offset_s)
         self.drive = "not read yet"
@@ -210,6 +221,7 @@ class Followed:
             self._note(event_words(event))
         if not news.samples:
             return
+        self._sampled = True
         values = shown(news.samples, self.about)
         self.decimation.add(news.samples["time"] + self._offset_s, values)
         self.torque_speed.add(news.samples, self.about["torque_per_ampere"])

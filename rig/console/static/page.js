@@ -6,7 +6,7 @@ import { Link } from "./link.js";
 import { Recorded } from "./recorded.js";
 import { setUpStart } from "./start.js";
 import { showTables } from "./tables.js";
-import { driveWords, OFF, PHASES, timeWords } from "./words.js";
+import { driveWords, PHASES, timeWords, whenWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press
@@ -174,9 +174,8 @@ function showRun() {
   if (live?.values) charts.values(live.values, valuesWhen());
 }
 
-// With the drive off, no samples are taken: the values are those of the last sample.
 function valuesWhen() {
-  return going() && !OFF.includes(state.status.phase) ? "now" : "last";
+  return going() ? whenWords(state.status.phase, state.live) : "last";
 }
 
 function showEnding() {

@@ -29,6 +29,12 @@ export function driveWords(phase, over, live, record) {
   return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
 }
 
+// With the drive off, no samples are taken: the values are those of the last sample. They are also
+// old while the console still reads samples of the time before.
+export function whenWords(phase, live) {
+  return live?.current && !OFF.includes(phase) ? "now" : "last";
+}
+
 export function timeWords(seconds) {
   if (seconds === null || seconds === undefined) return "-";
   const whole = Math.max(0, Math.round(seconds));

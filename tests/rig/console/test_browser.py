@@ -510,6 +510,21 @@ def test_a_drive_that_could_not_be_read_is_not_said_to_be_read_back(
     assert page.evaluate(imported, record) == words
 
 
+def test_values_are_called_new_only_with_power_and_if_they_are(opened: Callable[..., Page]) -> None:
+    imported = """async ([phase, current]) => {
+        const { whenWords } = await import("/static/words.js");
+        return whenWords(phase, { current });
+    }"""
+    page = opened()
+    for phase, current, words in (
+        ("excite", True, "now"),
+        ("excite", False, "last"),
+        ("connecting", False, "last"),
+        ("load", True, "last"),
+    ):
+        assert page.evaluate(imported, [phase, current]) == words
+
+
 def test_the_charts_hold_the_extremes_of_the_recording(
     opened: Callable[..., Page], where: Place
 ) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rig.console.growing as growing
 from rig.cli.entry import status
 from rig.console.channels import CHANNELS, DEG
 from rig.console.followed import Followed
@@ -93,6 +94,45 @@ def test_a_continued_run_keeps_its_charts_and_events(stopped: Path, tmp_path: Pa
     read_all(other)
     assert [words for _, words in other.events] == words
     np.testing.assert_array_equal(drawn(other), drawn(run))
+
+
+def told(run: Followed, phase: str) -> dict[str, Any]:
+    """Let a run report its phase, and return what a page then shows as its latest values."""
+    run.hear({"phase": phase, "ended": None})
+    run.read()
+    found = run.parts()["live"][1]
+    assert isinstance(found, dict)
+    return found
+
+
+def test_values_of_the_time_before_a_stop_are_never_current(
+    stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    socket = tmp_path / "run-1.sock"
+    socket.touch()
+    run = followed(stopped, socket)
+    # The program that continues the run connects; its recording does not exist yet.
+    read_all(run)
+    live = told(run, "connecting")
+    assert live["time_s"] > 0
+    assert (live["current"], live["drive"]) == (False, "not read yet")
+    assert status(["resume", str(stopped), "--yes"]) == 0
+    # A report that came after the last reading does not make the old values current.
+    run.hear({"phase": "excite", "ended": None})
+    assert not run.parts()["live"][1]["current"]
+    monkeypatch.setattr(growing, "READ_BYTES", 1 << 14)
+    for late, first in ((run, 1), (followed(stopped, socket), 0)):
+        shown = []
+        while not (live := told(late, "excite"))["current"]:
+            assert live["drive"] == "not read yet"
+            shown.append(len(late.continued_s))
+            assert len(shown) < 1000
+        # Samples were read, of the recording of that number, and were not shown as new.
+        assert shown[0] == first
+        assert len(late.continued_s) == 1
+        assert not late.read()
+        last = read_run(stopped / RECORDINGS[1]).samples["time"][-1]
+        assert live["time_s"] == pytest.approx(late.continued_s[0] + last, abs=0.06)
 
 
 def test_a_program_that_has_ended_does_not_show_the_recording_of_the_next(

@@ -46,7 +46,7 @@ class Desk:
         self.tell(key, ended=None)
 
     def tell(self, key: str, ended: object) -> None:
-        self.hub._heard(f"/{key}.sock", {"status": {"ended": ended}})
+        self.hub._heard(f"/{key}.sock", {"status": {"phase": "excite", "ended": ended}})
 
     def end(self, key: str) -> None:
         self.tell(key, {"words": "done", "good": True})
