@@ -28,7 +28,7 @@ from identification.diagnosis.terms.term import Shape
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array, RecordingError
 
-ROUNDS = 12
+ROUNDS = 30
 """Greatest number of Gauss-Newton rounds of one joint fit."""
 LARGEST_STEP = 0.3
 """Greatest change of a nonlinear parameter in one round, relative to half its search width."""
