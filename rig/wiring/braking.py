@@ -41,7 +41,8 @@ def brake(
     watched: bool,
 ) -> ServoState | None:
     """Order the quick stop, and run control cycles until the drive has stopped, the time is over,
-    or the operator presses Ctrl-C again. The function raises no error.
+    or the operator presses Ctrl-C again. The function raises no error: a defect of ``hurry`` does
+    not end the ramp, a defect of the clock ends the wait.
 
     A cycle that fails, for example because another device is lost, does not end the ramp. If the
     drive sends no state, the quick stop is also ordered outside the exchange. If this gets no
@@ -65,13 +66,13 @@ def brake(
     Returns:
         The state in which the drive ended; an energised state other than QUICK STOP ACTIVE if the
         drive does not execute the quick stop; QUICK STOP ACTIVE if the drive did not end; None if
-        a drive that is not prepared does not answer.
+        a drive that is not prepared does not answer, or after a defect.
     """
-    cycles = Steps()
-    try:
-        return _Braking(servo, watch, clock, cycle_ns, steps, cycles, watched).run(hurry)
-    finally:
-        steps.take_first(cycles)
+    cycles, found = Steps(), list[ServoState | None]()
+    braking = _Braking(servo, watch, clock, cycle_ns, steps, cycles, watched)
+    steps.attempt(lambda: found.append(braking.run(hurry)))
+    steps.take_first(cycles)
+    return next(iter(found), None)
 
 
 class _Braking:
@@ -97,13 +98,17 @@ class _Braking:
     def run(self, hurry: Callable[[], bool]) -> ServoState | None:
         """Brake, and return what :func:`brake` returns."""
         clock, interval_ns = self._clock, round(STATE_INTERVAL_S * NS) - self._cycle_ns // 2
-        deadline_ns = clock.now_ns() + round(BRAKING_TIMEOUT_S * NS)
+        began_ns: list[int] = []
+        self._steps.attempt(lambda: began_ns.append(clock.now_ns()))
         cyclic = self._order()
+        if not began_ns:
+            return None
+        deadline_ns = began_ns[0] + round(BRAKING_TIMEOUT_S * NS)
         # A drive that is not prepared has its state read in the first cycle.
         known_ns = clock.now_ns() - (0 if cyclic else interval_ns)
         obeyed = not cyclic
         for _ in range(round(BRAKING_TIMEOUT_S * NS / self._cycle_ns)):
-            if hurry() or clock.now_ns() >= deadline_ns:
+            if self._hurried(hurry) or clock.now_ns() >= deadline_ns:
                 break
             sent = self._cycle()
             if self._steps.interrupted or self._cycles.interrupted:
@@ -138,6 +143,12 @@ class _Braking:
         self._steps.attempt(lambda: found.append(self._servo.quick_stop(at_once=False)))
         if not any(found):
             self._steps.attempt(self._servo.quick_stop)
+        return any(found)
+
+    def _hurried(self, hurry: Callable[[], bool]) -> bool:
+        """Return whether to stop waiting; a defect of ``hurry`` does not end the ramp."""
+        found: list[bool] = []
+        self._cycles.attempt(lambda: found.append(hurry()))
         return any(found)
 
     def _cycle(self) -> ServoState | None:

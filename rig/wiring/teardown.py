@@ -123,7 +123,7 @@ def make_safe(
         if state is not ServoState.SWITCH_ON_DISABLED:
             steps.attempt(servo.disable)
         if insistent and len(steps.problems) > known:
-            _repeat(steps, watch, clock)
+            steps.attempt(lambda: _repeat(steps, watch, clock))
         state = steps.state(servo)
         if state is not None and not state.energised:
             break

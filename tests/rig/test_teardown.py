@@ -56,6 +56,22 @@ EXCEPTIONS = [
 ]
 
 
+class Clock(SimulatedClock):
+    """Simulated time of a drive whose verbs raise where they are told to."""
+
+    def __init__(self, servo: Servo) -> None:
+        super().__init__()
+        self._servo = servo
+
+    def now_ns(self) -> int:
+        self._servo.fail("now_ns")
+        return super().now_ns()
+
+    def sleep_until_ns(self, time_ns: int) -> None:
+        self._servo.fail("sleep")
+        super().sleep_until_ns(time_ns)
+
+
 class Servo:
     """A drive under power, whose verbs raise where they are told to."""
 
@@ -66,15 +82,23 @@ class Servo:
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
-        self.clock = SimulatedClock()
+        self.clock = Clock(self)
 
     def pass_time(self, ns: int) -> None:
         self.clock.sleep_until_ns(self.clock.now_ns() + ns)
 
-    def _do(self, verb: str) -> None:
-        self.order.append(verb)
+    def fail(self, verb: str) -> None:
+        """Raise the exception of this verb, if any."""
         if verb in self.raising:
             raise self.raising[verb]()
+
+    def _do(self, verb: str) -> None:
+        self.order.append(verb)
+        self.fail(verb)
+
+    def hurry(self) -> bool:
+        self.fail("hurry")
+        return False
 
     def sent_state(self) -> ServoState | None:
         return self.sent
@@ -102,23 +126,33 @@ class Servo:
         self._do("write_limits")
 
 
-def safe(servo: Any, brake: bool = True, hurry: Callable[[], bool] = lambda: False) -> SafeState:
-    return make_safe(servo, servo.watch, servo.clock, CYCLE_NS, brake=brake, hurry=hurry)
+def safe(servo: Any, brake: bool = True, insistent: bool = False) -> SafeState:
+    return make_safe(
+        servo,
+        servo.watch,
+        servo.clock,
+        CYCLE_NS,
+        brake=brake,
+        hurry=servo.hurry,
+        insistent=insistent,
+    )
 
 
 STEPS = ("quick_stop", "watch", "disable", "state")
+IN_BRAKING = ("hurry", "now_ns", "sleep")
 
 
 @given(
-    step=st.sampled_from(STEPS),
+    step=st.sampled_from((*STEPS, *IN_BRAKING)),
     make=st.sampled_from(EXCEPTIONS),
     brake=st.booleans(),
+    insistent=st.booleans(),
 )
 def test_whatever_one_step_raises_every_later_step_runs(
-    step: str, make: Callable[[], BaseException], brake: bool
+    step: str, make: Callable[[], BaseException], brake: bool, insistent: bool
 ) -> None:
     servo = Servo({step: make})
-    found = safe(servo, brake)
+    found = safe(servo, brake, insistent)
     assert "disable" in servo.order
     assert servo.order[-1] == "state"
     assert servo.order.index("disable") < len(servo.order) - 1
@@ -129,13 +163,23 @@ def test_whatever_one_step_raises_every_later_step_runs(
         assert found.state == "unknown"
     elif step == "disable":
         assert not found.verified
-        assert servo.order.count("disable") == 2
+        assert servo.order.count("disable") == (INSISTENT_ATTEMPTS if insistent else 2)
     else:
         assert found.verified
-    assert found.problems or (step in ("quick_stop", "watch") and not brake)
+    assert found.problems or (step in ("quick_stop", "watch", *IN_BRAKING) and not brake)
 
 
-@given(raising=st.dictionaries(st.sampled_from(STEPS), st.sampled_from(EXCEPTIONS)))
+@pytest.mark.parametrize("prepared", [True, False])
+def test_a_defect_of_hurry_is_told_and_does_not_end_the_ramp(prepared: bool) -> None:
+    servo = Servo({"hurry": lambda: ValueError("a defect")})
+    servo.prepared, servo.sent = prepared, BRAKING
+    found = safe(servo)
+    assert found.verified
+    assert found.problems == ("unforeseen ValueError: a defect",)
+    assert servo.order.count("watch") > 90
+
+
+@given(raising=st.dictionaries(st.sampled_from((*STEPS, *IN_BRAKING)), st.sampled_from(EXCEPTIONS)))
 def test_whatever_several_steps_raise_each_is_tried(
     raising: dict[str, Callable[[], BaseException]],
 ) -> None:
