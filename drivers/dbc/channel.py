@@ -204,6 +204,7 @@ class DbcChannel:
                 self._pending.append(output)
             output.image = image
         self._own_target = order.own_target
+        self._stopping = order is self.wiring.stop
         self._holding = hold
         if not hold:
             self.rest()
@@ -331,14 +332,15 @@ class DbcChannel:
         map.
 
         A fault code other than 0 means a fault, whatever the value of the status signal; the drive
-        counts as energised until this signal shows that the power is off.
+        counts as energised until this signal shows that the power is off. While the drive is
+        ordered to brake, only this signal shows whether it does so: the code may be a warning.
         """
         wiring = self.wiring
         shown = wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))
         if not self.fault_code:
             return shown
         if shown is None or shown.energised:
-            return ServoState.FAULT_REACTION
+            return shown if self._stopping else ServoState.FAULT_REACTION
         return ServoState.FAULT
 
     @property

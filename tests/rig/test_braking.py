@@ -429,6 +429,40 @@ def test_a_serial_drive_brakes_although_the_line_of_its_encoder_is_gone() -> Non
     host.link.close()
 
 
+@pytest.mark.parametrize("watched", [True, False])
+@pytest.mark.parametrize("code", [0, 7])
+def test_a_fault_code_does_not_show_that_a_drive_brakes(code: int, watched: bool) -> None:
+    """A drive that reports that it runs does not brake, whatever its fault code is."""
+    host = make_dbc_host()
+    enabled_dbc(host)
+    host.cycles(200, lambda t: 0.5 * t)
+    drive, clock = host.bench.drive, host.clock
+    drive._obey = lambda order: None
+    drive._port.listen(STOP, lambda data: None)
+    drive.fault_code = code
+    drive._send_status()
+    host.wait(0.0005)
+    orders: list[int] = []
+
+    def note(time_ns: int, found: int, data: bytes, by_host: bool) -> tuple[int, bytes]:
+        if found == STOP:
+            orders.append(time_ns)
+        return found, data
+
+    host.bench.bus.frame_filters.append(note)
+
+    def watch() -> ServoState | None:
+        host.cycles(1)
+        return host.servo.sent_state()
+
+    began_ns = clock.now_ns()
+    state = brake(host.servo, watch, clock, NS // 1000, lambda: False, Steps(), watched)
+    assert state is (FAULT if watched else ON)  # with a watchdog, this brakes the drive
+    assert clock.now_ns() - began_ns < (REACTION_S + 0.02) * NS
+    assert len(orders) > 3
+    host.link.close()
+
+
 @pytest.mark.parametrize("deaf", [False, True])
 def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(deaf: bool) -> None:
     """The cycles also repeat an order that was lost; a drive that ignores it is left alone."""
