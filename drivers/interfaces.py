@@ -200,11 +200,13 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         limits_taken: Fields of :class:`ServoLimits` that :meth:`write_limits` can set.
         limit_places: Field of :class:`ServoLimits` to the name of the drive's parameter that stores
             the limit, or None for the objects of CiA 402.
+        prepared: Whether exchanges send the commands.
     """
 
     watch_s: float | None = None
     limits_taken: Set[str] = frozenset(field.name for field in fields(ServoLimits))
     limit_places: Mapping[str, str] | None = None
+    prepared: bool = False
 
     @abstractmethod
     def identity(self) -> Identity:
@@ -223,9 +225,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Read the limits that are stored in the drive."""
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits that the drive does not enforce, and the measured values (temperature,
-        supply voltage) that it does not report, without sending anything.
-        """
+        """Return the limits and measured values that the drive lacks. Nothing is sent."""
         return NOTHING
 
     def limit_steps(self) -> LimitSteps | None:
@@ -295,10 +295,10 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """
 
     @abstractmethod
-    def quick_stop(self, *, at_once: bool = True) -> bool:
+    def quick_stop(self, *, at_once: bool = True) -> None:
         """Order the drive to brake with its own ramp, in all further exchanges and, with
-        ``at_once``, before the next one, without waiting until the drive has stopped; return
-        whether the drive is prepared, so that there are exchanges.
+        ``at_once`` or if exchanges may not reach the drive, before the next one, without waiting
+        until the drive has stopped. A LinkError: this order was not sent, or not answered.
         """
 
     @abstractmethod

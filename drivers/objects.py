@@ -158,6 +158,15 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
+    def announce(self, index: int, subindex: int, value: int) -> None:
+        """Write an output before the next exchange if exchanges may not bring it to the device. The
+        wait for the answer is as short as the transport permits.
+
+        Raises:
+            LinkError: The request cannot be sent, or has no answer.
+        """
+        ...
+
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Check by the EDS that process data can be mapped.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from typing import Final
 
 from drivers import servo_limits
@@ -15,7 +15,7 @@ from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -215,6 +215,7 @@ class Cia402Servo(HomingServo):
             )
         self._word = cia402.DISABLE_VOLTAGE
         self._cycle_ns = 0
+        self.prepared = False
         channel = self._channel
         for error in cia402_checks.unit_refusals(channel, self._scales, self._motion, cycle_s):
             raise error
@@ -229,6 +230,7 @@ class Cia402Servo(HomingServo):
         outputs = objects.outputs(self._motion)
         channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s)
         self._cycle_ns = round(cycle_s * NS)
+        self.prepared = True
         self._values.begin(self._cycle_ns)
         self._motion.begin(cycle_s)
         channel.watch(self._watch_s)
@@ -275,15 +277,11 @@ class Cia402Servo(HomingServo):
             self._channel.write(*TORQUE_OFFSET, 0)
         self._channel.unwatch()
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
+    def quick_stop(self, *, at_once: bool = True) -> None:
         """Order the drive to brake with its own ramp (605Ah, 6085h), in all further exchanges and,
-        with ``at_once``, by a request; return whether there are exchanges. Without ``at_once``, a
-        drive that does not answer raises no error.
+        with ``at_once`` or if an exchange may not reach the drive, by a request.
         """
-        # Without a SYNC an exchange sends nothing while an answer to an earlier request is missing.
-        with nullcontext() if at_once else suppress(LinkError):
-            self._command(Command.QUICK_STOP, at_once or not self._channel.latches)
-        return self._cycle_ns > 0
+        self._command(Command.QUICK_STOP, at_once)
 
     def reset_fault(self) -> None:
         """Reset a fault. Afterwards the drive is in the state SWITCH ON DISABLED and does not move.
@@ -359,8 +357,8 @@ class Cia402Servo(HomingServo):
             self._stage(self._target)
         brakes = command is Command.QUICK_STOP
         self._channel.limit_wait(_WAIT_SHARE * self._watch_s if brakes else None)
-        if at_once:
-            self._channel.insist(*cia402.CONTROLWORD, self._word)
+        send = self._channel.insist if at_once else self._channel.announce
+        send(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)

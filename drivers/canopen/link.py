@@ -69,6 +69,7 @@ class CanopenLink(Link):
     Attributes:
         cycle: Number of exchanges so far.
         sync_ns: Time of the last SYNC.
+        exchanged: Whether the last exchange sent all outputs and SYNC.
     """
 
     def __init__(
@@ -82,6 +83,7 @@ class CanopenLink(Link):
         self.clock = clock
         self.cycle = 0
         self.sync_ns = 0
+        self.exchanged = False
         self.master_id = master_id
         self.sdo_timeout_s = sdo_timeout_s
         self._name = name
@@ -181,6 +183,7 @@ class CanopenLink(Link):
                 reported once until it is prepared again; its values are then not fresh.
             DriveFault: A device sent an emergency message.
         """
+        self.exchanged = False
         self._receive(0.0)
         self.cycle += 1
         self._missing = 0
@@ -198,6 +201,7 @@ class CanopenLink(Link):
             self._missing += node.expected
         self.sync_ns = self.clock.now_ns()
         self.send(_SYNC, b"")
+        self.exchanged = True
         late = now - self._heartbeat_ns > _MASTER_HEARTBEAT_NS
         if late or self.cycle % self._heartbeat_every == 0:
             self.heartbeat()

@@ -97,7 +97,7 @@ class CanopenNode:
     @property
     def fresh(self) -> bool:
         """Whether all values that the device had to send in the last exchange arrived."""
-        if self.missing:
+        if self.missing or not self._wire.exchanged:
             return False
         for slot in self._slow:  # noqa: SIM110  (a generator costs a microsecond a cycle)
             if self.cycle - slot.cycle > slot.slack:
@@ -186,6 +186,15 @@ class CanopenNode:
         The errors are those of :meth:`write`.
         """
         self.write(index, subindex, value)
+
+    def announce(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object if the device does not accept process data, by its last
+        heartbeat, or if the last exchange did not send them.
+
+        The errors are those of :meth:`write`.
+        """
+        if self.nmt_state != OPERATIONAL or not self._wire.exchanged:
+            self.write(index, subindex, value)
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Make those checks of :meth:`map_process_data` that need no write, with its errors.

@@ -32,6 +32,7 @@ class Wire(Protocol):
     cycle: int
     master_id: int
     sync_ns: int
+    exchanged: bool
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame."""

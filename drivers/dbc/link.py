@@ -100,6 +100,7 @@ class DbcLink(CanopenLink):
             DriveFault: A device sent an emergency message, or a drive went into fault while it was
                 running.
         """
+        self.exchanged = False
         self._receive(0.0)
         now = self.clock.now_ns()
         deadline = now + self._answer_ns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from typing import Final
 
 from drivers.canopen import cia402
@@ -15,7 +15,7 @@ from drivers.dbc.feedback import Feedback
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
 from drivers.dbc.wiring import Order
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -203,6 +203,7 @@ class DbcServo(Servo):
         for name in (*self._wiring.received, *self._wiring.pages):
             self._feedback.hear(name)
         self._cycle_ns = round(cycle_s * NS)
+        self.prepared = True
         self._feedback.restart_time()
         self._stage(self._feedback.value("position"))
 
@@ -241,17 +242,14 @@ class DbcServo(Servo):
         self._link.stop(self._channel)
         self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
-        """Order the drive to brake with its own ramp, at once and in all further exchanges; return
-        whether there are exchanges. Without ``at_once``, a refusal of the bus raises no error.
-        """
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        """Order the drive to brake with its own ramp, at once and in all further exchanges."""
+        del at_once  # no answer is waited for
         # The periodic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
         self._stopped_ns = self._clock.now_ns()
-        with nullcontext() if at_once else suppress(LinkError):
-            self._link.stop(self._channel)
-            self._command(self._wiring.stop)
-        return self._cycle_ns > 0
+        self._link.stop(self._channel)
+        self._command(self._wiring.stop)
 
     def reset_fault(self) -> None:
         """Reset a fault. Afterwards the drive is de-energised and does not move.

@@ -215,6 +215,19 @@ class EposSerialLink(Link):
             "identifier"
         )
 
+    def tell(self, opcode: Opcode, data: bytes) -> None:
+        """Send one request at once, and wait for its answer at most as long as an exchange does; if
+        the answer does not arrive, the next exchange resynchronises the line.
+
+        Raises:
+            LinkError: The line is gone.
+        """
+        frame = encode(opcode, data)
+        if self._in_step:
+            self._ask(frame, self.clock.now_ns() + self._answer_ns)
+        else:
+            self._send(frame)
+
     def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
         """Send a frame and return the data of its answer, or None if no reliable answer arrives in
         time.

@@ -71,6 +71,10 @@ class Line(Protocol):
         """
         ...
 
+    def tell(self, opcode: Opcode, data: bytes) -> None:
+        """Send one request and wait for its answer at most as long as an exchange does."""
+        ...
+
     def set_cycle(self, cycle_s: float, who: str) -> None:
         """Set the cycle time, the same for all devices."""
         ...
@@ -191,6 +195,15 @@ class ObjectAccess:
         self._request(
             Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
         )
+
+    def announce(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object by one request, because an exchange sends nothing while an answer
+        to an earlier request is missing; a lost answer and a refusal raise no error.
+
+        Raises:
+            LinkError: The line is gone.
+        """
+        self._line.tell(Opcode.WRITE_OBJECT, self._written(index, subindex, value))
 
     def _written(self, index: int, subindex: int, value: int) -> bytes:
         try:

@@ -92,7 +92,7 @@ class _Braking:
         self._cycle_ns = cycle_ns
         self._steps, self._cycles = steps, cycles
         self._watched = watched
-        self._silent = False
+        self._cyclic = self._obeyed = self._silent = self._repeated = False
         self._refusing_ns: int | None = None
 
     def run(self, hurry: Callable[[], bool]) -> ServoState | None:
@@ -100,13 +100,15 @@ class _Braking:
         clock, interval_ns = self._clock, round(STATE_INTERVAL_S * NS) - self._cycle_ns // 2
         began_ns: list[int] = []
         self._steps.attempt(lambda: began_ns.append(clock.now_ns()))
-        cyclic = self._order()
+        self._cyclic = cyclic = self._prepared()
+        error = self._order(at_once=not cyclic)
         if not began_ns:
             return None
+        self._note_order(error, began_ns[0])
         deadline_ns = began_ns[0] + round(BRAKING_TIMEOUT_S * NS)
         # A drive that is not prepared has its state read in the first cycle.
         known_ns = clock.now_ns() - (0 if cyclic else interval_ns)
-        obeyed = not cyclic
+        self._obeyed = not cyclic
         for _ in range(round(BRAKING_TIMEOUT_S * NS / self._cycle_ns)):
             if self._hurried(hurry) or clock.now_ns() >= deadline_ns:
                 break
@@ -114,19 +116,19 @@ class _Braking:
             if self._steps.interrupted or self._cycles.interrupted:
                 break
             if sent in _BRAKING:
-                known_ns, obeyed, self._refusing_ns = clock.now_ns(), True, None
+                known_ns, self._obeyed, self._refusing_ns = clock.now_ns(), True, None
                 continue
             off = sent is not None and not sent.energised
             patience_ns = round(UNHEARD_S * NS) if sent is None and cyclic else interval_ns
             if not off and clock.now_ns() - known_ns < patience_ns:
                 continue
             # An order may restart the watchdog of a drive with frames of its own.
-            state = self._ask(again=not (obeyed or off or self._silent))
+            state = self._ask(again=not (self._obeyed or off or self._silent))
             known_ns = clock.now_ns()
             if state is None:
                 if off or not cyclic:
                     return sent
-                if obeyed:
+                if self._obeyed:
                     continue
                 if sent is None:
                     self._silent = self._watched
@@ -134,16 +136,31 @@ class _Braking:
                 state = sent  # it may be an old one, but none later is known
             if not state.energised or self._refuses(state):
                 return state
-            obeyed = state in _BRAKING
+            self._obeyed = state in _BRAKING
         return ServoState.QUICK_STOP_ACTIVE
 
-    def _order(self) -> bool:
-        """Order the quick stop; return whether cycles send the order."""
+    def _prepared(self) -> bool:
+        """Return whether cycles send the order."""
         found: list[bool] = []
-        self._steps.attempt(lambda: found.append(self._servo.quick_stop(at_once=False)))
-        if not any(found):
-            self._steps.attempt(self._servo.quick_stop)
+        self._steps.attempt(lambda: found.append(self._servo.prepared))
         return any(found)
+
+    def _order(self, at_once: bool) -> BaseException | None:
+        """Order the quick stop, once more if the order was interrupted; return the error, if any.
+
+        After a LinkError the cycles, or the next request, repeat the order.
+        """
+        order = self._servo.quick_stop
+        error = self._steps.attempt(lambda: order(at_once=at_once))
+        if error is not None and not isinstance(error, LinkError):
+            error = self._steps.attempt(order)
+        return error
+
+    def _note_order(self, error: BaseException | None, since_ns: int) -> None:
+        """Leave a drive alone that did not answer an order given by request at ``since_ns``."""
+        waited_s = (self._clock.now_ns() - since_ns) / NS
+        if self._cyclic and isinstance(error, LinkError) and waited_s >= UNHEARD_S:
+            self._silent = self._watched
 
     def _hurried(self, hurry: Callable[[], bool]) -> bool:
         """Return whether to stop waiting; a defect of ``hurry`` does not end the ramp."""
@@ -161,13 +178,19 @@ class _Braking:
             return None
         found: list[ServoState | None] = []
         error = self._cycles.attempt(lambda: found.append(self._watch()))
-        if error is None:
-            return found[0]
         if isinstance(error, DeviceError):
             # The other devices may have exchanged their values all the same.
             self._cycles.attempt(lambda: found.append(self._servo.sent_state()))
+        sent = next(iter(found), None)
+        if error is None:
+            return sent
+        unsure = isinstance(error, LinkError) and sent not in _BRAKING
+        if unsure and not (self._obeyed or self._repeated):
+            # The exchange may not have brought the order to the drive.
+            self._repeated, since_ns = True, self._clock.now_ns()
+            self._note_order(self._order(at_once=False), since_ns)
         self._clock.sleep_until_ns(end_ns)
-        return next(iter(found), None)
+        return sent
 
     def _ask(self, again: bool) -> ServoState | None:
         """Read the state, after the order was given once more if ``again``; return None if the

@@ -130,6 +130,9 @@ class Drive:
             raise self.refuses["insist"]  # type: ignore[index]
         self._become(value)
 
+    def announce(self, index: int, subindex: int, value: int) -> None:
+        self.log.append(("announce", (index, subindex), value))
+
     def map_process_data(self, outputs: Any, inputs: Any, cycle_s: float) -> None:
         self.log.append(("map", outputs, inputs, cycle_s))
 
@@ -599,9 +602,10 @@ def test_a_quick_stop_goes_with_the_exchanges_and_at_once_by_sdo() -> None:
     drive = Drive()
     servo = enabled(drive)
     drive.follows = False
-    assert servo.quick_stop(at_once=False)
-    assert drive.take() == [("stage", 1, (2, 1304))]
-    assert servo.quick_stop()
+    assert servo.prepared
+    servo.quick_stop(at_once=False)
+    assert drive.take() == [("stage", 1, (2, 1304)), ("announce", CONTROLWORD, 2)]
+    servo.quick_stop()
     assert drive.take() == [("stage", 1, (2, 1304)), ("insist", CONTROLWORD, 2)]
 
 
@@ -617,8 +621,9 @@ def test_a_preparation_that_failed_leaves_no_exchanges_for_the_quick_stop() -> N
     with pytest.raises(LinkError):
         servo.prepare(CYCLE_S)
     drive.take()
-    assert not servo.quick_stop(at_once=False)
-    assert drive.take() == []
+    assert not servo.prepared
+    servo.quick_stop(at_once=False)
+    assert drive.take("stage") == []
 
 
 @pytest.mark.parametrize("in_fault", [True, False])

@@ -532,7 +532,7 @@ def test_disabling() -> None:
 def test_stopping(at_once: bool) -> None:
     bench = Bench()
     servo = enabled(bench)
-    assert servo.quick_stop(at_once=at_once)
+    servo.quick_stop(at_once=at_once)
     assert bench.take() == [
         ("order", b"stop", False),
         ("send", *STOP_FRAME),
@@ -543,7 +543,9 @@ def test_stopping(at_once: bool) -> None:
 
 def test_before_it_is_prepared_no_exchange_stops_it() -> None:
     bench = Bench()
-    assert not make(bench).quick_stop()
+    servo = make(bench)
+    servo.quick_stop()
+    assert not servo.prepared
     assert bench.image == b"stop"
 
 
@@ -555,9 +557,10 @@ def test_the_order_to_stop_stays_where_the_bus_does_not_take_it() -> None:
         raise LinkError("gone")
 
     bench.send = send  # type: ignore[method-assign]
-    with pytest.raises(LinkError):
-        servo.quick_stop()
-    assert servo.quick_stop(at_once=False)  # the exchanges repeat the order
+    for at_once in (True, False):
+        with pytest.raises(LinkError):
+            servo.quick_stop(at_once=at_once)
+    assert servo.prepared  # the exchanges repeat the order
     assert bench.image == b"stop"
 
 

@@ -133,12 +133,10 @@ class FakeBench(Link, Servo, Encoder):
     def sent_state(self) -> ServoState | None:
         return None
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
-        if at_once:
-            self._call("quick_stop")
-            if self.drive_state is ServoState.OPERATION_ENABLED:
-                self.drive_state = ServoState.QUICK_STOP_ACTIVE
-        return False
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        self._call("quick_stop")
+        if self.drive_state is ServoState.OPERATION_ENABLED:
+            self.drive_state = ServoState.QUICK_STOP_ACTIVE
 
     def reset_fault(self) -> None:
         self._call("reset_fault")

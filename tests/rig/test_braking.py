@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -23,7 +23,7 @@ from rig.wiring.teardown import SafeState, make_safe
 from tests.drivers.dbc_host import enabled as enabled_dbc
 from tests.drivers.dbc_host import make_dbc_host
 from tests.drivers.host import enabled, make_host
-from tests.drivers.serial_host import make_serial_host
+from tests.drivers.serial_host import SerialHost, make_serial_host
 from tests.drivers.test_modes import host_in
 from tests.drivers.test_servo import LIMITS
 
@@ -138,8 +138,8 @@ def test_a_drive_that_goes_on_operating_is_given_up_after_its_time(
     answers: bool, watched: bool
 ) -> None:
     servo = Servo({} if answers else {"state": lambda: LinkError("no answer")})
-    servo.quick_stop = lambda **_: servo.order.append("quick_stop") or True  # type: ignore
-    servo.sent = ON
+    servo.quick_stop = lambda **_: servo.order.append("quick_stop")  # type: ignore
+    servo.sent, servo.prepared = ON, True
     state, _ = braked(servo, watched=watched)
     assert state is ON
     cycles = servo.order.count("watch") * CYCLE_NS / NS
@@ -158,7 +158,7 @@ def test_the_reaction_to_a_fault_is_waited_for() -> None:
 def test_only_a_drive_with_a_watchdog_is_left_alone_if_nothing_reaches_it(watched: bool) -> None:
     gone = lambda: LinkError("gone")  # noqa: E731
     servo = Servo({"quick_stop": gone, "state": gone})
-    servo.quick_stop = lambda at_once=True: Servo.quick_stop(servo) if at_once else True  # type: ignore
+    servo.prepared = True
     state, steps = braked(servo, watched=watched)
     cycles = round(UNHEARD_S * NS) // CYCLE_NS
     assert servo.order.count("watch") == (cycles if watched else 100)
@@ -497,17 +497,140 @@ def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(deaf: bo
     host.link.close()
 
 
-def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost() -> None:
+@pytest.fixture
+def serial() -> Iterator[SerialHost]:
+    """Yield a serial drive under power, in motion."""
     host = make_serial_host()
     host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=2))
     host.servo.prepare(host.cycle_s)
     host.encoder.prepare(host.cycle_s)
     host.servo.enable()
     host.cycles(100, lambda t: 0.5 * t)
-    entered: list[State] = []
-    host.bench.drive.entered.append(entered.append)
-    LineFaults(host.line, host.link.clock).lose(False, 0)
-    host.cycles(2)
-    host.servo.quick_stop(at_once=False)
-    assert entered[0] is State.QUICK_STOP_ACTIVE
+    yield host
     host.link.close()
+
+
+def serial_stop(
+    host: SerialHost, hurry: Callable[[], bool] = lambda: False
+) -> tuple[SafeState, list[tuple[State, float]], list[float]]:
+    """Stop a serial drive; return its final state, the states that it entered, and the times of the
+    cycles, s from the stop.
+    """
+    clock, entered, cycles = host.bench.clock, list[tuple[State, float]](), list[float]()
+    began_ns = clock.now_ns()
+
+    def since_s() -> float:
+        return (clock.now_ns() - began_ns) / NS
+
+    host.bench.drive.entered.append(lambda state: entered.append((state, since_s())))
+
+    def watch() -> ServoState | None:
+        cycles.append(since_s())
+        host.cycles(1)
+        return host.servo.sent_state()
+
+    cycle_ns = round(host.cycle_s * NS)
+    found = make_safe(
+        host.servo, watch, clock, cycle_ns, brake=True, hurry=hurry, watched=False, insistent=True
+    )
+    return found, entered, cycles
+
+
+def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost(
+    serial: SerialHost,
+) -> None:
+    entered: list[State] = []
+    serial.bench.drive.entered.append(entered.append)
+    clock = serial.bench.clock
+    LineFaults(serial.line, clock).lose(False, 0)
+    serial.cycles(2)
+    began_ns = clock.now_ns()
+    serial.servo.quick_stop(at_once=False)
+    assert clock.now_ns() == began_ns  # no answer is waited for
+    clock.sleep_until_ns(began_ns + round(serial.cycle_s * NS))
+    assert entered[0] is State.QUICK_STOP_ACTIVE
+
+
+def test_a_lost_answer_does_not_keep_a_serial_drive_from_its_cycles(serial: SerialHost) -> None:
+    LineFaults(serial.line, serial.bench.clock).lose(False, 1)
+    found, entered, cycles = serial_stop(serial)
+    assert found.verified
+    assert not found.problems
+    assert [state for state, _ in entered] == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+    assert cycles[0] < serial.cycle_s
+    assert len(cycles) > 10
+
+
+class Reporting:
+    """A guard that reports once that the guardian has stopped the drive."""
+
+    def __init__(self) -> None:
+        self._left = ["the guardian stopped the drive"]
+
+    def arm(self, limit_s: float) -> None:
+        del limit_s
+
+    def release(self) -> None:
+        pass
+
+    def feed(self) -> None:
+        if self._left:
+            raise LinkError(self._left.pop())
+
+
+def test_the_report_of_the_guardian_during_the_order_is_kept(serial: SerialHost) -> None:
+    serial.epos.guard = Reporting()
+    found, entered, _ = serial_stop(serial)
+    assert found.verified
+    assert found.problems == ("the guardian stopped the drive",)
+    assert entered[0][0] is State.QUICK_STOP_ACTIVE
+    assert entered[0][1] < 2 * serial.cycle_s
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv", "cst", "pp"])
+def test_a_drive_that_takes_no_process_data_is_ordered_at_once(mode: str) -> None:
+    wire = Wire(mode)
+    wire.host.bench.bus.attach().send(0x000, bytes([0x80, DRIVE_NODE]))  # PRE-OPERATIONAL
+    with pytest.raises(LinkError, match="left the NMT state OPERATIONAL"):
+        wire.host.cycles(100)
+    wire.began_ns = wire.host.clock.now_ns()
+    wire.stop()
+    assert wire.entered_s[0] < 0.002
+
+
+def test_a_drive_that_leaves_the_exchange_while_its_order_is_lost_is_ordered_at_once() -> None:
+    wire = Wire("cst")
+    wire.faults.lose(lambda identifier, host: identifier == 0x200 + DRIVE_NODE, 1 << 30)
+    wire.host.bench.bus.attach().send(0x000, bytes([0x80, DRIVE_NODE]))
+    wire.host.clock.sleep_until_ns(wire.host.clock.now_ns() + NS // 20)
+    wire.began_ns = wire.host.clock.now_ns()
+    wire.stop()
+    assert wire.entered_s[0] < 0.004
+
+
+def test_a_bus_that_is_sent_to_but_not_read_carries_the_order_at_once() -> None:
+    """The reception fails before an exchange sends its frames."""
+    wire = Wire("cst")
+    bus = wire.host.bench.bus
+
+    def collect(timeout_s: float) -> list[Any]:
+        raise OSError(5, "gone")
+
+    bus.collect = collect  # type: ignore[method-assign]
+    assert not wire.safe().verified
+    assert wire.entered[0] is State.QUICK_STOP_ACTIVE
+    assert wire.entered_s[0] < 0.002
+
+
+def test_a_drive_that_answers_no_order_gets_no_heartbeat() -> None:
+    """A drive in NMT STOPPED receives neither process data nor requests; its watchdog brakes it."""
+    wire = Wire("cst")
+    wire.host.bench.bus.attach().send(0x000, bytes([0x02, DRIVE_NODE]))
+    with pytest.raises(LinkError, match="left the NMT state OPERATIONAL"):
+        wire.host.cycles(100)
+    wire.began_ns = wire.host.clock.now_ns()
+    assert not wire.safe().verified
+    watch_s = wire.host.servo.watch_s
+    assert watch_s is not None
+    assert wire.entered == [State.FAULT_REACTION, State.FAULT]
+    assert wire.entered_s[0] < watch_s + 0.002

@@ -111,9 +111,9 @@ def test_a_lost_answer_while_the_drive_brakes_does_not_end_the_stop(
     brake, state = Cia402Servo.quick_stop, Cia402Servo.state
     lost: list[LinkError] = []
 
-    def then_lose(self: Cia402Servo, **keys: bool) -> bool:
+    def then_lose(self: Cia402Servo, **keys: bool) -> None:
         lost.append(LinkError("no answer"))
-        return brake(self, **keys)
+        brake(self, **keys)
 
     def once_lost(self: Cia402Servo) -> ServoState:
         if lost:

@@ -230,13 +230,13 @@ class Stuck:
         if not self.reachable:
             raise LinkError("gone")
 
+    prepared = False
+
     def sent_state(self) -> ServoState | None:
         return None
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
-        if at_once:
-            self._do("quick stop")
-        return False
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        self._do("quick stop")
 
     def disable(self) -> None:
         self._do("disable")

@@ -42,13 +42,13 @@ class Servo:
         self.failures = failures
         self.stopped = 0
 
+    prepared = False
+
     def sent_state(self) -> ServoState | None:
         return None
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
-        if at_once:
-            self.stopped += 1
-        return False
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        self.stopped += 1
 
     def disable(self) -> None:
         pass

@@ -39,10 +39,9 @@ def count(self, targets, segment, *rest):
     follow(self, targets, segment, *rest)
 
 def brake(self, **keys):
-    prepared = quick_stop(self, **keys)
+    quick_stop(self, **keys)
     print("braking", flush=True)
     sys.stdin.readline()
-    return prepared
 
 limits = rig.planning.plan._limits
 # A busy machine is late; the signals are on trial here.

@@ -103,11 +103,9 @@ class Servo:
     def sent_state(self) -> ServoState | None:
         return self.sent
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
-        if at_once or self.prepared:
-            self._do("quick_stop")
-            self.power = BRAKING
-        return self.prepared
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        self._do("quick_stop")
+        self.power = BRAKING
 
     def watch(self) -> ServoState | None:
         self._do("watch")
@@ -325,9 +323,9 @@ class Deaf(Servo):
         if self.frames >= 0:
             raise LinkError("gone")
 
-    def quick_stop(self, *, at_once: bool = True) -> bool:
+    def quick_stop(self, *, at_once: bool = True) -> None:
         self.word = BRAKING
-        return super().quick_stop(at_once=at_once)
+        super().quick_stop(at_once=at_once)
 
     def watch(self) -> ServoState | None:
         self.pass_time(CYCLE_NS)
