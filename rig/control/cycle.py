@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Protocol
+from typing import Final, Protocol
 
 from drivers.clock import NS, Clock
 from drivers.errors import DriveFault
@@ -22,6 +22,8 @@ from rig.terminal.stop_button import StopButton
 from rig.wiring.devices import Devices
 
 PROGRESS_CYCLES = 100
+FIRST_WITHIN_NS: Final = NS // 200
+"""Longest wait for the first cycle of the braking, ns."""
 
 
 Progress = Callable[[str, int, Sample], None]
@@ -108,6 +110,7 @@ class Cycle:
         self._torque = math.nan
         self._start_grid(self._start_ns)
         self.count = 0
+        self._watched = -1
         self.overruns = 0
         self.stale = 0
         self.timing = Timing()
@@ -244,7 +247,9 @@ class Cycle:
             self._servo.set_torque_offset(0.0)
 
     def watch(self) -> ServoState | None:
-        """Run one cycle without a command and without a limit check, while the drive brakes.
+        """Run one cycle without a command and without a limit check, while the drive brakes. If the
+        first such cycle is due later than :data:`FIRST_WITHIN_NS`, it starts at once: it brings the
+        order to brake to the drive.
 
         Returns:
             The state that the drive sent in this cycle, or None.
@@ -253,7 +258,9 @@ class Cycle:
             DeviceError: A device or the bus failed.
         """
         now_ns = self._clock.now_ns()
-        if now_ns > self._next_ns:
+        late = self._next_ns - now_ns > FIRST_WITHIN_NS and self._watched != self.count
+        self._watched = self.count + 1
+        if late or now_ns > self._next_ns:
             # The time since the last cycle is a pause and does not count as lateness.
             self._start_grid(now_ns)
         # The drive is monitored while it brakes even if the recording cannot be written.

@@ -100,7 +100,7 @@ class _Braking:
         clock, interval_ns = self._clock, round(STATE_INTERVAL_S * NS) - self._cycle_ns // 2
         began_ns: list[int] = []
         self._steps.attempt(lambda: began_ns.append(clock.now_ns()))
-        self._cyclic = cyclic = self._prepared()
+        self._cyclic = cyclic = self._servo.prepared
         error = self._order(at_once=not cyclic)
         if not began_ns:
             return None
@@ -109,7 +109,7 @@ class _Braking:
         # A drive that is not prepared has its state read in the first cycle.
         known_ns = clock.now_ns() - (0 if cyclic else interval_ns)
         self._obeyed = not cyclic
-        for _ in range(round(BRAKING_TIMEOUT_S * NS / self._cycle_ns)):
+        for _ in range(max(1, round(BRAKING_TIMEOUT_S * NS / self._cycle_ns))):
             if self._hurried(hurry) or clock.now_ns() >= deadline_ns:
                 break
             sent = self._cycle()
@@ -138,12 +138,6 @@ class _Braking:
                 return state
             self._obeyed = state in _BRAKING
         return ServoState.QUICK_STOP_ACTIVE
-
-    def _prepared(self) -> bool:
-        """Return whether cycles send the order."""
-        found: list[bool] = []
-        self._steps.attempt(lambda: found.append(self._servo.prepared))
-        return any(found)
 
     def _order(self, at_once: bool) -> BaseException | None:
         """Order the quick stop, once more if the order was interrupted; return the error, if any.

@@ -102,6 +102,17 @@ def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None
     assert 0 <= servo.clock.now_ns() - began - 31 * cycle_ns < 5 * NS // 1000
 
 
+def test_a_control_cycle_longer_than_the_time_out_is_run_once() -> None:
+    servo = Servo({})
+    servo.prepared, servo.sent, servo.power = True, OFF, OFF
+    order = servo.quick_stop
+    servo.quick_stop = lambda at_once=True: order() if at_once else None  # type: ignore[method-assign]
+    watch = servo.watch
+    state = brake(servo, watch, servo.clock, 3 * NS, lambda: False, Steps(), True)  # type: ignore
+    assert state is OFF
+    assert servo.order == ["watch", "state"]
+
+
 def test_while_the_drive_sends_that_it_brakes_its_state_is_not_read() -> None:
     servo = Servo({})
     watch = sending(servo, ON, *[BRAKING] * 40, REACTION, BRAKING, OFF)

@@ -437,6 +437,29 @@ def test_watching_commands_nothing_and_judges_nothing() -> None:
     assert cycle.timing.lateness.worst_ns == 0
 
 
+@pytest.mark.parametrize(
+    ("period_ms", "second_ms"), [(1, 1), (5, 5), (10, 0.4), (50, 0.4), (2000, 0.4)]
+)
+def test_the_order_to_brake_does_not_wait_for_a_long_cycle(
+    period_ms: int, second_ms: float
+) -> None:
+    bench = Bench()
+    cycle = Cycle(
+        LIMITS, period_ms * 1_000_000, devices(bench), bench, StopButton(), lambda *_: None
+    )
+    began_ns = bench.clock.now_ns() - START_NS
+    for _ in range(4):
+        cycle.watch()
+    cycle.ask_reset()
+    cycle.begin(0.1)
+    cycle.watch()
+    cycle.watch()
+    starts_ms = (np.array(bench.exchanged) - began_ns) / 1e6
+    regular = [period_ms] * 3
+    # The cycle that begins starts at once, and the first one that watches within 5 ms of it.
+    assert np.diff(starts_ms) == pytest.approx([*regular, 0.4, second_ms, period_ms])
+
+
 def test_a_prompt_before_the_watching_is_no_lateness_of_this_computer() -> None:
     bench, pacer = Bench(), Pacer()
     cycle = make(bench, pacer=pacer)
