@@ -89,11 +89,11 @@ class Sequencer:
         no error; an unexpected exception becomes the ``error`` of the outcome.
         """
         ending, message, trip, error = self._attempt()
-        # Before the first phase with power there is no ramp, and no cycle that would be recorded.
-        unpowered = self.phase is Phase.LOAD and not self._cycle.count
+        # Before the preparation there are no exchanges; the drive brakes all the same.
+        unprepared = self.phase is Phase.LOAD and not self._cycle.count
         safe = make_safe(
             self._devices.servo,
-            self._devices.servo.sent_state if unpowered else self._cycle.watch,
+            self._wait_cycle if unprepared else self._cycle.watch,
             self._devices.link.clock,
             self._plan.cycle_ns,
             brake=ending is not Ending.DONE,
@@ -119,6 +119,11 @@ class Sequencer:
         if unforeseen:
             outcome = replace(outcome, ending=Ending.CRASHED, error=outcome.error or unforeseen[0])
         return outcome
+
+    def _wait_cycle(self) -> None:
+        """Let the time of one cycle pass."""
+        clock = self._devices.link.clock
+        clock.sleep_until_ns(clock.now_ns() + self._plan.cycle_ns)
 
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
         """Run the phases; return the ending, a text on it, and the trip or defect, if any."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.clock import NS
 from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
 from rig.control.motion_witness import MotionWitness
@@ -308,6 +309,22 @@ def test_a_defect_in_the_explanation_does_not_hide_the_state_of_the_drive(
     assert (record.state, record.de_energised) == ("crashed", True)
     log = read_run(runner.folder / "recording.mcap")
     assert (log.damage, log.events[-1]["event"]) == (None, "tripped")
+
+
+def test_a_drive_that_is_found_under_power_ends_its_ramp(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench(drive_state=ServoState.OPERATION_ENABLED)
+    clock, ended = bench.clock, []
+
+    def stopped() -> None:
+        bench.drive_state = ServoState.SWITCH_ON_DISABLED
+
+    bench.faults["quick_stop", 1] = lambda: clock.call_at(clock.now_ns() + NS // 20, stopped)
+    bench.faults["disable", 1] = lambda: ended.append(bench.drive_state)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert "phase load" in outcome.message
+    assert outcome.safe.verified
+    assert ended == [ServoState.SWITCH_ON_DISABLED]
 
 
 def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
