@@ -65,8 +65,8 @@ def brake(
 
     Returns:
         The state in which the drive ended; an energised state other than QUICK STOP ACTIVE if the
-        drive does not execute the quick stop; QUICK STOP ACTIVE if the drive did not end; None if
-        a drive that is not prepared does not answer, or after a defect.
+        drive does not execute the quick stop; QUICK STOP ACTIVE if the drive has shown that it
+        brakes, but did not end; None if nothing is known of the drive since the order.
     """
     cycles, found = Steps(), list[ServoState | None]()
     braking = _Braking(servo, watch, clock, cycle_ns, steps, cycles, watched)
@@ -94,6 +94,7 @@ class _Braking:
         self._watched = watched
         self._cyclic = self._obeyed = self._silent = self._repeated = False
         self._refusing_ns: int | None = None
+        self._shown: ServoState | None = None
 
     def run(self, hurry: Callable[[], bool]) -> ServoState | None:
         """Brake, and return what :func:`brake` returns."""
@@ -116,7 +117,8 @@ class _Braking:
             if self._steps.interrupted or self._cycles.interrupted:
                 break
             if sent in _BRAKING:
-                known_ns, self._obeyed, self._refusing_ns = clock.now_ns(), True, None
+                known_ns, self._refusing_ns = clock.now_ns(), None
+                self._obeyed, self._shown = True, sent
                 continue
             off = sent is not None and not sent.energised
             patience_ns = round(UNHEARD_S * NS) if sent is None and cyclic else interval_ns
@@ -136,8 +138,8 @@ class _Braking:
                 state = sent  # it may be an old one, but none later is known
             if not state.energised or self._refuses(state):
                 return state
-            self._obeyed = state in _BRAKING
-        return ServoState.QUICK_STOP_ACTIVE
+            self._obeyed, self._shown = state in _BRAKING, state
+        return ServoState.QUICK_STOP_ACTIVE if self._shown in _BRAKING else self._shown
 
     def _order(self, at_once: bool) -> BaseException | None:
         """Order the quick stop, once more if the order was interrupted; return the error, if any.

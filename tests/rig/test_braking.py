@@ -173,8 +173,16 @@ def test_only_a_drive_with_a_watchdog_is_left_alone_if_nothing_reaches_it(watche
     state, steps = braked(servo, watched=watched)
     cycles = round(UNHEARD_S * NS) // CYCLE_NS
     assert servo.order.count("watch") == (cycles if watched else 100)
-    assert (state, set(steps.problems)) == (BRAKING, {"gone"})
+    assert (state, set(steps.problems)) == (None, {"gone"})
     assert servo.clock.now_ns() == BRAKING_TIMEOUT_S * NS
+
+
+def test_a_braking_that_is_not_seen_is_not_said_to_be_one() -> None:
+    wire = Wire()
+    wire.lose_all(10.0)
+    clock, steps = wire.host.clock, Steps()
+    assert brake(wire.host.servo, wire.watch, clock, NS // 1000, lambda: False, steps, True) is None
+    assert steps.problems
 
 
 def test_a_drive_that_has_shown_that_it_brakes_is_not_left_alone() -> None:
