@@ -178,6 +178,7 @@ def _brake(setup: Setup) -> ServoState:
     Raises:
         WrongError: The drive does not execute the quick stop.
         DeviceError: Another device failed.
+        OperatorStopError: The operator stopped the commissioning meanwhile.
     """
     link, failures, steps = setup.devices.link, list[DeviceError](), Steps()
 
@@ -193,7 +194,7 @@ def _brake(setup: Setup) -> ServoState:
         watch,
         link.clock,
         setup.bench.cycle_ns,
-        lambda: False,
+        setup.stop.hurry(),
         steps,
         link.has_watchdog,
     )
@@ -201,8 +202,11 @@ def _brake(setup: Setup) -> ServoState:
         raise KeyboardInterrupt
     for defect in steps.unforeseen:
         raise defect
+    # After this error the power is taken off, with the rest of the ramp or at once.
+    setup.stop.raise_if_pressed()
     if state is None or state is ServoState.OPERATION_ENABLED:
-        why = steps.problems[0] if state is None else f"it reports the state {state.value!r}"
+        unknown = next(iter(steps.problems), "it sends no state")
+        why = unknown if state is None else f"it reports the state {state.value!r}"
         raise WrongError(
             f"the drive does not execute the quick stop: {why}. The power was taken off; check "
             "605Ah and 6085h"

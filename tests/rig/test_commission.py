@@ -266,6 +266,35 @@ def test_sigquit_takes_the_power_off_without_the_ramp(
     assert bool(braking) == brakes
 
 
+@pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
+def test_a_stop_during_the_step_that_stops_ends_it(
+    here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
+) -> None:
+    """Ctrl-C leaves the drive its ramp; SIGQUIT takes the power off at once."""
+    order, watch = Cia402Servo.quick_stop, Cycle.watch
+    orders: list[int] = []
+    cycles: list[int] = []
+
+    def ordered(self: Cia402Servo, **keys: bool) -> None:
+        order(self, **keys)
+        orders.append(number)
+        if len(orders) == 1:
+            signal.raise_signal(number)
+
+    def counted(self: Cycle) -> ServoState | None:
+        if orders:
+            cycles.append(len(orders))
+        return watch(self)
+
+    monkeypatch.setattr(Cia402Servo, "quick_stop", ordered)
+    monkeypatch.setattr(Cycle, "watch", counted)
+    ended, record = commissioned("--angle", "0")
+    assert (ended, record["state"], record["drive"]["verified"]) == (3, "stopped", True)
+    assert record["sessions"][0][-1]["name"] == "stop"
+    assert bool(cycles) == brakes
+    assert 1 not in cycles
+
+
 FLOW = "servo: {node: 1, sign: 1}  # kept\nencoder:\n  node: 2  # kept\n  sign: 1\n"
 
 
