@@ -119,6 +119,7 @@ class DbcChannel:
         heard: Number of frames received from the drive, valid or invalid.
         commanded: Whether any frame has been sent to the drive; if not, closing the link sends no
             stop frame.
+        stopping: Whether the present order is to brake.
     """
 
     def __init__(self, wiring: Wiring, label: str) -> None:
@@ -204,7 +205,7 @@ class DbcChannel:
                 self._pending.append(output)
             output.image = image
         self._own_target = order.own_target
-        self._stopping = order is self.wiring.stop
+        self.stopping = order is self.wiring.stop
         self._holding = hold
         if not hold:
             self.rest()
@@ -340,7 +341,7 @@ class DbcChannel:
         if not self.fault_code:
             return shown
         if shown is None or shown.energised:
-            return shown if self._stopping else ServoState.FAULT_REACTION
+            return shown if self.stopping else ServoState.FAULT_REACTION
         return ServoState.FAULT
 
     @property

@@ -14,6 +14,8 @@ from drivers.interfaces import ServoState
 from drivers.units import Unwrapper
 
 _ANSWER_S: Final = 0.3
+_BRAKING_S: Final = 0.04
+"""Time-out of an answer while the drive brakes, s; no cycle is sent meanwhile."""
 _RETRY_S: Final = 0.02
 
 
@@ -145,7 +147,7 @@ class Feedback:
         command, repeat the current order.
         """
         link, channel, message = self._link, self._channel, slot.message
-        patience_s = _patience_s(slot)
+        patience_s = self._patience_s(slot)
         if not channel.wiring.asked or message.remote or message.period_s:
             return link.await_frame(channel, slot, patience_s)
         deadline = self._clock.now_ns() + round(patience_s * NS)
@@ -166,7 +168,7 @@ class Feedback:
         """
         slot = self._channel.slot(name)
         count, refused = slot.count, slot.refused
-        deadline = self._clock.now_ns() + _patience_s(slot) * NS
+        deadline = self._clock.now_ns() + self._patience_s(slot) * NS
         while slot.count == count:
             if self._clock.now_ns() >= deadline:
                 raise self._silent(slot, refused)
@@ -184,9 +186,9 @@ class Feedback:
         name, identifier = slot.message.name, hexadecimal(slot.message.identifier)
         return LinkError(
             f"{self._channel.label} sent no valid {name} ({identifier}) "
-            f"in {_patience_s(slot):g} s: {why}"
+            f"in {self._patience_s(slot):g} s: {why}"
         )
 
-
-def _patience_s(slot: Slot) -> float:
-    return max(_ANSWER_S, PERIODS_KEPT * slot.message.period_s)
+    def _patience_s(self, slot: Slot) -> float:
+        answer_s = _BRAKING_S if self._channel.stopping else _ANSWER_S
+        return max(answer_s, PERIODS_KEPT * slot.message.period_s)

@@ -78,7 +78,7 @@ class Bench:
         self.cycle = 0
         self.state: ServoState | None = S.SWITCH_ON_DISABLED
         self.image: bytes = b""
-        self.holding = False
+        self.holding = self.stopping = False
         self.loses: dict[int, Callable[[], None]] = {}
         self.silent: set[str] = set()
         self.refused = 0

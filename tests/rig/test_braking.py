@@ -482,6 +482,28 @@ def test_a_fault_code_does_not_show_that_a_drive_brakes(code: int, watched: bool
     host.link.close()
 
 
+def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing() -> None:
+    host = make_dbc_host()
+    enabled_dbc(host)
+    host.cycles(200, lambda t: 0.5 * t)
+    host.bench.bus.frame_filters.append(
+        lambda _t, found, data, by_host: (found, data) if by_host else None
+    )
+    cycles: list[int] = []
+
+    def watch() -> ServoState | None:
+        cycles.append(host.clock.now_ns())
+        host.cycles(1)
+        return host.servo.sent_state()
+
+    began_ns = host.clock.now_ns()
+    state = brake(host.servo, watch, host.clock, NS // 1000, lambda: False, Steps(), False)
+    assert state is None
+    assert max(b - a for a, b in itertools.pairwise(cycles)) < 0.05 * NS
+    assert host.clock.now_ns() - began_ns < (BRAKING_TIMEOUT_S + 0.05) * NS
+    host.link.close()
+
+
 @pytest.mark.parametrize("deaf", [False, True])
 def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(deaf: bool) -> None:
     """The cycles also repeat an order that was lost; a drive that ignores it is left alone."""
