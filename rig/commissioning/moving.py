@@ -151,7 +151,7 @@ def stop(setup: Setup, step: StepRecord) -> None:
         cycles = round(0.5 * abs(end - here) / abs(step_rad))
         cycle.follow([here + step_rad * n for n in range(1, cycles)], 0, "stop")
         began, at = setup.devices.link.clock.now_ns(), encoder.sample().angle_rad
-        state = _brake(setup)
+        state = _brake(setup, step)
         took_s = (setup.devices.link.clock.now_ns() - began) / NS
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:
@@ -172,8 +172,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
     step.words = "the drive stops and is off"
 
 
-def _brake(setup: Setup) -> ServoState:
-    """Stop the drive by its quick stop; return the state in which it ended.
+def _brake(setup: Setup, step: StepRecord) -> ServoState:
+    """Stop the drive by its quick stop; return the state in which it ended, and record the errors.
 
     Raises:
         WrongError: The drive does not execute the quick stop.
@@ -198,6 +198,8 @@ def _brake(setup: Setup) -> ServoState:
         steps,
         link.has_watchdog,
     )
+    if steps.problems:
+        step.measure("errors during the stop", "; ".join(dict.fromkeys(steps.problems)))
     if steps.interrupted:
         raise KeyboardInterrupt
     for defect in steps.unforeseen:

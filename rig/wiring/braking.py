@@ -44,10 +44,11 @@ def brake(
     or the operator presses Ctrl-C again. The function raises no error: a defect of ``hurry`` does
     not end the ramp, a defect of the clock ends the wait.
 
-    A cycle that fails, for example because another device is lost, does not end the ramp. If the
-    drive sends no state, the quick stop is also ordered outside the exchange. If this gets no
-    answer either, and the drive has not shown that it brakes, or if the drive goes on operating,
-    the cycles pause: the drive does not follow orders, and its watchdog brakes it. The cycles of a
+    A cycle that fails, for example because another device is lost, does not end the ramp; after the
+    first one the order is given again, because it may not have reached the drive. If the drive
+    sends no state, the quick stop is also ordered outside the exchange. If this gets no answer
+    either, and the drive has not shown that it brakes, or if the drive goes on operating, the
+    cycles pause: the drive does not follow orders, and its watchdog brakes it. The cycles of a
     drive without a watchdog continue.
 
     Any state except that the drive brakes is read to confirm it, because a late frame contains an

@@ -125,6 +125,8 @@ def test_a_lost_answer_while_the_drive_brakes_does_not_end_the_stop(
     ended, record = commissioned("--angle", "0")
     assert (ended, record["state"]) == (0, "done"), record["message"]
     assert not lost
+    stop = next(s for s in record["sessions"][0] if s["name"] == "stop")
+    assert "no answer" in {value["value"] for value in stop["measured"]}
 
 
 @pytest.mark.parametrize("mistake", FOUND)
