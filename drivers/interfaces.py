@@ -296,9 +296,9 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
 
     @abstractmethod
     def quick_stop(self, *, at_once: bool = True) -> None:
-        """Order the drive to brake with its own ramp, in all further exchanges and, with
-        ``at_once`` or if exchanges may not reach the drive, before the next one, without waiting
-        until the drive has stopped. A LinkError: this order was not sent, or not answered.
+        """Order the drive to brake with its own ramp, in all further exchanges; with ``at_once``,
+        or if these may not reach the drive, also before the next one, where a LinkError states that
+        the order was not sent, or not answered. The method does not wait for the standstill.
         """
 
     @abstractmethod

@@ -278,8 +278,10 @@ class Cia402Servo(HomingServo):
         self._channel.unwatch()
 
     def quick_stop(self, *, at_once: bool = True) -> None:
-        """Order the drive to brake with its own ramp (605Ah, 6085h), in all further exchanges and,
-        with ``at_once`` or if an exchange may not reach the drive, by a request.
+        """Order the drive to brake with its own ramp (605Ah, 6085h).
+
+        All further exchanges contain the order. With ``at_once``, or if an exchange may not reach
+        the drive, a request gives the order too.
         """
         self._command(Command.QUICK_STOP, at_once)
 

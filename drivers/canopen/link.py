@@ -335,7 +335,7 @@ class CanopenLink(Link):
             self._lose(node, f"{node.label} {what}; {remedy}")
 
     def _lose(self, node: CanopenNode, words: str) -> None:
-        # Reported once, so that the exchanges of a drive that brakes then return values.
+        # Reported once: further exchanges then return values while the drive brakes.
         node.monitored = False
         self._troubles.append((node.node_id, LinkError(words)))
 

@@ -188,8 +188,8 @@ class CanopenNode:
         self.write(index, subindex, value)
 
     def announce(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object if the device does not accept process data, by its last
-        heartbeat, or if the last exchange did not send them.
+        """Write an integer object if the last heartbeat shows that the device does not accept
+        process data, or if the last exchange did not send them.
 
         The errors are those of :meth:`write`.
         """

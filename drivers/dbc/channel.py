@@ -333,8 +333,8 @@ class DbcChannel:
         map.
 
         A fault code other than 0 means a fault, whatever the value of the status signal; the drive
-        counts as energised until this signal shows that the power is off. While the drive is
-        ordered to brake, only this signal shows whether it does so: the code may be a warning.
+        counts as energised until this signal shows that the power is off. After an order to brake,
+        only the status signal shows whether the drive brakes: the fault code may be a warning.
         """
         wiring = self.wiring
         shown = wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))

@@ -204,7 +204,7 @@ def _brake(setup: Setup, step: StepRecord) -> ServoState:
         raise KeyboardInterrupt
     for defect in steps.unforeseen:
         raise defect
-    # After this error the power is taken off, with the rest of the ramp or at once.
+    # The handler of this error takes the power off, after the rest of the ramp or at once.
     setup.stop.raise_if_pressed()
     if state is None or state is ServoState.OPERATION_ENABLED:
         unknown = next(iter(steps.problems), "it sends no state")

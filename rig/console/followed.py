@@ -150,7 +150,7 @@ class Followed:
         """Read the new content of the run folder; return whether more content can be read
         immediately.
         """
-        # A program that reported another phase had named its recording in run.json before.
+        # A program names its recording in run.json before it reports a phase after connecting.
         connecting = self.status is None or self.status["phase"] == "connecting"
         self._read_record()
         more = self._read_recording()

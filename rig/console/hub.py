@@ -38,9 +38,10 @@ class Questions:
         self._times: dict[str, tuple[float, float]] = {}
 
     def due(self, path: str, now_s: float) -> bool:
-        """Return whether a run is to be asked now, which is then taken as done: at once after an
-        answer; otherwise when as much time has passed since the last question as between the last
-        answer and this question, at least :data:`_AGAIN_S`.
+        """Return whether to ask a run now; if so, note the question.
+
+        After an answer the run is asked at once. After a question without an answer, the wait is as
+        long as the run had been silent at this question, but at least :data:`_AGAIN_S`.
 
         Args:
             path: Control socket of the run.

@@ -1,4 +1,4 @@
-"""Computes the quantities of a run that an acceptance limits and a comparison shows."""
+"""Computes the measured quantities of a run for acceptance limits and comparisons."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ Measured = Callable[[RunRecord, Dataset | None, str], float | None]
 finished excitations; the result is None if the quantity was not recorded.
 """
 SIMULATED, PACED = ("answer",), ("lateness",)
-"""Durations that a simulated bench has in simulated time: always, or unless it runs in real time;
-in real time the lateness is that of this computer.
+"""Durations that a simulated bench measures in simulated time: the first always, the second only if
+the bench does not run in real time. In real time the lateness is that of this computer.
 """
 
 
@@ -88,6 +88,6 @@ QUANTITIES: Mapping[str, Measured] = {
     "lost samples": _count("lost_servo", "lost_encoder"),
     "missed SYNCs": _count("missed_syncs"),
 }
-"""Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES` but the torque
-error, which is a result of the identification.
+"""Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES` except the
+torque error, which is a result of the identification.
 """

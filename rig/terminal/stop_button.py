@@ -142,9 +142,11 @@ class StopButton:
         return self.presses
 
     def hurry(self) -> Callable[[], bool]:
-        """Return whether to take the power off without waiting for the end of the braking ramp, as
-        a function to be called while the drive brakes: true after a stop request in this time, or
-        if there were two requests before, of which SIGQUIT alone counts as both.
+        """Return a function that states, while the drive brakes, whether to take the power off
+        without waiting for the end of the ramp.
+
+        The function returns true after a stop request since this call, or if there were two
+        requests before. SIGQUIT counts as two requests.
         """
         before = min(self.presses, 1)
         return lambda: self.presses_now() > before

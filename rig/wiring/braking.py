@@ -18,15 +18,17 @@ from rig.wiring.steps import Steps
 
 BRAKING_TIMEOUT_S: Final = 1.0
 STATE_INTERVAL_S: Final = 0.005
-"""Time, s, between two reads of the state of a drive that is not prepared, or that sends another
-state; after standstill the power stays on for at most this time, independent of the control cycle.
+"""Time, s, between two reads of the state of a drive that is not prepared, or that sends a state
+other than braking. After standstill the power stays on for at most this time, independent of the
+control cycle.
 """
 UNHEARD_S: Final = 0.02
 """Time, s, for which only cycles order the quick stop while the drive sends no state. A shorter
 outage of the bus ends within this time.
 """
 REACTION_S: Final = 0.3
-"""Time, s, after which a drive that still operates is given up; its watchdog has had time to act.
+"""Time, s, after which the braking ends if the drive still operates; its watchdog has then had time
+to act.
 """
 _BRAKING: Final = frozenset({ServoState.QUICK_STOP_ACTIVE, ServoState.FAULT_REACTION})
 
@@ -45,15 +47,15 @@ def brake(
     not end the ramp, a defect of the clock ends the wait.
 
     A cycle that fails, for example because another device is lost, does not end the ramp; after the
-    first one the order is given again, because it may not have reached the drive. If the drive
-    sends no state, the quick stop is also ordered outside the exchange. If this gets no answer
-    either, and the drive has not shown that it brakes, or if the drive goes on operating, the
-    cycles pause: the drive does not follow orders, and its watchdog brakes it. The cycles of a
-    drive without a watchdog continue.
+    first failed cycle the order is given again, because it may not have reached the drive. If the
+    drive sends no state, a request orders the quick stop too. The cycles pause if this request gets
+    no answer and the drive has not shown that it brakes, or if the drive goes on operating: the
+    drive does not follow orders, and its watchdog brakes it. The cycles of a drive without a
+    watchdog continue.
 
-    Any state except that the drive brakes is read to confirm it, because a late frame contains an
-    old one. If this answer is lost, only a de-energised state counts as sent: no frame from before
-    the stop contains one.
+    If the drive sends a state other than braking, a request confirms the state, because a late
+    frame contains an old one. If the answer to the request is lost, only a de-energised state is
+    taken from the frame, because no frame from before the stop contains such a state.
 
     Args:
         servo: The drive.
@@ -61,13 +63,13 @@ def brake(
         clock: Clock of the link.
         cycle_ns: Control cycle, ns.
         hurry: Whether to stop waiting.
-        steps: Stores the errors; of the cycles, only the first.
+        steps: Stores the errors; of the errors of cycles, only the first.
         watched: Whether the drive takes the power off by itself when the cycles end.
 
     Returns:
         The state in which the drive ended; an energised state other than QUICK STOP ACTIVE if the
         drive does not execute the quick stop; QUICK STOP ACTIVE if the drive has shown that it
-        brakes, but did not end; None if nothing is known of the drive since the order.
+        brakes, but not that the ramp ended; None if nothing is known of the drive since the order.
     """
     cycles, found = Steps(), list[ServoState | None]()
     braking = _Braking(servo, watch, clock, cycle_ns, steps, cycles, watched)
@@ -154,7 +156,9 @@ class _Braking:
         return error
 
     def _note_order(self, error: BaseException | None, since_ns: int) -> None:
-        """Leave a drive alone that did not answer an order given by request at ``since_ns``."""
+        """End the cycles to a drive with a watchdog if it did not answer an order that was given by
+        a request at ``since_ns``.
+        """
         waited_s = (self._clock.now_ns() - since_ns) / NS
         if self._cyclic and isinstance(error, LinkError) and waited_s >= UNHEARD_S:
             self._silent = self._watched
@@ -166,7 +170,7 @@ class _Braking:
         return any(found)
 
     def _cycle(self) -> ServoState | None:
-        """Run one cycle, or wait for one if the drive is to be left alone; return the state that
+        """Run one cycle, or let the time of one pass while the cycles pause; return the state that
         the drive sent.
         """
         end_ns = self._clock.now_ns() + self._cycle_ns
@@ -198,8 +202,8 @@ class _Braking:
         return self._steps.state(self._servo)
 
     def _refuses(self, state: ServoState) -> bool:
-        """Decide whether the cycles continue by a state that was read; return whether the drive has
-        not begun to brake for too long.
+        """Decide, from a state that was read, whether the cycles continue; return whether the drive
+        has not begun to brake within :data:`REACTION_S`.
         """
         if state in _BRAKING:
             self._silent, self._refusing_ns = False, None

@@ -32,10 +32,10 @@ def command_ripple(view: View) -> Array:
     """Return the acceleration of the command, rad/s^2 or m/s^2, shape (n,); zero without a command,
     or if voltage and current are averaged.
 
-    A loop that receives a command at intervals changes the current in steps, which a command with
-    feed-forward makes in proportion to its acceleration. If log and loop are synchronised, all
-    samples are taken at one phase of the steps, so that they differ from the mean over a sample
-    period in this proportion.
+    A loop that receives a command at intervals changes the current in steps. With feed-forward the
+    steps are in proportion to the acceleration of the command. If log and loop are synchronised,
+    all samples are taken at one phase of the steps, so that their difference from the mean over a
+    sample period is in proportion to this acceleration.
     """
     recording = view.recording
     command = recording.channels.get("command")
@@ -49,8 +49,8 @@ INSTANTS: Mapping[str, Callable[[View], Array]] = {
     "hold": voltage_change,
     "ripple": command_ripple,
 }
-"""Parameters of the voltage equation for samples at instants, to the functions that compute their
-columns.
+"""Parameters that samples at instants add to the voltage equation, each with the function that
+computes its column.
 """
 
 
@@ -77,7 +77,9 @@ def between_samples(views: Sequence[View]) -> float:
 
 
 def _instant(channels: Sequence[Array | None]) -> float:
-    """Return the rms error of samples as means over their period, from their changes."""
+    """Return the rms error of using samples in place of means over their periods, from the changes
+    between the samples.
+    """
     changes = [np.diff(c[np.isfinite(c)]) for c in channels if c is not None]
     every = np.concatenate([np.zeros(1), *changes])
     return float(np.sqrt(np.mean(every**2) / 12.0))
