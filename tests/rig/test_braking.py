@@ -20,8 +20,8 @@ from drivers.mock.power_state import Command, State
 from rig.wiring.braking import BRAKING_TIMEOUT_S, REACTION_S, UNHEARD_S, brake
 from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
+from tests.drivers.dbc_host import DbcHost, make_dbc_host
 from tests.drivers.dbc_host import enabled as enabled_dbc
-from tests.drivers.dbc_host import make_dbc_host
 from tests.drivers.host import enabled, make_host
 from tests.drivers.serial_host import SerialHost, make_serial_host
 from tests.drivers.test_modes import host_in
@@ -448,94 +448,93 @@ def test_a_serial_drive_brakes_although_the_line_of_its_encoder_is_gone() -> Non
     host.link.close()
 
 
-@pytest.mark.parametrize("watched", [True, False])
-@pytest.mark.parametrize("code", [0, 7])
-def test_a_fault_code_does_not_show_that_a_drive_brakes(code: int, watched: bool) -> None:
-    """A drive that reports that it runs does not brake, whatever its fault code is."""
+@pytest.fixture
+def moving() -> Iterator[DbcHost]:
+    """Yield a drive with frames of its own, under power, in motion."""
     host = make_dbc_host()
     enabled_dbc(host)
     host.cycles(200, lambda t: 0.5 * t)
-    drive, clock = host.bench.drive, host.clock
+    yield host
+    host.link.close()
+
+
+def times_of(host: DbcHost, wanted: int) -> list[int]:
+    """Return the times, ns, of all further frames with an identifier."""
+    times: list[int] = []
+
+    def note(time_ns: int, found: int, data: bytes, by_host: bool) -> tuple[int, bytes]:
+        if found == wanted:
+            times.append(time_ns)
+        return found, data
+
+    host.bench.bus.frame_filters.append(note)
+    return times
+
+
+def braked_dbc(
+    host: DbcHost, watched: bool, note: Callable[[], None] = lambda: None
+) -> ServoState | None:
+    """Brake the drive in cycles of 1 ms, and call ``note`` before each cycle."""
+
+    def watch() -> ServoState | None:
+        note()
+        host.cycles(1)
+        return host.servo.sent_state()
+
+    return brake(host.servo, watch, host.clock, NS // 1000, lambda: False, Steps(), watched)
+
+
+@pytest.mark.parametrize("watched", [True, False])
+@pytest.mark.parametrize("code", [0, 7])
+def test_a_fault_code_does_not_show_that_a_drive_brakes(
+    moving: DbcHost, code: int, watched: bool
+) -> None:
+    """A drive that reports that it runs does not brake, whatever its fault code is."""
+    drive, clock = moving.bench.drive, moving.clock
     drive._obey = lambda order: None
     drive._port.listen(STOP, lambda data: None)
     drive.fault_code = code
     drive._send_status()
-    host.wait(0.0005)
-    orders: list[int] = []
-
-    def note(time_ns: int, found: int, data: bytes, by_host: bool) -> tuple[int, bytes]:
-        if found == STOP:
-            orders.append(time_ns)
-        return found, data
-
-    host.bench.bus.frame_filters.append(note)
-
-    def watch() -> ServoState | None:
-        host.cycles(1)
-        return host.servo.sent_state()
-
+    moving.wait(0.0005)
+    orders = times_of(moving, STOP)
     began_ns = clock.now_ns()
-    state = brake(host.servo, watch, clock, NS // 1000, lambda: False, Steps(), watched)
+    state = braked_dbc(moving, watched)
     assert state is (FAULT if watched else ON)  # with a watchdog, this brakes the drive
     assert clock.now_ns() - began_ns < (REACTION_S + 0.02) * NS
     assert len(orders) > 3
-    host.link.close()
 
 
-def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing() -> None:
-    host = make_dbc_host()
-    enabled_dbc(host)
-    host.cycles(200, lambda t: 0.5 * t)
-    host.bench.bus.frame_filters.append(
+def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing(
+    moving: DbcHost,
+) -> None:
+    moving.bench.bus.frame_filters.append(
         lambda _t, found, data, by_host: (found, data) if by_host else None
     )
     cycles: list[int] = []
-
-    def watch() -> ServoState | None:
-        cycles.append(host.clock.now_ns())
-        host.cycles(1)
-        return host.servo.sent_state()
-
-    began_ns = host.clock.now_ns()
-    state = brake(host.servo, watch, host.clock, NS // 1000, lambda: False, Steps(), False)
+    began_ns = moving.clock.now_ns()
+    state = braked_dbc(moving, False, lambda: cycles.append(moving.clock.now_ns()))
     assert state is None
     assert max(b - a for a, b in itertools.pairwise(cycles)) < 0.05 * NS
-    assert host.clock.now_ns() - began_ns < (BRAKING_TIMEOUT_S + 0.05) * NS
-    host.link.close()
+    assert moving.clock.now_ns() - began_ns < (BRAKING_TIMEOUT_S + 0.05) * NS
 
 
 @pytest.mark.parametrize("deaf", [False, True])
-def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(deaf: bool) -> None:
+def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(
+    moving: DbcHost, deaf: bool
+) -> None:
     """The cycles also repeat an order that was lost; a drive that ignores it is left alone."""
-    host = make_dbc_host()
-    enabled_dbc(host)
-    host.cycles(200, lambda t: 0.5 * t)
-    drive = host.bench.drive
+    drive = moving.bench.drive
     entered: list[object] = []
     if deaf:
         drive._obey = lambda order: None
         drive._port.listen(STOP, lambda data: None)
-    sent: list[int] = []
-
-    def note(time_ns: int, found: int, data: bytes, by_host: bool) -> tuple[int, bytes]:
-        if found == COMMAND:
-            sent.append(time_ns)
-        return found, data
-
-    host.bench.bus.frame_filters.append(note)
-
-    def watch() -> ServoState | None:
-        host.cycles(1)
-        entered.append(drive.state)
-        return host.servo.sent_state()
-
-    state = brake(host.servo, watch, host.clock, NS // 1000, lambda: False, Steps(), True)
+    sent = times_of(moving, COMMAND)
+    state = braked_dbc(moving, True, lambda: entered.append(drive.state))
     assert state is not None
     assert not state.energised
     usual = sent[: round(UNHEARD_S * 1000)]
     assert max(b - a for a, b in itertools.pairwise(usual)) < 2.5e6
     assert len(entered) > 10
-    host.link.close()
 
 
 @pytest.fixture

@@ -414,15 +414,20 @@ def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Gua
     )
 
 
-def test_a_guardian_that_does_not_listen_ends_the_run(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
+def missed(guard: Guard, guardian: Guardian, time: Time) -> None:
+    """Arm a guard whose guardian does not read; the guard reports this."""
     guard.arm(0.2)
     fill(guardian)
     time.wait(0.1)
     with pytest.raises(LinkError) as caught:
         guard.feed()
     assert str(caught.value) == f"the guardian of {NAME} accepts no messages; stop and run again"
+
+
+def test_a_guardian_that_does_not_listen_ends_the_run(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    missed(guard, guardian, time)
     for _ in range(3):
         time.wait(0.1)
         guard.feed()
@@ -431,11 +436,7 @@ def test_a_guardian_that_does_not_listen_ends_the_run(
 def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
     guard: Guard, guardian: Guardian, time: Time
 ) -> None:
-    guard.arm(0.2)
-    fill(guardian)
-    time.wait(0.1)
-    with pytest.raises(LinkError, match="accepts no messages"):
-        guard.feed()
+    missed(guard, guardian, time)
     # It cannot be told that the drive is off, and must not use the port unnoticed later.
     with pytest.raises(LinkError, match="accepts no messages"):
         guard.release()
@@ -449,21 +450,13 @@ def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
     with pytest.raises(LinkError, match="the guardian stopped the drive"):
         guard.feed()
     # Armed again, it is missed again.
-    guard.arm(0.2)
-    fill(guardian)
-    time.wait(0.1)
-    with pytest.raises(LinkError, match="accepts no messages"):
-        guard.feed()
+    missed(guard, guardian, time)
 
 
 def test_a_guardian_that_ends_after_it_did_not_listen_is_reported_as_well(
     guard: Guard, guardian: Guardian, time: Time
 ) -> None:
-    guard.arm(0.2)
-    fill(guardian)
-    time.wait(0.1)
-    with pytest.raises(LinkError, match="accepts no messages"):
-        guard.feed()
+    missed(guard, guardian, time)
     guardian.hears.close()
     time.wait(0.1)
     with pytest.raises(LinkError, match="has ended"):

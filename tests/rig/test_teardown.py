@@ -338,11 +338,9 @@ class Deaf(Servo):
         super().disable()
 
 
-@pytest.mark.parametrize(("insistent", "verified"), [(True, True), (False, False)])
-def test_cycles_repeat_a_power_off_that_got_no_answer(insistent: bool, verified: bool) -> None:
-    """Without a watchdog, a drive that missed both commands would hold under power for ever."""
-    servo: Any = Deaf(20)
-    found = make_safe(
+def stopped(servo: Any, insistent: bool) -> SafeState:
+    """Make a drive without a watchdog safe."""
+    return make_safe(
         servo,
         servo.watch,
         servo.clock,
@@ -352,22 +350,19 @@ def test_cycles_repeat_a_power_off_that_got_no_answer(insistent: bool, verified:
         watched=False,
         insistent=insistent,
     )
+
+
+@pytest.mark.parametrize(("insistent", "verified"), [(True, True), (False, False)])
+def test_cycles_repeat_a_power_off_that_got_no_answer(insistent: bool, verified: bool) -> None:
+    """Without a watchdog, a drive that missed both commands would hold under power for ever."""
+    servo = Deaf(20)
+    found = stopped(servo, insistent)
     assert found.verified == verified
     assert (servo.power is OFF) == verified
     assert found.problems == ("gone",)
 
 
 def test_a_dead_line_ends_the_insistent_attempts() -> None:
-    servo: Any = Deaf(10**9)
-    found = make_safe(
-        servo,
-        servo.watch,
-        servo.clock,
-        CYCLE_NS,
-        brake=True,
-        hurry=lambda: False,
-        watched=False,
-        insistent=True,
-    )
-    assert not found.verified
+    servo = Deaf(10**9)
+    assert not stopped(servo, insistent=True).verified
     assert servo.order.count("disable") == INSISTENT_ATTEMPTS
