@@ -257,7 +257,7 @@ def test_a_line_about_an_ended_run_is_not_told_about_the_next(
 ) -> None:
     page, before = opened(), len(where.records())
     for count in (1, 2):
-        where.run(where.sequence(f"older-{count}", SHORT_S), "--yes", "--realtime")
+        where.run(where.sequence(f"older-{count}", SHORT_S), "--yes")
         ended(where, before + count)
     expect(page.locator("#runs")).to_contain_text(re.compile(r"older-2 on practical, [\d:]{8} UTC"))
     choose(page, "older-1 on practical")
