@@ -46,6 +46,9 @@ if os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _LEAST_BYTE
 # a test that ends a program by it would wait for ever.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# The same of a hang-up, which programs that outlive their terminal ignore.
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The same examples on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
@@ -53,10 +56,11 @@ settings.load_profile("repeatable")
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return twice the number of processors: many tests wait for other processes, for a browser, or
-    for real time.
+    """Return twice the number of processors where these are few: many tests wait for other
+    processes, for a browser, or for real time.
     """
-    return 2 * (os.cpu_count() or 1)
+    processors = os.cpu_count() or 1
+    return max(processors, min(2 * processors, 6))
 
 
 @pytest.hookimpl(wrapper=True)
