@@ -189,7 +189,7 @@ def motion(recording: Recording) -> Motion | None:
     table[:, TORQUE_RATE] = _rises(at, torque, table, seen)
     steps = np.full(len(at), STEPS)
     inside = np.zeros(len(at), dtype=bool)
-    for first, last, _, _ in table.astype(np.int64):
+    for first, last in table[:, [FIRST, LAST]].astype(np.int64):
         inside[first:last] = True
         steps[max(first, last - FINE_SAMPLES) : last] = FINE_STEPS
     slow = np.abs(velocity) < 0.3 * float(np.max(np.abs(velocity)))

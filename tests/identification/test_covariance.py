@@ -16,6 +16,7 @@ from identification.estimate.uncertainty.covariance import (
     _scatter,
     _spread,
     covariances,
+    not_below,
 )
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
@@ -127,3 +128,13 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
     assert step[SYSTEM.index("omega_sf")] == 0.0
     others = [k for k, name in enumerate(SYSTEM) if name != "omega_sf"]
     assert step[others] == pytest.approx(plain[others])
+
+
+def test_no_stated_variance_is_below_its_bound() -> None:
+    floor = np.array([[4.0, 1.0], [1.0, 9.0]])
+    achieved = np.array([[1.0, -0.8], [-0.8, 16.0]])
+    stated = not_below(achieved, floor)
+    assert np.diag(stated) == pytest.approx([4.0, 16.0])
+    assert stated[0, 1] / np.sqrt(stated[0, 0] * stated[1, 1]) == pytest.approx(-0.2)
+    assert np.all(np.linalg.eigvalsh(stated) > 0.0)
+    assert np.array_equal(not_below(stated, floor), stated)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.filter.segment_table import TORQUE_RATE
 from identification.filter.segments import LEAD, RISING, motion
 from identification.recording import Pendulum, Recording, RecordingError
 
@@ -191,3 +192,12 @@ def test_strokes_of_two_amplitudes_are_not_alike(
     alike = replace(found, angle=angle, table=found.table[1:-1]).matching
     fewer = first >= half
     assert np.array_equal(alike, fewer[:, None] == fewer)
+
+
+def test_a_torque_that_falls_before_every_breakaway_has_no_rate_of_rise(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    recording = practical_pair[1]
+    found = motion(swap(recording, current=-recording.channels["current"]))
+    assert found is not None
+    assert np.all(np.isinf(found.table[:, TORQUE_RATE]))

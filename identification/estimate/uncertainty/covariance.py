@@ -185,14 +185,29 @@ def named_covariances(
     found: Covariances, joint: Point, names: Sequence[str]
 ) -> tuple[Array, Array]:
     """Return the achieved covariance and its Cramer-Rao bound in the order of ``names``, with
-    static levels in place of rises, shape (p, p) each.
+    static levels in place of rises, shape (p, p) each; no achieved variance is below its bound.
     """
     order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)
     achieved, floor = (
         turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor)
     )
-    return achieved, floor
+    return not_below(achieved, floor), floor
+
+
+def not_below(achieved: Array, floor: Array) -> Array:
+    """Return a covariance whose variances are at least those of a Cramer-Rao bound, with unchanged
+    correlations, shape (p, p).
+
+    The scatter of few segments may by chance be less than their noise.
+
+    Args:
+        achieved: Covariance, shape (p, p).
+        floor: Cramer-Rao bound, shape (p, p).
+    """
+    least = np.maximum(np.diag(floor), 0.0) / np.maximum(np.diag(achieved), 1e-300)
+    widen = np.sqrt(np.maximum(least, 1.0))
+    return np.asarray(achieved * np.outer(widen, widen))
 
 
 def rise_to_static(names: Sequence[str]) -> Array:
