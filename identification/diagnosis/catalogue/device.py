@@ -161,7 +161,7 @@ DEVICE: tuple[Entry, ...] = (
         assumption="the implied assumption that the lever's weight adds friction and no inertia "
         "(eq. 15)",
         shows_in="torque",
-        coordinate="load: in phase with the acceleration, and proportional to the weight",
+        coordinate="acceleration: in phase with the acceleration, and proportional to the weight",
         parameters=(Quantity("inertia_kgm2", "kg m^2", 0.0, 5.0),),
         look_alikes=("compliance", "current_loop_lag", "load_exponent"),
         experiment=(

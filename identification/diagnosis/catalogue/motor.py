@@ -16,8 +16,8 @@ MOTOR: tuple[Entry, ...] = (
         assumption="the implied assumption that the motor's torque is Km I, and none without "
         "current (eq. 1)",
         shows_in="torque",
-        coordinate="angle: periodic in the motor's angle, with the same amplitude at any current "
-        "and load",
+        coordinate="motor angle: periodic in the motor's angle, with the same amplitude at any "
+        "current and load",
         parameters=(
             Quantity("torque_Nm", "N m", 0.0, 20.0),
             Quantity("per_motor_turn", "1/turn", 1.0, 200.0),
@@ -41,8 +41,8 @@ MOTOR: tuple[Entry, ...] = (
         assumption="the implied assumption that the torque constant Km is constant over a turn "
         "(eq. 1)",
         shows_in="torque",
-        coordinate="angle: periodic in the motor's angle, with an amplitude proportional to the "
-        "current",
+        coordinate="motor angle: periodic in the motor's angle, with an amplitude proportional to "
+        "the current",
         parameters=(
             Quantity("fraction", "", 0.0, 0.5),
             Quantity("per_motor_turn", "1/turn", 1.0, 200.0),
@@ -67,7 +67,7 @@ MOTOR: tuple[Entry, ...] = (
         assumption="the implied assumption that torque is proportional to current at any current "
         "(eq. 1)",
         shows_in="torque",
-        coordinate="load: grows as the cube of the current, zero at small currents",
+        coordinate="torque: grows as the cube of the current, zero at small currents",
         parameters=(Quantity("knee_A", "A", 2.0, 500.0), Quantity("rational", "", 0.0, 1.0)),
         look_alikes=("load_exponent", "transmission_efficiency", "winding_heating"),
         experiment=(
@@ -85,8 +85,8 @@ MOTOR: tuple[Entry, ...] = (
         assumption="the implied assumption that the torque follows the measured current at once "
         "(eq. 1)",
         shows_in="torque",
-        coordinate="frequency: grows with the rate of change of the current, most at reversals of "
-        "torque",
+        coordinate="torque rate: grows with the rate of change of the current, most at reversals "
+        "of torque",
         parameters=(Quantity("time_s", "s", 0.0, 0.05),),
         look_alikes=("time_skew", "friction_memory", "transport_delay"),
         experiment=(
@@ -103,8 +103,8 @@ MOTOR: tuple[Entry, ...] = (
         assumption="the implied assumption that the voltage at the winding is the logged one (eq. "
         "1)",
         shows_in="voltage",
-        coordinate="direction: a sharp step with the sign of the current, at any speed, in "
-        "proportion to the supply voltage",
+        coordinate="current direction: a sharp step with the sign of the current, at any speed, "
+        "in proportion to the supply voltage",
         parameters=(Quantity("voltage_V", "V", 0.0, 5.0),),
         look_alikes=("brush_drop", "winding_heating", "supply_sag"),
         experiment=(
@@ -121,8 +121,8 @@ MOTOR: tuple[Entry, ...] = (
         equation="R I + L dI/dt = U - U_b tanh(I / I_b) - Ke dphi/dt",
         assumption="the implied assumption that voltage falls over R, L and Ke omega alone (eq. 1)",
         shows_in="voltage",
-        coordinate="direction: a rounded step with the sign of the current, at any speed and "
-        "supply voltage",
+        coordinate="current direction: a rounded step with the sign of the current, at any speed "
+        "and supply voltage",
         parameters=(Quantity("voltage_V", "V", 0.0, 5.0), Quantity("current_A", "A", 0.01, 10.0)),
         look_alikes=("inverter_dead_time", "winding_heating", "supply_sag"),
         experiment=(
@@ -170,7 +170,7 @@ MOTOR: tuple[Entry, ...] = (
         equation="R I + L dI/dt = U (1 - Rs I_bus / U_nominal) - Ke dphi/dt",
         assumption="the implied assumption that the supply's voltage is constant",
         shows_in="voltage",
-        coordinate="load: grows with the power of the motor, the product of voltage and supply "
+        coordinate="torque: grows with the power of the motor, the product of voltage and supply "
         "current",
         parameters=(Quantity("resistance_ohm", "ohm", 0.0, 3.0),),
         look_alikes=("winding_heating", "inverter_dead_time", "brush_drop"),

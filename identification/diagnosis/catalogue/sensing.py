@@ -16,9 +16,9 @@ SENSING: tuple[Entry, ...] = (
             "U_logged(t) = U of command(t), U = that of command(t + T)"
         ),
         assumption="the implied assumption that all channels are sampled at the same instant",
-        shows_in="torque",
-        coordinate="frequency: proportional to the rate of change of the current, at any load and "
-        "in both directions",
+        shows_in="voltage",
+        coordinate="torque rate: proportional to the rate of change of the current, at any load "
+        "and in both directions; without a measured voltage, in the torque equation",
         parameters=(Quantity("time_s", "s", -0.05, 0.05),),
         look_alikes=("current_loop_lag", "friction_memory", "transport_delay"),
         experiment=(

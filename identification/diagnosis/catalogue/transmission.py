@@ -33,7 +33,7 @@ TRANSMISSION: tuple[Entry, ...] = (
         equation="phi / i - theta = M / k",
         assumption="assumption A4: no deformation",
         shows_in="transmission",
-        coordinate="load: the difference of the angles of motor and joint is proportional to the "
+        coordinate="torque: the difference of the angles of motor and joint is proportional to the "
         "torque between them",
         parameters=(Quantity("stiffness_Nm_rad", "N m/rad", 50.0, 1e6),),
         look_alikes=("backlash", "coupling_hysteresis", "transport_delay"),
@@ -80,8 +80,8 @@ TRANSMISSION: tuple[Entry, ...] = (
         assumption="the implied assumption that the gear transmits torque without loss in either "
         "direction of power",
         shows_in="torque",
-        coordinate="direction: has the sign of the power through the gear, and is proportional to "
-        "the torque",
+        coordinate="torque: proportional to the torque, with the sign of the power through the "
+        "gear",
         parameters=(Quantity("efficiency", "", 0.4, 1.0),),
         look_alikes=("asymmetric_coulomb", "load_dependent_friction", "torque_saturation"),
         experiment=(

@@ -43,10 +43,13 @@ class Location:
 
     Attributes:
         coordinate: ``speed``, ``angle``, ``load``, ``direction``, ``time``, ``temperature``,
-            ``time since reversal``, ``travel since reversal``, ``rest time`` or ``frequency``.
+            ``time since reversal``, ``travel since reversal``, ``rest time``, ``acceleration``,
+            ``torque``, ``torque rate``, ``motor angle`` or
+            ``current direction``.
         unit: Unit of the ranges.
         ranges: Ranges of the coordinate in which the mismatch is significant.
-        share_of_mismatch: Share of the mismatch's power that a curve over this coordinate explains.
+        share_of_mismatch: Share of the mismatch's power that a function of this coordinate explains
+            beside the nominal parameters.
         recordings: Names of the recordings in which the mismatch shows.
     """
 
@@ -126,7 +129,8 @@ class Map:
         low: Lower band around ``mean``, shape (b,).
         high: Upper band around ``mean``, shape (b,).
         after: Mean mismatch in each bin by the corrected model, shape (b,).
-        share: Share of the mismatch's power that ``mean`` explains.
+        share: Share of the mismatch's power that a function of the coordinate explains beside the
+            nominal parameters; of a gas generator, that ``mean`` explains.
         against_motion: Whether the mismatch was multiplied by the direction of motion, like
             friction.
     """

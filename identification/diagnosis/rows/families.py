@@ -13,8 +13,18 @@ import numpy as np
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.view import View
 from identification.recording import Array
+from identification.signals import central_difference
 
 BINS = 8
+LEAST_ROWS = 5
+"""Least number of rows in which a function of a coordinate must be nonzero."""
+HARMONICS = 24
+"""Greatest number of periods per turn by which a periodic mismatch is located."""
+_ENDS = 2.0 ** -np.arange(5.0, 9.0)
+KNOTS = np.concatenate([np.arange(17) / 16.0, _ENDS, 1.0 - _ENDS])
+"""Probabilities of the quantiles between which functions of a coordinate are linear; closer
+together at both ends, since most effects grow towards an end.
+"""
 
 
 @dataclass(frozen=True)
@@ -27,27 +37,63 @@ class Coordinate:
         values: Function from a view to values at the full rate, shape (m,), or None if the
             recording lacks them.
         by_direction: Whether the two directions of motion have separate bins.
+        by_load: Whether the mismatch may be proportional to the load as well.
+        periodic: Whether the coordinate is an angle of which full turns are equal.
     """
 
     name: str
     unit: str
     values: Callable[[View], Array | None]
     by_direction: bool = True
+    by_load: bool = False
+    periodic: bool = False
 
 
+def _load(view: View) -> Array:
+    """Return the force of the load at the lever, with that of declared loads that turn with the
+    joint, N, shape (m,).
+    """
+    arm = view.recording.bench.moment_arm or 1.0
+    return np.asarray((view.moment + np.abs(view.hanging)) / arm)
+
+
+LOAD = Coordinate("load", "N", _load)
 COORDINATES = (
     Coordinate("speed", "rad/s", lambda v: v.velocity, by_direction=False),
-    Coordinate("angle", "rad", lambda v: v.angle),
-    Coordinate("load", "N", lambda v: v.moment / (v.recording.bench.moment_arm or 1.0)),
+    Coordinate("angle", "rad", lambda v: v.angle, by_load=True),
+    LOAD,
     Coordinate("direction", "1", lambda v: v.sense, by_direction=False),
     Coordinate("time", "s", lambda v: v.run_time),
     Coordinate("temperature", "deg C", lambda v: v.temperature),
     Coordinate("time since reversal", "s", lambda v: v.reversal_time),
     Coordinate("travel since reversal", "rad", lambda v: v.reversal_travel),
     Coordinate("rest time", "s", lambda v: v.rest_time),
-    Coordinate("acceleration", "rad/s^2", lambda v: v.acceleration, by_direction=False),
-    Coordinate("torque", "N m", lambda v: v.torque, by_direction=False),
+    Coordinate(
+        "acceleration", "rad/s^2", lambda v: v.acceleration, by_direction=False, by_load=True
+    ),
+    Coordinate("torque", "N m", lambda v: v.transmitted, by_direction=False),
 )
+MAPPED = (
+    *COORDINATES,
+    Coordinate("motor angle", "rad", lambda v: v.motor, periodic=True),
+    Coordinate(
+        "torque rate",
+        "N m/s",
+        lambda v: central_difference(v.transmitted, v.step),
+        by_direction=False,
+    ),
+    Coordinate(
+        "current direction",
+        "1",
+        lambda v: None if v.current is None else np.sign(v.current),
+        by_direction=False,
+    ),
+)
+"""Coordinates over which a mismatch is located."""
+FROM_TORQUE = ("torque", "torque rate", "current direction")
+"""Coordinates that are computed from the measured torque: they contain a mismatch of the torque
+equation, so that they seem to explain any such mismatch.
+"""
 
 
 def edges(values: Array, bins: int = BINS) -> Array:
@@ -55,6 +101,45 @@ def edges(values: Array, bins: int = BINS) -> Array:
     bins if values repeat.
     """
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
+
+
+def at_rows(coordinate: Coordinate, equation: Equation) -> Array:
+    """Return the filtered coordinate at the rows of an equation, shape (n,); zero where a recording
+    lacks its channel.
+    """
+    if not coordinate.periodic:
+        return equation.rows(partial(_values, coordinate))[:, 0]
+    sine = equation.rows(lambda v: np.sin(_values(coordinate, v)))[:, 0]
+    cosine = equation.rows(lambda v: np.cos(_values(coordinate, v)))[:, 0]
+    return np.asarray(np.arctan2(sine, cosine) % (2.0 * np.pi))
+
+
+def harmonics(angle: Array) -> Array:
+    """Return the harmonics of an angle, up to :data:`HARMONICS`, shape (n, 2 k)."""
+    turns = angle[:, None] * np.arange(1.0, HARMONICS + 1.0)
+    return np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
+
+
+def functions(values: Array) -> Array:
+    """Return functions of a coordinate, shape (n, k): steps between bins, and piecewise-linear
+    functions between quantiles; no function (k = 0) of a constant coordinate.
+    """
+    levels = np.unique(values)
+    if len(levels) < 2:
+        return np.zeros((len(values), 0))
+    grid = edges(values, 2 * BINS)
+    if len(levels) == 2 or len(grid) < 3:
+        columns = (values[:, None] > 0.5 * (levels[0] + levels[1])) == np.array([False, True])
+    else:
+        place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
+        knots = np.unique(np.quantile(values, KNOTS))
+        columns = np.concatenate(
+            [place[:, None] == np.arange(len(grid) - 1)]
+            + [np.interp(values, knots, unit)[:, None] for unit in np.eye(len(knots))],
+            axis=1,
+        )
+    used = np.count_nonzero(columns, axis=0) >= LEAST_ROWS
+    return np.asarray(columns[:, used], dtype=np.float64)
 
 
 def families(equation: Equation) -> Iterator[tuple[str, Array]]:

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.families import COORDINATES, Coordinate, edges
-from identification.diagnosis.rows.view import View
+from identification.diagnosis.rows.families import (
+    FROM_TORQUE,
+    LEAST_ROWS,
+    LOAD,
+    MAPPED,
+    at_rows,
+    edges,
+    functions,
+    harmonics,
+)
 from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 
 BINS = 16
-LEAST_ROWS = 5
 DRAWS = 499
 
 
@@ -39,7 +45,12 @@ class Axis:
 
 
 def maps(
-    stack: Stack, equation: Equation, before: Array, after: Array, rng: np.random.Generator
+    stack: Stack,
+    equation: Equation,
+    before: Array,
+    after: Array,
+    rng: np.random.Generator,
+    own: str = "",
 ) -> tuple[Map, ...]:
     """Return maps of one equation's mismatch over every coordinate, greatest share first.
 
@@ -49,27 +60,65 @@ def maps(
         before: Mismatch before correction, in the equation's unit, shape (n,).
         after: Mismatch after correction, shape (n,).
         rng: Random generator for the bands.
+        own: Coordinate that the catalogue states for the effect. Only this coordinate may be
+            computed from the measured torque in the torque equation.
     """
     block = stack.block[stack.part(equation.name)]
     sense = equation.rows(lambda v: v.sense)[:, 0]
+    load = at_rows(LOAD, equation)
     found = []
-    for coordinate in COORDINATES:
+    for coordinate in MAPPED:
         if any(coordinate.values(v) is None for v in equation.views):
             continue
-        values = equation.rows(partial(_filled_values, coordinate))[:, 0]
+        if equation.name == "torque" and coordinate.name in FROM_TORQUE and coordinate.name != own:
+            continue
+        values = at_rows(coordinate, equation)
         unit = unit_on(equation.views[0].recording.bench.motion, coordinate.unit)
         axis = Axis(coordinate.name, unit, values)
-        made = map_over(equation, axis, before, after, block, stack.blocks, rng)
-        if made is None:
-            continue
-        if coordinate.by_direction:
-            sided = map_over(
-                equation, axis, sense * before, sense * after, block, stack.blocks, rng
-            )
-            if sided is not None and sided.share > made.share:
-                made = replace(sided, against_motion=True)
-        found.append(made)
+        columns = harmonics(values) if coordinate.periodic else functions(values)
+        factors = [np.ones(len(sense))] + [load] * coordinate.by_load
+        share = max(explained(stack, equation.name, columns, f) for f in factors)
+        sided = max(
+            [explained(stack, equation.name, columns, sense * f) for f in factors]
+            if coordinate.by_direction
+            else [0.0]
+        )
+        sign = sense if sided > share else factors[0]
+        made = map_over(equation, axis, sign * before, sign * after, block, stack.blocks, rng)
+        if made is not None:
+            found.append(replace(made, share=max(share, sided), against_motion=sided > share))
     return tuple(sorted(found, key=lambda m: -m.share))
+
+
+def explained(stack: Stack, equation: str, columns: Array, factor: Array) -> float:
+    """Return the share of the mismatch of one equation that regressors explain beside the nominal
+    parameters, with the share that blocks of chance explain subtracted.
+
+    The nominal parameters remain free: the mismatch that a fit of the nominal model leaves depends
+    on many coordinates, even if the missing torque is a function of one.
+
+    Args:
+        stack: Stack with the nominal tangent, and with other effects as its effect basis.
+        equation: Name of the equation.
+        columns: Regressors, shape (n, k).
+        factor: Factor of all regressors at each row, shape (n,).
+    """
+    made = columns * factor[:, None]
+    lengths = np.linalg.norm(made, axis=0)
+    made = made[:, lengths > 0.0] / lengths[lengths > 0.0]
+    if not made.shape[1]:
+        return 0.0
+    rows = stack.part(equation)
+    residual = stack.residual[rows]
+    power = float(residual @ residual)
+    q = stack.free(equation, made)
+    if not q.shape[1] or power == 0.0:
+        return 0.0
+    score = q.T @ residual
+    rest = q * (residual - q @ score)[:, None]
+    block = stack.block[rows]
+    chance = sum(float(np.sum(np.bincount(block, column) ** 2)) for column in rest.T)
+    return min(max(0.0, (float(score @ score) - chance) / power), 1.0)
 
 
 def location(equation: Equation, found: Map | None, before: Array) -> Location:
@@ -126,11 +175,6 @@ def curve(drawn: Sequence[Map]) -> Curve | None:
     return Curve(
         found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean
     )
-
-
-def _filled_values(coordinate: Coordinate, view: View) -> Array:
-    values = coordinate.values(view)
-    return np.zeros(len(view.time)) if values is None else values
 
 
 def map_over(

@@ -11,6 +11,7 @@ import numpy as np
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.single_effect import contribution, without_effect
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.instants import between_samples
@@ -126,8 +127,11 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
 
 
 def main_equation(found: Search) -> Equation:
-    """Return the equation in which the corrected model reduces the mismatch most; the torque
-    equation if there is no reduction.
+    """Return the equation whose mismatch, relative to the noise, the corrected model reduces most
+    in each row; the torque equation if there is no reduction.
+
+    The breakaway equation, which has few rows, is returned only if the effects reduce the mismatch
+    of no other equation as much over all rows.
     """
     if found.p_value > RULES.level:
         return found.baseline.equations[0]
@@ -135,14 +139,16 @@ def main_equation(found: Search) -> Equation:
 
     def taken(equation: Equation) -> float:
         rows = stack.part(equation.name)
-        return float(
-            np.sum(found.baseline.residual[rows] ** 2) - np.sum(found.final.residual[rows] ** 2)
-        )
+        before, after = (j.residual[rows] for j in (found.baseline, found.final))
+        return float(np.sum(before**2) - np.sum(after**2))
 
-    if found.final.effects:
-        return max(found.baseline.equations, key=taken)
     # The breakaway equation judges no model, even if the pattern of its mismatch is significant.
     judges = [e for e in found.baseline.equations if e.name != "breakaway"]
+    if found.final.effects:
+        most = max(found.baseline.equations, key=taken)
+        if most.name == "breakaway":
+            return most
+        return max(judges, key=lambda e: taken(e) / max(1, len(e.residual)))
     loudest = found.loudest.split(" ")[0]
     named = [e for e in judges if e.name == loudest]
     return named[0] if named else max(judges, key=lambda e: _beyond_noise(found.baseline, e))
@@ -206,8 +212,9 @@ def _effect(
     )
     rows = stack.part(own.name)
     before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
-    drawn = maps(stack, own, before, after, rng)
-    where = location(own, best_map(drawn, entry.coordinate.split(":")[0]), before)
+    stated = entry.coordinate.split(":")[0]
+    drawn = maps(without_effect(found.final, k), own, before, after, rng, stated)
+    where = location(own, best_map(drawn, stated), before)
     place = found.final.effects[k].term.place
     if place is not None:
         index = round(found.final.effects[k].shape[place])
@@ -264,10 +271,7 @@ def _needing(final: Joint, k: int, rows: slice) -> float:
     """Return the mean-square mismatch of the corrected model without the contribution of effect
     ``k``, relative to that of the noise, in ``rows``.
     """
-    effect, stack = final.effects[k], final.stack
-    columns = stack.whitened(stack.columns(effect.term, effect.shape))
-    made = columns @ np.array(effect.coefficients)
-    return float(np.mean((final.residual + made)[rows] ** 2))
+    return float(np.mean((final.residual + contribution(final, k))[rows] ** 2))
 
 
 def confidence_of(

@@ -11,12 +11,13 @@ from identification.diagnosis.catalogue import ENTRIES
 
 LIKE: Mapping[str, frozenset[str]] = {
     "direction": frozenset({"speed", "torque"}),
+    "current direction": frozenset({"direction", "speed", "torque"}),
     "load": frozenset({"torque"}),
     "time": frozenset({"temperature"}),
     "temperature": frozenset({"time"}),
     "time since reversal": frozenset({"travel since reversal"}),
     "travel since reversal": frozenset({"time since reversal"}),
-    "frequency": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
+    "torque rate": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
 }
 """Coordinates that are equivalent on blind trials to each coordinate of the catalogue: the signs of
 speed and torque give the direction, torque rises with the load, the machine warms up with time, and
@@ -47,8 +48,8 @@ def located(
 
     Returns:
         ``equation``: whether the mismatch is in the equation in which the effect shows;
-        ``coordinate``: whether the mismatch is over the coordinate of the catalogue; ``place``:
-        whether the
+        (the torque equation, if the recordings lack this equation's channels); ``coordinate``:
+        whether the mismatch is over the coordinate of the catalogue; ``place``: whether the
         mismatch is over this coordinate or an equivalent coordinate, or, for effects of one
         recording, whether the diagnosis lists this recording with at most one other recording;
         ``found``: the coordinate found. All four values are null if the diagnosis found no
@@ -58,6 +59,8 @@ def located(
     if diagnosis["verdict"] in ("nothing_missing", REFUSED) or where is None:
         return {"equation": None, "coordinate": None, "place": None, "found": None}
     entry = ENTRIES[name]
+    fitted = {fit["equation"] for fit in diagnosis["fits"]}
+    shows_in = entry.shows_in if entry.shows_in in fitted else "torque"
     expected, found = entry.coordinate.split(":")[0], where["coordinate"]
     if name in OWN_RECORDING:
         at = round(true.get("recording", 0)) - 1
@@ -66,7 +69,7 @@ def located(
     else:
         place = found == expected or found in LIKE.get(expected, ())
     return {
-        "equation": diagnosis["fit"]["equation"] == entry.shows_in,
+        "equation": diagnosis["fit"]["equation"] == shows_in,
         "coordinate": found == expected,
         "place": place,
         "found": found,
