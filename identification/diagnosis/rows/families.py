@@ -109,15 +109,35 @@ def at_rows(coordinate: Coordinate, equation: Equation) -> Array:
     """
     if not coordinate.periodic:
         return equation.rows(partial(_values, coordinate))[:, 0]
-    sine = equation.rows(lambda v: np.sin(_values(coordinate, v)))[:, 0]
-    cosine = equation.rows(lambda v: np.cos(_values(coordinate, v)))[:, 0]
-    return np.asarray(np.arctan2(sine, cosine) % (2.0 * np.pi))
+    first = equation.rows(partial(_harmonic, coordinate, 1))
+    return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))
 
 
-def harmonics(angle: Array) -> Array:
-    """Return the harmonics of an angle, up to :data:`HARMONICS`, shape (n, 2 k)."""
-    turns = angle[:, None] * np.arange(1.0, HARMONICS + 1.0)
-    return np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
+def functions_at_rows(coordinate: Coordinate, equation: Equation, values: Array) -> Array:
+    """Return functions of a coordinate at the rows of an equation, shape (n, k): harmonics of a
+    periodic coordinate up to :data:`HARMONICS`, filtered like the rows; otherwise
+    :func:`functions`.
+
+    Args:
+        coordinate: The coordinate.
+        equation: The equation.
+        values: The coordinate at the rows, from :func:`at_rows`.
+    """
+    if not coordinate.periodic:
+        return functions(values)
+    # One at a time: a long recording at the full rate is large.
+    return np.concatenate(
+        [
+            equation.rows(partial(_harmonic, coordinate, number))
+            for number in range(1, HARMONICS + 1)
+        ],
+        axis=1,
+    )
+
+
+def _harmonic(coordinate: Coordinate, number: int, view: View) -> Array:
+    turns = number * _values(coordinate, view)
+    return np.stack([np.sin(turns), np.cos(turns)])
 
 
 def functions(values: Array) -> Array:

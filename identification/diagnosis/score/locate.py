@@ -17,8 +17,7 @@ from identification.diagnosis.rows.families import (
     MAPPED,
     at_rows,
     edges,
-    functions,
-    harmonics,
+    functions_at_rows,
 )
 from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
@@ -75,7 +74,7 @@ def maps(
         values = at_rows(coordinate, equation)
         unit = unit_on(equation.views[0].recording.bench.motion, coordinate.unit)
         axis = Axis(coordinate.name, unit, values)
-        columns = harmonics(values) if coordinate.periodic else functions(values)
+        columns = functions_at_rows(coordinate, equation, values)
         factors = [np.ones(len(sense))] + [load] * coordinate.by_load
         share = max(explained(stack, equation.name, columns, f) for f in factors)
         sided = max(
@@ -117,7 +116,9 @@ def explained(stack: Stack, equation: str, columns: Array, factor: Array) -> flo
     score = q.T @ residual
     rest = q * (residual - q @ score)[:, None]
     block = stack.block[rows]
-    chance = sum(float(np.sum(np.bincount(block, column) ** 2)) for column in rest.T)
+    # A function that lives in one block takes up the whole sum of this block.
+    by_block = sum(float(np.sum(np.bincount(block, column) ** 2)) for column in rest.T)
+    chance = max(by_block, float(np.sum(rest**2)))
     return min(max(0.0, (float(score @ score) - chance) / power), 1.0)
 
 

@@ -7,12 +7,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from identification.diagnosis.score.locate import best_map, curve, maps, ranges
+from identification.diagnosis.fit.joint import fit
+from identification.diagnosis.fit.linear import Added
+from identification.diagnosis.fit.single_effect import without_effect
+from identification.diagnosis.rows.families import FROM_TORQUE, functions
+from identification.diagnosis.score.locate import best_map, curve, explained, maps, ranges
+from identification.diagnosis.terms import TERMS
 
 from .benches import campaign, nominal_fit
 
 CENTER_RAD, WIDTH_RAD = 0.1, 0.06
+TERM = {term.name: term for term in TERMS}
 
 
 def test_a_worn_patch_lies_where_it_is_though_its_torque_turns_with_the_motion() -> None:
@@ -44,3 +51,81 @@ def test_its_own_coordinate_is_given_where_it_explains_as_much() -> None:
     assert best_map([best, own, poor], "angle") is own
     assert best_map([best, own, poor], "time") is best
     assert best_map([], "time") is None
+
+
+HIDDEN = {
+    "angle": {"load_position_dependence": {"slope_per_rad": 0.5}},
+    "motor angle": {"cogging": {"torque_Nm": 2.0, "per_motor_turn": 6.0, "phase_rad": 0.4}},
+    "load": {"lever_pivot_friction": {"torque_Nm": 3.0}},
+    "current direction": {"brush_drop": {"voltage_V": 1.0, "current_A": 0.3}},
+}
+
+
+@pytest.mark.parametrize("coordinate", HIDDEN)
+def test_a_mismatch_lies_over_the_coordinate_that_it_is_a_function_of(coordinate: str) -> None:
+    joint = nominal_fit(campaign(HIDDEN[coordinate], 14, 8.0))
+    name = "voltage" if coordinate == "current direction" else "torque"
+    equation = next(e for e in joint.equations if e.name == name)
+    before = equation.sigma * joint.residual[joint.stack.part(name)]
+    drawn = maps(joint.stack, equation, before, before, np.random.default_rng(0))
+    found = best_map(drawn, coordinate)
+    assert found is not None
+    assert (found.coordinate, found.share > 0.8) == (coordinate, True)
+
+
+def test_the_measured_torque_locates_its_own_mismatch_only_if_it_is_the_stated_coordinate() -> None:
+    joint = nominal_fit(campaign({"torque_saturation": {"knee_A": 15.0}}, 15, 8.0))
+    torque, rng = joint.equations[0], np.random.default_rng(0)
+    rest = torque.sigma * joint.residual[joint.stack.part("torque")]
+    assert not {m.coordinate for m in maps(joint.stack, torque, rest, rest, rng)} & {*FROM_TORQUE}
+    drawn = maps(joint.stack, torque, rest, rest, rng, "torque")
+    assert drawn[0].coordinate == "torque"
+    assert drawn[0].share > 0.9
+
+
+def test_functions_of_a_coordinate() -> None:
+    assert functions(np.full(50, 2.0)).shape == (50, 0)
+    sides = functions(np.repeat([-1.0, 1.0], 25))
+    assert np.array_equal(sides, np.repeat(np.eye(2), 25, axis=0))
+    values = np.random.default_rng(0).normal(size=2000)
+    for made in (np.abs(values), np.where(values > np.median(values), 1.0, 0.0)):
+        basis = functions(values)
+        rest = made - basis @ np.linalg.lstsq(basis, made)[0]
+        assert rest @ rest < 0.01 * np.var(made) * len(made)
+
+
+def test_chance_explains_nothing() -> None:
+    joint = nominal_fit(campaign({}, 16, 8.0))
+    rows = joint.stack.part("torque")
+    columns = functions(np.arange(rows.stop - rows.start, dtype=float))
+    noise = np.random.default_rng(1).normal(size=len(joint.residual))
+    stack = replace(joint.stack, residual=joint.stack.projected(noise[:, None])[:, 0])
+    ones = np.ones(len(columns))
+    assert explained(stack, "torque", columns, ones) < 0.02
+    made = replace(stack, residual=stack.residual.copy())
+    made.residual[rows] = 5.0 * stack.free("torque", columns[:, 3:4])[:, 0]
+    assert explained(made, "torque", columns, ones) == pytest.approx(1.0)
+    assert explained(stack, "torque", columns, 0.0 * ones) == 0.0
+
+
+def test_an_effect_is_located_beside_the_other_effects() -> None:
+    hidden = {
+        "lever_pivot_friction": {"torque_Nm": 3.0},
+        "return_spring": {"stiffness_Nm_rad": 20.0, "rest_rad": 0.0},
+    }
+    first = nominal_fit(campaign(hidden, 17, 8.0))
+    added = [
+        Added(TERM["lever_pivot_friction"], (), (0.0,)),
+        Added(TERM["return_spring"], (), (0.0,) * 2),
+    ]
+    joint = fit(first.equations[0].views, "N m", first.nominal, added, first)
+    torque = joint.equations[0]
+    for k, coordinate in enumerate(("load", "angle")):
+        stack = without_effect(joint, k)
+        rest = torque.sigma * stack.residual[stack.part("torque")]
+        best = best_map(maps(stack, torque, rest, rest, np.random.default_rng(0)), coordinate)
+        assert best is not None
+        assert (best.coordinate, best.share > 0.9) == (coordinate, True)
+        # A projection removes only what the nominal parameters and the other effect can take up.
+        assert stack.residual @ stack.residual > 10.0 * joint.cost
+        assert np.allclose(stack.effect_basis.T @ stack.residual, 0.0, atol=1e-6)
