@@ -124,4 +124,5 @@ def carried(curve: Curve | None, equation: str, s: Signals) -> Array:
     if curve is None or curve.equation != equation or curve.coordinate not in COORDINATES:
         return np.zeros(n)
     along = np.asarray(s[COORDINATES[curve.coordinate]])
-    return np.asarray(np.interp(along, curve.grid, curve.value))
+    value = np.interp(along, curve.grid, curve.value)
+    return np.asarray(np.sign(s["velocity"]) * value if curve.against_motion else value)

@@ -154,7 +154,8 @@ def curve(missing: Curve) -> Figure:
     axis.plot(along * missing.grid, factor * missing.value, color=VERMILION, linewidth=1.6)
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(missing.coordinate, unit))
-    axis.set_ylabel(f"missing {_quantity(missing)} ({residual_unit})")
+    sided = "\nagainst the motion" if missing.against_motion else ""
+    axis.set_ylabel(f"missing {_quantity(missing)}{sided} ({residual_unit})")
     return made
 
 
@@ -205,12 +206,10 @@ def _map(axis: Axes, one: Map) -> None:
     )
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(one.coordinate, unit))
-    axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate == "direction"))
+    axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate.endswith("direction")))
     sided = "\nagainst the motion" if one.against_motion else ""
     axis.set_ylabel(f"mismatch{sided} ({residual_unit})")
-    axis.set_title(
-        f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left"
-    )
+    axis.set_title(f"{one.coordinate}: explains {100.0 * one.share:.2g} %", fontsize=9, loc="left")
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from identification.corrected.model import CorrectedModel
+from identification.corrected.model import CorrectedModel, carried
 from identification.diagnosis.catalogue import MOTION
 from identification.diagnosis.result import Curve
 from identification.recording import Bench, Recording
@@ -118,6 +118,18 @@ def test_a_curve_goes_with_it(tmp_path: Path) -> None:
     s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
     added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s, module.M)
     assert added == pytest.approx(np.interp(ANGLE, grid, 0.5 * np.sin(9.0 * grid)))
+
+
+def test_a_curve_against_the_motion_changes_its_sign_with_it(tmp_path: Path) -> None:
+    grid = np.linspace(-0.3, 0.3, 9)
+    curve = Curve("torque", "angle", "rad", "N m", grid, 1.0 + grid, against_motion=True)
+    model = CorrectedModel(PARAMETERS, 2.0, {}, curve)
+    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
+    s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
+    added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s, module.M)
+    assert added == pytest.approx(np.sign(VELOCITY) * np.interp(ANGLE, grid, 1.0 + grid))
+    assert added == pytest.approx(carried(curve, "torque", s))
+    assert yaml.safe_load(yaml_text(model, RECORDING))["curve"]["against_motion"] is True
 
 
 def test_yaml_holds_parameters_constants_and_effects() -> None:

@@ -153,7 +153,8 @@ class Curve:
     """An empirical curve of a mismatch outside the catalogue, for simulations.
 
     The curve is ``value`` over ``grid``, shape (g,) each; it is linear between points and constant
-    beyond the first and the last point.
+    beyond the first and the last point. With ``against_motion`` it acts against the motion, like
+    friction, in both directions.
     """
 
     equation: str
@@ -162,6 +163,7 @@ class Curve:
     residual_unit: str
     grid: Array
     value: Array
+    against_motion: bool = False
 
 
 @dataclass(frozen=True)

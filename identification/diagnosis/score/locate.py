@@ -25,6 +25,8 @@ from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 
 BINS = 16
+TURN_BINS, TURN_ROWS = 64, 1000
+"""Bins over a turn, which show waves, and the number of rows from which they are used."""
 DRAWS = 499
 
 
@@ -83,7 +85,8 @@ def maps(
             else [0.0]
         )
         sign = sense if sided > share else factors[0]
-        made = map_over(equation, axis, sign * before, sign * after, block, stack.blocks, rng)
+        bins = TURN_BINS if coordinate.periodic and len(values) > TURN_ROWS else BINS
+        made = map_over(equation, axis, sign * before, sign * after, block, stack.blocks, rng, bins)
         if made is not None:
             found.append(replace(made, share=max(share, sided), against_motion=sided > share))
     return tuple(sorted(found, key=lambda m: -m.share))
@@ -167,14 +170,18 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
 
 
 def curve(drawn: Sequence[Map]) -> Curve | None:
-    """Return the mean of the best map as an empirical curve of the mismatch; maps that separate the
-    directions of motion are not used.
-    """
-    found = next((m for m in drawn if not m.against_motion), None)
-    if found is None:
+    """Return the mean of the best map as an empirical curve of the mismatch."""
+    if not drawn:
         return None
+    found = drawn[0]
     return Curve(
-        found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean
+        found.equation,
+        found.coordinate,
+        found.unit,
+        found.residual_unit,
+        found.centre,
+        found.mean,
+        found.against_motion,
     )
 
 
@@ -186,6 +193,7 @@ def map_over(
     block: np.ndarray,
     blocks: int,
     rng: np.random.Generator,
+    bins: int = BINS,
 ) -> Map | None:
     """Return the map of the mismatch over one coordinate with simultaneous bands, or None if the
     coordinate has too few values.
@@ -198,9 +206,10 @@ def map_over(
         block: Block of each row, shape (n,).
         blocks: Number of blocks.
         rng: Random generator for the bands.
+        bins: Number of bins.
     """
     values = axis.values
-    grid = edges(values, BINS)
+    grid = edges(values, bins)
     if len(grid) < 3:
         levels = np.unique(values)
         if len(levels) < 2:

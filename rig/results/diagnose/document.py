@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
+from identification.corrected.model import COORDINATES
 from identification.diagnosis.result import Diagnosis, Effect, Fit, ResidualTrace
 from identification.plots import mismatch
 from rig.results.diagnose.diagnose import Outcome
@@ -212,10 +213,9 @@ def _rivals(found: Diagnosis) -> list[Picture]:
 def _curve(found: Diagnosis) -> list[Picture]:
     if found.curve is None:
         return []
-    caption = (
-        f"The missing physics as a smooth curve over {found.curve.coordinate}; a simulation "
-        "can use this curve"
-    )
+    caption = f"The missing physics as a smooth curve over {found.curve.coordinate}"
+    if found.curve.coordinate in COORDINATES:
+        caption += "; a simulation can use this curve"
     return [Picture.of("missing", caption, mismatch.curve(found.curve))]
 
 

@@ -47,7 +47,9 @@ Array = np.ndarray
 M = {numbers}
 """Nominal parameters and constants of the bench, SI, at the joint but for R, L and Ke."""
 CURVE: Any = {curve}
-"""Unmodelled torque without an effect: equation, signal, grid, values; None where there is none."""
+"""Unmodelled torque without an effect: equation, signal, grid, values, and whether the values act
+against the motion; None where there is none.
+"""
 '''
 _TAIL = '''\
 def torque(s: Any) -> Array:
@@ -79,7 +81,8 @@ def _sum(total: Array, effects: Any, s: Any) -> Array:
 def _curve(equation: str, s: Any) -> Array:
     if CURVE is None or CURVE[0] != equation:
         return np.zeros(len(s["time"]))
-    return np.interp(s[CURVE[1]], CURVE[2], CURVE[3])
+    value = np.interp(s[CURVE[1]], CURVE[2], CURVE[3])
+    return np.sign(s["velocity"]) * value if CURVE[4] else value
 '''
 
 
@@ -107,6 +110,7 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
             "coordinate": curve.coordinate,
             "unit": curve.unit,
             "residual_unit": curve.residual_unit,
+            "against_motion": curve.against_motion,
             "grid": curve.grid.tolist(),
             "value": curve.value.tolist(),
         }
@@ -171,6 +175,5 @@ def _curve_literal(model: CorrectedModel) -> str:
     curve = model.curve
     if curve is None:
         return "None"
-    return repr(
-        (curve.equation, COORDINATES[curve.coordinate], curve.grid.tolist(), curve.value.tolist())
-    )
+    along, grid, value = COORDINATES[curve.coordinate], curve.grid.tolist(), curve.value.tolist()
+    return repr((curve.equation, along, grid, value, curve.against_motion))

@@ -133,7 +133,13 @@ def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
         for key in ("grid", "value")
     )
     return Curve(
-        entry["equation"], entry["coordinate"], entry["unit"], entry["residual_unit"], grid, value
+        entry["equation"],
+        entry["coordinate"],
+        entry["unit"],
+        entry["residual_unit"],
+        grid,
+        value,
+        entry.get("against_motion", False) is True,
     )
 
 

@@ -106,6 +106,7 @@ def _curve_record(curve: Curve) -> dict[str, Any]:
         "coordinate": curve.coordinate,
         "unit": curve.unit,
         "residual_unit": curve.residual_unit,
+        "against_motion": curve.against_motion,
         "grid": [finite(v) for v in curve.grid],
         "value": [finite(v) for v in curve.value],
     }
