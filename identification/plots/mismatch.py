@@ -34,6 +34,8 @@ times powers of ten have labels too.
 """
 _COLUMNS = 2
 _MOST_MAPS = 8
+_LEAST_SHARE = 0.005
+"""Share of the mismatch below which a coordinate is not drawn."""
 _DRAWN = {
     "rad": (math.degrees(1.0), "deg"),
     "Pa": (1e-3, "kPa"),
@@ -93,10 +95,11 @@ def maps(shown: Sequence[Map]) -> Figure:
     that they explain, the largest first.
 
     Args:
-        shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on
-            one vertical scale.
+        shown: Maps of one equation, at least one; of those that explain anything, the eight with
+            the largest shares are drawn, on one vertical scale.
     """
     ranked = sorted(shown, key=lambda m: -m.share)[:_MOST_MAPS]
+    ranked = [m for m in ranked if m.share >= _LEAST_SHARE] or ranked[:1]
     columns = min(_COLUMNS, len(ranked))
     rows = -(-len(ranked) // columns)
     made, axes = figure(rows, columns, width=4.6 * columns, height=2.7 * rows + 0.5)
