@@ -125,4 +125,4 @@ def carried(curve: Curve | None, equation: str, s: Signals) -> Array:
         return np.zeros(n)
     along = np.asarray(s[COORDINATES[curve.coordinate]])
     value = np.interp(along, curve.grid, curve.value)
-    return np.asarray(np.sign(s["velocity"]) * value if curve.against_motion else value)
+    return np.asarray(np.asarray(s["sense"]) * value if curve.against_motion else value)

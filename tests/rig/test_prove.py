@@ -327,6 +327,11 @@ def test_the_place_is_held_against_the_catalogue() -> None:
     }
     missed = scored("one", NOTHING, backlash=GAP)
     assert missed["location"]["found"] is None
+    skewed = diagnosed(effect("time_skew"))
+    in_torque = {**skewed, "fit": {**skewed["fit"], "equation": "torque"}}
+    with_voltage = {**in_torque, "fits": [*in_torque["fits"], {"equation": "voltage"}]}
+    for said, right in ((in_torque, True), (with_voltage, False)):
+        assert scored("one", said, time_skew={"time_s": 0.01})["location"]["equation"] is right
     assert score([missed])["location"]["place"]["of"] == 0
 
 

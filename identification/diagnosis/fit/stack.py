@@ -250,13 +250,13 @@ class Stack:
             share=float(score @ score) / sum(len(c) for c in columns.values()),
         )
 
-    def free(self, equation: str, columns: Array) -> Array:
-        """Return orthonormal columns that span those linear combinations of one equation's
-        regressors that are not collinear with the nominal tangent and the effect basis, shape
-        (n_e, f); f may be zero.
+    def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
+        """Return the score of those linear combinations of one equation's regressors that are not
+        collinear with the nominal tangent and the effect basis.
         """
         number = next(k for k, e in enumerate(self.equations) if e.name == equation)
-        basis, effect_basis = self.basis[number], self.effect_basis[self.part(equation)]
+        rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
+        effect_basis = self.effect_basis[rows]
         rest = columns - basis @ (basis.T @ columns)
         if effect_basis.shape[1]:
             rest = rest - effect_basis @ np.linalg.lstsq(effect_basis, rest, rcond=1e-10)[0]
@@ -264,17 +264,9 @@ class Stack:
         keep = values > RULES.collinear_below * float(
             np.max(np.sum(columns**2, axis=0), initial=0.0)
         )
-        return np.asarray(rest @ (vectors[:, keep] / np.sqrt(values[keep])))
-
-    def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
-        """Return the score of those linear combinations of one equation's regressors that are not
-        collinear with the nominal tangent and the effect basis, or None if there are none.
-        """
-        q = self.free(equation, columns)
-        if not q.shape[1]:
+        if not np.any(keep):
             return None
-        rows = self.part(equation)
-        number = next(k for k, e in enumerate(self.equations) if e.name == equation)
+        q = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
         score = q.T @ self.residual[rows]
         products = q * self.residual[rows][:, None]
         sums = np.asarray(self.gather[number] @ products)
@@ -283,7 +275,7 @@ class Stack:
         return Candidate(
             name,
             (),
-            score * self.equations[number].sigma,
+            score * sigma,
             gain,
             chance,
             wald_statistic(score, sums),

@@ -129,10 +129,12 @@ class Map:
         low: Lower band around ``mean``, shape (b,).
         high: Upper band around ``mean``, shape (b,).
         after: Mean mismatch in each bin by the corrected model, shape (b,).
-        share: Share of the mismatch's power that a function of the coordinate explains beside the
+        share: Share of the mismatch's power that a function of the coordinate predicts beside the
             nominal parameters; of a gas generator, that ``mean`` explains.
         against_motion: Whether the mismatch was multiplied by the direction of motion, like
             friction.
+        mean_share: Share of the mismatch's power that ``mean`` explains.
+        periodic: Whether the coordinate is an angle of which full turns are equal.
     """
 
     equation: str
@@ -146,6 +148,8 @@ class Map:
     after: Array
     share: float
     against_motion: bool = False
+    mean_share: float = 0.0
+    periodic: bool = False
 
 
 @dataclass(frozen=True)

@@ -4,22 +4,24 @@ catalogue explains.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.view import View
+from identification.diagnosis.rows.view import View, lacks_common_origin
 from identification.recording import Array
 from identification.signals import central_difference
 
 BINS = 8
 LEAST_ROWS = 5
 """Least number of rows in which a function of a coordinate must be nonzero."""
-HARMONICS = 24
+HARMONICS = 48
 """Greatest number of periods per turn by which a periodic mismatch is located."""
+LEAST_TURNS = 2.0
+"""Turns of a recording from which a periodic coordinate differs from the angle itself."""
 _ENDS = 2.0 ** -np.arange(5.0, 9.0)
 KNOTS = np.concatenate([np.arange(17) / 16.0, _ENDS, 1.0 - _ENDS])
 """Probabilities of the quantiles between which functions of a coordinate are linear; closer
@@ -113,7 +115,23 @@ def at_rows(coordinate: Coordinate, equation: Equation) -> Array:
     return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))
 
 
-def functions_at_rows(coordinate: Coordinate, equation: Equation, values: Array) -> Array:
+def shows(coordinate: Coordinate, views: Sequence[View]) -> bool:
+    """Whether the recordings have the channel of a coordinate; a periodic coordinate also needs
+    full turns and a common origin.
+    """
+    values = [coordinate.values(v) for v in views]
+    if any(v is None for v in values):
+        return False
+    turns = max(float(np.ptp(v)) for v in values if v is not None) / (2.0 * np.pi)
+    return not coordinate.periodic or (turns >= LEAST_TURNS and not lacks_common_origin(views))
+
+
+def functions_at_rows(
+    coordinate: Coordinate,
+    equation: Equation,
+    values: Array,
+    cache: dict[tuple[str, tuple[float, ...]], dict[str, Array]],
+) -> Array:
     """Return functions of a coordinate at the rows of an equation, shape (n, k): harmonics of a
     periodic coordinate up to :data:`HARMONICS`, filtered like the rows; otherwise
     :func:`functions`.
@@ -122,17 +140,17 @@ def functions_at_rows(coordinate: Coordinate, equation: Equation, values: Array)
         coordinate: The coordinate.
         equation: The equation.
         values: The coordinate at the rows, from :func:`at_rows`.
+        cache: Cache of the stack; it keeps the harmonics.
     """
     if not coordinate.periodic:
         return functions(values)
-    # One at a time: a long recording at the full rate is large.
-    return np.concatenate(
-        [
-            equation.rows(partial(_harmonic, coordinate, number))
-            for number in range(1, HARMONICS + 1)
-        ],
-        axis=1,
-    )
+    kept = cache.setdefault((coordinate.name, ()), {})
+    if equation.name not in kept:
+        # One at a time: a long recording at the full rate is large.
+        numbers = range(1, HARMONICS + 1)
+        made = [equation.rows(partial(_harmonic, coordinate, number)) for number in numbers]
+        kept[equation.name] = np.concatenate(made, axis=1)
+    return kept[equation.name]
 
 
 def _harmonic(coordinate: Coordinate, number: int, view: View) -> Array:

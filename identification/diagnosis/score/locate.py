@@ -18,8 +18,10 @@ from identification.diagnosis.rows.families import (
     at_rows,
     edges,
     functions_at_rows,
+    shows,
 )
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.beside import mismatch_of
 from identification.model.units import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
@@ -67,20 +69,24 @@ def maps(
     block = stack.block[stack.part(equation.name)]
     sense = equation.rows(lambda v: v.sense)[:, 0]
     load = at_rows(LOAD, equation)
+    alone = mismatch_of(stack, equation.name)
+    bench, amperes = equation.views[0].recording.bench, stack.equations[0].unit == "A"
     found = []
     for coordinate in MAPPED:
-        if any(coordinate.values(v) is None for v in equation.views):
+        if not shows(coordinate, equation.views):
             continue
         if equation.name == "torque" and coordinate.name in FROM_TORQUE and coordinate.name != own:
             continue
         values = at_rows(coordinate, equation)
-        unit = unit_on(equation.views[0].recording.bench.motion, coordinate.unit)
-        axis = Axis(coordinate.name, unit, values)
-        columns = functions_at_rows(coordinate, equation, values)
+        unit = coordinate.unit if coordinate.periodic else ""
+        axis = Axis(
+            coordinate.name, unit or unit_on(bench.motion, coordinate.unit, amperes), values
+        )
+        columns = functions_at_rows(coordinate, equation, values, stack.cache)
         factors = [np.ones(len(sense))] + [load] * coordinate.by_load
-        share = max(explained(stack, equation.name, columns, f) for f in factors)
+        share = max(alone.explained(columns, f) for f in factors)
         sided = max(
-            [explained(stack, equation.name, columns, sense * f) for f in factors]
+            [alone.explained(columns, sense * f) for f in factors]
             if coordinate.by_direction
             else [0.0]
         )
@@ -88,41 +94,15 @@ def maps(
         bins = TURN_BINS if coordinate.periodic and len(values) > TURN_ROWS else BINS
         made = map_over(equation, axis, sign * before, sign * after, block, stack.blocks, rng, bins)
         if made is not None:
-            found.append(replace(made, share=max(share, sided), against_motion=sided > share))
+            found.append(
+                replace(
+                    made,
+                    share=max(share, sided),
+                    against_motion=sided > share,
+                    periodic=coordinate.periodic,
+                )
+            )
     return tuple(sorted(found, key=lambda m: -m.share))
-
-
-def explained(stack: Stack, equation: str, columns: Array, factor: Array) -> float:
-    """Return the share of the mismatch of one equation that regressors explain beside the nominal
-    parameters, with the share that blocks of chance explain subtracted.
-
-    The nominal parameters remain free: the mismatch that a fit of the nominal model leaves depends
-    on many coordinates, even if the missing torque is a function of one.
-
-    Args:
-        stack: Stack with the nominal tangent, and with other effects as its effect basis.
-        equation: Name of the equation.
-        columns: Regressors, shape (n, k).
-        factor: Factor of all regressors at each row, shape (n,).
-    """
-    made = columns * factor[:, None]
-    lengths = np.linalg.norm(made, axis=0)
-    made = made[:, lengths > 0.0] / lengths[lengths > 0.0]
-    if not made.shape[1]:
-        return 0.0
-    rows = stack.part(equation)
-    residual = stack.residual[rows]
-    power = float(residual @ residual)
-    q = stack.free(equation, made)
-    if not q.shape[1] or power == 0.0:
-        return 0.0
-    score = q.T @ residual
-    rest = q * (residual - q @ score)[:, None]
-    block = stack.block[rows]
-    # A function that lives in one block takes up the whole sum of this block.
-    by_block = sum(float(np.sum(np.bincount(block, column) ** 2)) for column in rest.T)
-    chance = max(by_block, float(np.sum(rest**2)))
-    return min(max(0.0, (float(score @ score) - chance) / power), 1.0)
 
 
 def location(equation: Equation, found: Map | None, before: Array) -> Location:
@@ -156,8 +136,12 @@ def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
 
 
 def ranges(found: Map) -> tuple[tuple[float, float], ...]:
-    """Return the ranges of the coordinate of a map in which the band excludes zero."""
+    """Return the ranges of the coordinate of a map in which the band excludes zero; of a periodic
+    coordinate, the whole turn.
+    """
     outside = (found.low > 0.0) | (found.high < 0.0)
+    if found.periodic:
+        return ((0.0, 2.0 * np.pi),) if np.any(outside) else ()
     half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
     stretches: list[tuple[float, float]] = []
     for k in np.flatnonzero(outside):
@@ -170,10 +154,18 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
 
 
 def curve(drawn: Sequence[Map]) -> Curve | None:
-    """Return the mean of the best map as an empirical curve of the mismatch."""
+    """Return the mean of a map as an empirical curve of the mismatch: of the location's map, if its
+    mean explains about as much as the mean of any map; otherwise of the map whose mean explains
+    most.
+
+    The mean of the location's map may explain little, if the nominal parameters have taken up a
+    part of the missing torque, or if this torque is proportional to the load.
+    """
     if not drawn:
         return None
-    found = drawn[0]
+    found = max(drawn, key=lambda m: m.mean_share)
+    if drawn[0].mean_share >= RULES.own_coordinate * found.mean_share:
+        found = drawn[0]
     return Curve(
         found.equation,
         found.coordinate,
@@ -242,4 +234,5 @@ def map_over(
         high=mean + wide,
         after=np.bincount(place, after, bins) / count,
         share=min(share, 1.0),
+        mean_share=min(share, 1.0),
     )

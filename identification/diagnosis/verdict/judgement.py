@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -145,13 +145,23 @@ def main_equation(found: Search) -> Equation:
     # The breakaway equation judges no model, even if the pattern of its mismatch is significant.
     judges = [e for e in found.baseline.equations if e.name != "breakaway"]
     if found.final.effects:
-        most = max(found.baseline.equations, key=taken)
-        if most.name == "breakaway":
-            return most
-        return max(judges, key=lambda e: taken(e) / max(1, len(e.residual)))
+        return _greatest_per_row(found.baseline.equations, taken)
     loudest = found.loudest.split(" ")[0]
     named = [e for e in judges if e.name == loudest]
     return named[0] if named else max(judges, key=lambda e: _beyond_noise(found.baseline, e))
+
+
+def _greatest_per_row(
+    equations: Sequence[Equation], power: Callable[[Equation], float]
+) -> Equation:
+    """Return the equation with the greatest power in each row; the breakaway equation, which has
+    few rows, only if it has the greatest power over all rows.
+    """
+    most = max(equations, key=power)
+    if most.name == "breakaway":
+        return most
+    others = [e for e in equations if e.name != "breakaway"]
+    return max(others, key=lambda e: power(e) / max(1, len(e.residual)))
 
 
 def _beyond_noise(joint: Joint, equation: Equation) -> float:
@@ -206,21 +216,10 @@ def _effect(
     units = {q.name: parameter_unit(motion, q.name, q.unit, amperes) for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
     stack = found.baseline.stack
-    own = max(
-        (e for e in found.baseline.equations if e.name in found.final.effects[k].term.columns),
-        key=lambda e: excess[e.name].before * len(e.residual),
-    )
+    shown = [e for e in found.baseline.equations if e.name in found.final.effects[k].term.columns]
+    own = max(shown, key=lambda e: excess[e.name].before * len(e.residual))
     rows = stack.part(own.name)
-    before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
-    stated = entry.coordinate.split(":")[0]
-    drawn = maps(without_effect(found.final, k), own, before, after, rng, stated)
-    where = location(own, best_map(drawn, stated), before)
-    place = found.final.effects[k].term.place
-    if place is not None:
-        index = round(found.final.effects[k].shape[place])
-        where = replace(
-            where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,)
-        )
+    where = _location_of(found, k, shown, excess, rng)
     open_names = _open_rivals(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
@@ -252,6 +251,38 @@ def _effect(
     )
 
 
+def _location_of(
+    found: Search,
+    k: int,
+    shown: Sequence[Equation],
+    excess: Mapping[str, Excess],
+    rng: np.random.Generator,
+) -> Location:
+    """Return the location of effect ``k``.
+
+    Args:
+        found: The search.
+        k: Index of the effect in the fit.
+        shown: Equations in which the effect has regressors.
+        excess: Mismatch of each equation.
+        rng: Random generator for the bands of the maps.
+    """
+    effect = found.final.effects[k]
+    main = _greatest_per_row(shown, lambda e: excess[e.name].before * len(e.residual))
+    rows = found.baseline.stack.part(main.name)
+    before, after = (main.sigma * j.residual[rows] for j in (found.baseline, found.final))
+    alone = len(found.final.effects) == 1
+    missing = found.baseline.stack if alone else without_effect(found.final, k)
+    stated = ENTRIES[effect.term.name].coordinate.split(":")[0]
+    drawn = maps(missing, main, before, after, rng, stated)
+    where = location(main, best_map(drawn, stated), before)
+    if effect.term.place is None:
+        return where
+    index = round(effect.shape[effect.term.place])
+    names = {v.index: v.recording.name for v in main.views}
+    return replace(where, recordings=(names[index],))
+
+
 def _more_is_missing(found: Search) -> bool:
     """Whether the test finds further missing physics, or the effects explain too little of the
     mismatch on recordings set aside.
@@ -271,7 +302,8 @@ def _needing(final: Joint, k: int, rows: slice) -> float:
     """Return the mean-square mismatch of the corrected model without the contribution of effect
     ``k``, relative to that of the noise, in ``rows``.
     """
-    return float(np.mean((final.residual + contribution(final, k))[rows] ** 2))
+    made = contribution(final.stack, final.effects[k])
+    return float(np.mean((final.residual + made)[rows] ** 2))
 
 
 def confidence_of(

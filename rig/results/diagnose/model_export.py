@@ -82,7 +82,7 @@ def _curve(equation: str, s: Any) -> Array:
     if CURVE is None or CURVE[0] != equation:
         return np.zeros(len(s["time"]))
     value = np.interp(s[CURVE[1]], CURVE[2], CURVE[3])
-    return np.sign(s["velocity"]) * value if CURVE[4] else value
+    return s["sense"] * value if CURVE[4] else value
 '''
 
 

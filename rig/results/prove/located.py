@@ -13,6 +13,7 @@ LIKE: Mapping[str, frozenset[str]] = {
     "direction": frozenset({"speed", "torque"}),
     "current direction": frozenset({"direction", "speed", "torque"}),
     "load": frozenset({"torque"}),
+    "torque": frozenset({"load"}),
     "time": frozenset({"temperature"}),
     "temperature": frozenset({"time"}),
     "time since reversal": frozenset({"travel since reversal"}),
@@ -20,8 +21,8 @@ LIKE: Mapping[str, frozenset[str]] = {
     "torque rate": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
 }
 """Coordinates that are equivalent on blind trials to each coordinate of the catalogue: the signs of
-speed and torque give the direction, torque rises with the load, the machine warms up with time, and
-a mismatch that changes with frequency shows after reversals of the torque.
+speed and torque give the direction of motion and of the current, torque rises with the load, the
+machine warms up with time, and the torque changes most with the acceleration and after reversals.
 """
 REFUSED = "refused"
 """Verdict of a trial that could not be diagnosed."""
@@ -47,8 +48,8 @@ def located(
         recordings: Names of all recordings, in the order in which ``recording`` counts them.
 
     Returns:
-        ``equation``: whether the mismatch is in the equation in which the effect shows;
-        (the torque equation, if the recordings lack this equation's channels); ``coordinate``:
+        ``equation``: whether the mismatch is in the equation in which the effect shows (in the
+        torque equation if the recordings lack this equation's channels); ``coordinate``:
         whether the mismatch is over the coordinate of the catalogue; ``place``: whether the
         mismatch is over this coordinate or an equivalent coordinate, or, for effects of one
         recording, whether the diagnosis lists this recording with at most one other recording;

@@ -4,19 +4,25 @@ sign.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import fit
 from identification.diagnosis.fit.linear import Added
 from identification.diagnosis.fit.single_effect import without_effect
-from identification.diagnosis.rows.families import FROM_TORQUE, functions
-from identification.diagnosis.score.locate import best_map, curve, explained, maps, ranges
+from identification.diagnosis.rows.families import FROM_TORQUE, MAPPED, functions, shows
+from identification.diagnosis.score.beside import mismatch_of
+from identification.diagnosis.score.locate import best_map, curve, maps, ranges
 from identification.diagnosis.terms import TERMS
+from identification.recording import Dataset
 
 from .benches import campaign, nominal_fit
+from .test_fits import begun_with
 
 CENTER_RAD, WIDTH_RAD = 0.1, 0.06
 TERM = {term.name: term for term in TERMS}
@@ -94,18 +100,67 @@ def test_functions_of_a_coordinate() -> None:
         assert rest @ rest < 0.01 * np.var(made) * len(made)
 
 
-def test_chance_explains_nothing() -> None:
+@pytest.mark.parametrize("correlated_rows", [0.0, 10.0])
+def test_chance_explains_nothing(correlated_rows: float) -> None:
     joint = nominal_fit(campaign({}, 16, 8.0))
     rows = joint.stack.part("torque")
     columns = functions(np.arange(rows.stop - rows.start, dtype=float))
-    noise = np.random.default_rng(1).normal(size=len(joint.residual))
-    stack = replace(joint.stack, residual=joint.stack.projected(noise[:, None])[:, 0])
     ones = np.ones(len(columns))
-    assert explained(stack, "torque", columns, ones) < 0.02
-    made = replace(stack, residual=stack.residual.copy())
-    made.residual[rows] = 5.0 * stack.free("torque", columns[:, 3:4])[:, 0]
-    assert explained(made, "torque", columns, ones) == pytest.approx(1.0)
-    assert explained(stack, "torque", columns, 0.0 * ones) == 0.0
+    kept = math.exp(-1.0 / correlated_rows) if correlated_rows else 0.0
+    noise = lfilter([1.0], [1.0, -kept], np.random.default_rng(1).normal(size=len(joint.residual)))
+    stack = replace(joint.stack, residual=joint.stack.projected(noise[:, None])[:, 0])
+    assert mismatch_of(stack, "torque").explained(columns, ones) < 0.02
+    few = replace(mismatch_of(stack, "torque"), step=20)
+    few = replace(few, other=few.other[::20], residual=few.residual[::20], fold=few.fold[::20])
+    assert few.explained(columns, ones) < 0.05
+    made = replace(stack, residual=joint.stack.projected(noise[:, None])[:, 0])
+    made.residual[rows] += 20.0 * np.sin(0.01 * np.arange(len(columns)))
+    assert mismatch_of(made, "torque").explained(columns, ones) > 0.8
+    assert mismatch_of(stack, "torque").explained(columns, 0.0 * ones) == 0.0
+
+
+def test_an_offset_of_the_current_lies_in_the_torque_equation() -> None:
+    """The voltage equation, in which an offset shows less, has more rows."""
+    recordings = campaign({"current_offset": {"current_A": 0.3}}, 18, 8.0)
+    found = diagnose(Dataset(recordings), rng=np.random.default_rng(1))
+    effect = found.effects[0]
+    assert effect.name in ("current_offset", "asymmetric_coulomb")
+    assert found.fit.equation == "torque"
+    assert effect.where.unit == "1"
+
+
+def test_a_shape_that_the_nominal_model_takes_over_is_missing_without_it() -> None:
+    first = nominal_fit(campaign({"stribeck_shape": {"alpha": 0.8}}, 19, 8.0))
+    views = first.equations[0].views
+    begun = begun_with(first, "stribeck_shape")
+    joint = fit(views, "N m", begun.nominal, begun.effects, first)
+    rows = joint.stack.part("torque")
+    left, before = without_effect(joint, 0).residual[rows], first.residual[rows]
+    assert left @ before / math.sqrt((left @ left) * (before @ before)) > 0.9
+    assert left @ left > 2.0 * (joint.residual[rows] @ joint.residual[rows])
+
+
+def test_the_motor_angle_needs_turns_and_an_origin() -> None:
+    views = nominal_fit(campaign({}, 16, 8.0)).equations[0].views
+    motor = next(c for c in MAPPED if c.periodic)
+    assert shows(motor, views)
+    assert not shows(motor, [replace(v, motor=v.motor / 100.0) for v in views])
+    speed_only = [
+        replace(v, recording=replace(v.recording, channels={"time": v.time})) for v in views
+    ]
+    assert not shows(motor, speed_only)
+
+
+def test_a_curve_is_the_mean_that_explains_most_unless_the_location_explains_as_much() -> None:
+    joint = nominal_fit(campaign({}, 13, 6.0))
+    torque = joint.equations[0]
+    rest = torque.sigma * joint.residual[joint.stack.part("torque")]
+    made = maps(joint.stack, torque, rest, rest, np.random.default_rng(0))[0]
+    placed = replace(made, coordinate="angle", mean_share=0.5)
+    for share, coordinate in ((0.6, "angle"), (0.7, "time")):
+        carried = curve([placed, replace(made, coordinate="time", mean_share=share)])
+        assert carried is not None
+        assert carried.coordinate == coordinate
 
 
 def test_an_effect_is_located_beside_the_other_effects() -> None:
