@@ -115,15 +115,17 @@ def at_rows(coordinate: Coordinate, equation: Equation) -> Array:
     return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))
 
 
-def shows(coordinate: Coordinate, views: Sequence[View]) -> bool:
-    """Whether the recordings have the channel of a coordinate; a periodic coordinate also needs
-    full turns and a common origin.
+def shows(coordinate: Coordinate, views: Sequence[View], stated: bool = False) -> bool:
+    """Whether the recordings have the channel of a coordinate; a periodic coordinate also needs a
+    common origin and, unless it is the ``stated`` coordinate of an effect, full turns.
     """
     values = [coordinate.values(v) for v in views]
     if any(v is None for v in values):
         return False
     turns = max(float(np.ptp(v)) for v in values if v is not None) / (2.0 * np.pi)
-    return not coordinate.periodic or (turns >= LEAST_TURNS and not lacks_common_origin(views))
+    if not coordinate.periodic:
+        return True
+    return (stated or turns >= LEAST_TURNS) and not lacks_common_origin(views)
 
 
 def functions_at_rows(

@@ -14,8 +14,9 @@ FOLDS = 10
 """Number of parts of the blocks, each of which is predicted from the other parts."""
 MOST_ROWS = 20_000
 """Number of rows of an equation, of which at most this many are used, at equal distances."""
-ALONE = 1e-6
-"""Difference of a leverage from one, below which a function occurs in one part only."""
+ALONE = 0.9
+"""Leverage of one part from which a function counts as occurring in this part only."""
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Mismatch:
         """Return the share of the mismatch that regressors predict: coefficients are fitted to all
         parts of the blocks but one, together with the nominal parameters, and predict this part.
 
-        A function that occurs in one part only predicts nothing.
+        A function that occurs nearly in one part only predicts nothing there.
 
         Args:
             columns: Regressors at all rows of the equation, shape (m, k).
@@ -61,7 +62,7 @@ class Mismatch:
             rows = self.fold == part
             here, error = q[rows], errors[rows]
             leverage, axes = np.linalg.eigh(here.T @ here)
-            alone = leverage > 1.0 - ALONE
+            alone = leverage > ALONE
             change = np.where(
                 alone,
                 axes.T @ coefficients,
@@ -80,7 +81,7 @@ def mismatch_of(stack: Stack, equation: str) -> Mismatch:
     step = max(1, -(-(rows.stop - rows.start) // MOST_ROWS))
     given = np.concatenate([stack.basis[number], stack.effect_basis[rows]], axis=1)[::step]
     q, r = np.linalg.qr(given)
-    other = q[:, np.abs(np.diag(r)) > ALONE]
+    other = q[:, np.abs(np.diag(r)) > ROUNDING]
     residual = stack.residual[rows][::step]
     return Mismatch(
         step, other, residual - other @ (other.T @ residual), stack.block[rows][::step] % FOLDS

@@ -73,7 +73,7 @@ def maps(
     bench, amperes = equation.views[0].recording.bench, stack.equations[0].unit == "A"
     found = []
     for coordinate in MAPPED:
-        if not shows(coordinate, equation.views):
+        if not shows(coordinate, equation.views, coordinate.name == own):
             continue
         if equation.name == "torque" and coordinate.name in FROM_TORQUE and coordinate.name != own:
             continue

@@ -144,7 +144,9 @@ def test_the_motor_angle_needs_turns_and_an_origin() -> None:
     views = nominal_fit(campaign({}, 16, 8.0)).equations[0].views
     motor = next(c for c in MAPPED if c.periodic)
     assert shows(motor, views)
-    assert not shows(motor, [replace(v, motor=v.motor / 100.0) for v in views])
+    geared = [replace(v, motor=v.motor / 100.0) for v in views]
+    assert not shows(motor, geared)
+    assert shows(motor, geared, stated=True)
     speed_only = [
         replace(v, recording=replace(v.recording, channels={"time": v.time})) for v in views
     ]
