@@ -48,8 +48,8 @@ class Location:
             ``current direction``.
         unit: Unit of the ranges.
         ranges: Ranges of the coordinate in which the mismatch is significant.
-        share_of_mismatch: Share of the mismatch's power that a function of this coordinate explains
-            beside the nominal parameters.
+        share_of_mismatch: Share of the mismatch's power that a function of this coordinate predicts
+            beside the nominal parameters; of a gas generator, that the mean explains.
         recordings: Names of the recordings in which the mismatch shows.
     """
 
