@@ -18,6 +18,10 @@ from identification.signals import central_difference
 BINS = 8
 LEAST_ROWS = 5
 """Least number of rows in which a function of a coordinate must be nonzero."""
+COARSE = (2, 4, 8)
+"""Numbers of intervals between quantiles of the coarse piecewise-linear functions."""
+DIGITS = 9
+"""Decimal digits of a coordinate, relative to its greatest value."""
 HARMONICS = 48
 """Greatest number of periods per turn by which a periodic mismatch is located."""
 LEAST_TURNS = 2.0
@@ -60,11 +64,12 @@ def _load(view: View) -> Array:
 
 
 LOAD = Coordinate("load", "N", _load)
+DIRECTION = Coordinate("direction", "1", lambda v: v.sense, by_direction=False)
 COORDINATES = (
     Coordinate("speed", "rad/s", lambda v: v.velocity, by_direction=False),
     Coordinate("angle", "rad", lambda v: v.angle, by_load=True),
     LOAD,
-    Coordinate("direction", "1", lambda v: v.sense, by_direction=False),
+    DIRECTION,
     Coordinate("time", "s", lambda v: v.run_time),
     Coordinate("temperature", "deg C", lambda v: v.temperature),
     Coordinate("time since reversal", "s", lambda v: v.reversal_time),
@@ -105,14 +110,27 @@ def edges(values: Array, bins: int = BINS) -> Array:
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
 
 
-def at_rows(coordinate: Coordinate, equation: Equation) -> Array:
+def weight_of(equation: Equation) -> Array:
+    """Return the weights of the rows of an equation, shape (n,): one, except for breakaways."""
+    return equation.rows(lambda v: np.ones(len(v.time)))[:, 0]
+
+
+def at_rows(coordinate: Coordinate, equation: Equation, weight: Array) -> Array:
     """Return the filtered coordinate at the rows of an equation, shape (n,); zero where a recording
     lacks its channel.
+
+    Args:
+        coordinate: The coordinate.
+        equation: The equation.
+        weight: Weights of the rows, from :func:`weight_of`, shape (n,).
     """
-    if not coordinate.periodic:
-        return equation.rows(partial(_values, coordinate))[:, 0]
-    first = equation.rows(partial(_harmonic, coordinate, 1))
-    return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))
+    if coordinate.periodic:
+        first = equation.rows(partial(_harmonic, coordinate, 1))
+        return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))
+    values = equation.rows(partial(_values, coordinate))[:, 0] / weight
+    # Filtered constants differ by rounding.
+    scale = float(np.max(np.abs(values), initial=0.0))
+    return np.asarray(scale * np.round(values / scale, DIGITS)) if scale > 0.0 else values
 
 
 def shows(coordinate: Coordinate, views: Sequence[View], stated: bool = False) -> bool:
@@ -132,27 +150,29 @@ def functions_at_rows(
     coordinate: Coordinate,
     equation: Equation,
     values: Array,
+    step: int,
     cache: dict[tuple[str, tuple[float, ...]], dict[str, Array]],
-) -> Array:
-    """Return functions of a coordinate at the rows of an equation, shape (n, k): harmonics of a
-    periodic coordinate up to :data:`HARMONICS`, filtered like the rows; otherwise
-    :func:`functions`.
+) -> list[Array]:
+    """Return sets of functions of a coordinate at the rows of an equation, from few functions to
+    many, shape (n, k) each: harmonics of a periodic coordinate up to :data:`HARMONICS`, filtered
+    and weighted like the rows; otherwise :func:`functions`.
 
     Args:
         coordinate: The coordinate.
         equation: The equation.
-        values: The coordinate at the rows, from :func:`at_rows`.
+        values: The coordinate at all rows, from :func:`at_rows`.
+        step: Distance of the rows that are used.
         cache: Cache of the stack; it keeps the harmonics.
     """
     if not coordinate.periodic:
-        return functions(values)
+        return functions(values[::step])
     kept = cache.setdefault((coordinate.name, ()), {})
     if equation.name not in kept:
         # One at a time: a long recording at the full rate is large.
         numbers = range(1, HARMONICS + 1)
-        made = [equation.rows(partial(_harmonic, coordinate, number)) for number in numbers]
+        made = [equation.rows(partial(_harmonic, coordinate, n))[::step] for n in numbers]
         kept[equation.name] = np.concatenate(made, axis=1)
-    return kept[equation.name]
+    return [kept[equation.name][:, : 2 * most] for most in (HARMONICS // 4, HARMONICS)]
 
 
 def _harmonic(coordinate: Coordinate, number: int, view: View) -> Array:
@@ -160,24 +180,29 @@ def _harmonic(coordinate: Coordinate, number: int, view: View) -> Array:
     return np.stack([np.sin(turns), np.cos(turns)])
 
 
-def functions(values: Array) -> Array:
-    """Return functions of a coordinate, shape (n, k): steps between bins, and piecewise-linear
-    functions between quantiles; no function (k = 0) of a constant coordinate.
+def functions(values: Array) -> list[Array]:
+    """Return sets of functions of a coordinate, from few functions to many, shape (n, k) each:
+    piecewise-linear functions between few quantiles; then steps between bins and piecewise-linear
+    functions between many quantiles. A constant coordinate has no functions.
     """
     levels = np.unique(values)
     if len(levels) < 2:
-        return np.zeros((len(values), 0))
+        return []
     grid = edges(values, 2 * BINS)
     if len(levels) == 2 or len(grid) < 3:
-        columns = (values[:, None] > 0.5 * (levels[0] + levels[1])) == np.array([False, True])
-    else:
-        place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
-        knots = np.unique(np.quantile(values, KNOTS))
-        columns = np.concatenate(
-            [place[:, None] == np.arange(len(grid) - 1)]
-            + [np.interp(values, knots, unit)[:, None] for unit in np.eye(len(knots))],
-            axis=1,
-        )
+        return [_used((values[:, None] > np.mean(levels[[0, -1]])) == np.array([False, True]))]
+    place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
+    steps = place[:, None] == np.arange(len(grid) - 1)
+    coarse = [_piecewise_linear(values, np.linspace(0.0, 1.0, k + 1)) for k in COARSE]
+    return [*coarse, _used(np.concatenate([steps, _piecewise_linear(values, KNOTS)], axis=1))]
+
+
+def _piecewise_linear(values: Array, probabilities: Array) -> Array:
+    knots = np.unique(np.quantile(values, probabilities))
+    return _used(np.stack([np.interp(values, knots, unit) for unit in np.eye(len(knots))], axis=1))
+
+
+def _used(columns: np.ndarray) -> Array:
     used = np.count_nonzero(columns, axis=0) >= LEAST_ROWS
     return np.asarray(columns[:, used], dtype=np.float64)
 

@@ -11,6 +11,7 @@ from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import (
+    DIRECTION,
     FROM_TORQUE,
     LEAST_ROWS,
     LOAD,
@@ -19,6 +20,7 @@ from identification.diagnosis.rows.families import (
     edges,
     functions_at_rows,
     shows,
+    weight_of,
 )
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.beside import mismatch_of
@@ -67,9 +69,8 @@ def maps(
             computed from the measured torque in the torque equation.
     """
     block = stack.block[stack.part(equation.name)]
-    sense = equation.rows(lambda v: v.sense)[:, 0]
-    load = at_rows(LOAD, equation)
-    alone = mismatch_of(stack, equation.name)
+    weight, alone = weight_of(equation), mismatch_of(stack, equation.name)
+    sense, load = (at_rows(c, equation, weight) for c in (DIRECTION, LOAD))
     bench, amperes = equation.views[0].recording.bench, stack.equations[0].unit == "A"
     found = []
     for coordinate in MAPPED:
@@ -77,20 +78,22 @@ def maps(
             continue
         if equation.name == "torque" and coordinate.name in FROM_TORQUE and coordinate.name != own:
             continue
-        values = at_rows(coordinate, equation)
+        values = at_rows(coordinate, equation, weight)
         unit = coordinate.unit if coordinate.periodic else ""
         axis = Axis(
             coordinate.name, unit or unit_on(bench.motion, coordinate.unit, amperes), values
         )
-        columns = functions_at_rows(coordinate, equation, values, stack.cache)
-        factors = [np.ones(len(sense))] + [load] * coordinate.by_load
-        share = max(alone.explained(columns, f) for f in factors)
+        sets = functions_at_rows(coordinate, equation, values, alone.step, stack.cache)
+        # Harmonics have the weights of the rows already.
+        plain = np.ones(len(sense)) if coordinate.periodic else weight
+        factors = [plain] + [plain * load] * coordinate.by_load
+        share = max(alone.explained(sets, f[:: alone.step]) for f in factors)
         sided = max(
-            [alone.explained(columns, sense * f) for f in factors]
+            [alone.explained(sets, (sense * f)[:: alone.step]) for f in factors]
             if coordinate.by_direction
             else [0.0]
         )
-        sign = sense if sided > share else factors[0]
+        sign = sense if sided > share else np.ones(len(sense))
         bins = TURN_BINS if coordinate.periodic and len(values) > TURN_ROWS else BINS
         made = map_over(equation, axis, sign * before, sign * after, block, stack.blocks, rng, bins)
         if made is not None:
@@ -102,13 +105,14 @@ def maps(
                     periodic=coordinate.periodic,
                 )
             )
-    return tuple(sorted(found, key=lambda m: -m.share))
+    return tuple(sorted(found, key=lambda m: (-m.share, -m.mean_share)))
 
 
 def location(equation: Equation, found: Map | None, before: Array) -> Location:
     """Return the location of the mismatch: ranges of the coordinate of a map, and recordings.
 
-    If there are too few rows for a map, the location consists of the recordings alone.
+    If there are too few rows for a map, or no coordinate predicts anything, the location consists
+    of the recordings alone.
     """
     power = {v.index: before[equation.owner == v.index] for v in equation.views}
     names = tuple(
@@ -117,7 +121,7 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
         if len(power[v.index])
         and float(np.mean(power[v.index] ** 2)) > RULES.recording * equation.sigma**2
     )
-    if found is None:
+    if found is None or found.share == 0.0:
         return Location("recording", "1", (), 0.0, names)
     return Location(found.coordinate, found.unit, ranges(found), found.share, names)
 

@@ -219,7 +219,7 @@ def _effect(
     shown = [e for e in found.baseline.equations if e.name in found.final.effects[k].term.columns]
     own = max(shown, key=lambda e: excess[e.name].before * len(e.residual))
     rows = stack.part(own.name)
-    where = _location_of(found, k, shown, excess, rng)
+    where = _location_of(found, k, shown, rng)
     open_names = _open_rivals(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
@@ -255,7 +255,6 @@ def _location_of(
     found: Search,
     k: int,
     shown: Sequence[Equation],
-    excess: Mapping[str, Excess],
     rng: np.random.Generator,
 ) -> Location:
     """Return the location of effect ``k``.
@@ -264,15 +263,15 @@ def _location_of(
         found: The search.
         k: Index of the effect in the fit.
         shown: Equations in which the effect has regressors.
-        excess: Mismatch of each equation.
         rng: Random generator for the bands of the maps.
     """
-    effect = found.final.effects[k]
-    main = _greatest_per_row(shown, lambda e: excess[e.name].before * len(e.residual))
-    rows = found.baseline.stack.part(main.name)
-    before, after = (main.sigma * j.residual[rows] for j in (found.baseline, found.final))
-    alone = len(found.final.effects) == 1
-    missing = found.baseline.stack if alone else without_effect(found.final, k)
+    effect, missing, left = found.final.effects[k], found.baseline.stack, found.baseline.residual
+    if len(found.final.effects) > 1:
+        missing = without_effect(found.final, k)
+        left = missing.residual
+    main = _greatest_per_row(shown, lambda e: float(np.sum(left[missing.part(e.name)] ** 2)))
+    rows = missing.part(main.name)
+    before, after = main.sigma * left[rows], main.sigma * found.final.residual[rows]
     stated = ENTRIES[effect.term.name].coordinate.split(":")[0]
     drawn = maps(missing, main, before, after, rng, stated)
     where = location(main, best_map(drawn, stated), before)

@@ -9,17 +9,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import fit
+from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.linear import Added
 from identification.diagnosis.fit.single_effect import without_effect
-from identification.diagnosis.rows.families import FROM_TORQUE, MAPPED, functions, shows
-from identification.diagnosis.score.beside import mismatch_of
+from identification.diagnosis.rows.families import (
+    DIRECTION,
+    FROM_TORQUE,
+    MAPPED,
+    at_rows,
+    functions,
+    shows,
+    weight_of,
+)
+from identification.diagnosis.score.beside import Mismatch, mismatch_of, parts
 from identification.diagnosis.score.locate import best_map, curve, maps, ranges
 from identification.diagnosis.terms import TERMS
-from identification.recording import Dataset
+from identification.recording import Array, Dataset
 
 from .benches import campaign, nominal_fit
 from .test_fits import begun_with
@@ -90,33 +97,63 @@ def test_the_measured_torque_locates_its_own_mismatch_only_if_it_is_the_stated_c
 
 
 def test_functions_of_a_coordinate() -> None:
-    assert functions(np.full(50, 2.0)).shape == (50, 0)
-    sides = functions(np.repeat([-1.0, 1.0], 25))
+    assert functions(np.full(50, 2.0)) == []
+    (sides,) = functions(np.repeat([-1.0, 1.0], 25))
     assert np.array_equal(sides, np.repeat(np.eye(2), 25, axis=0))
     values = np.random.default_rng(0).normal(size=2000)
     for made in (np.abs(values), np.where(values > np.median(values), 1.0, 0.0)):
-        basis = functions(values)
+        basis = functions(values)[-1]
         rest = made - basis @ np.linalg.lstsq(basis, made)[0]
         assert rest @ rest < 0.01 * np.var(made) * len(made)
 
 
-@pytest.mark.parametrize("correlated_rows", [0.0, 10.0])
-def test_chance_explains_nothing(correlated_rows: float) -> None:
+def of_noise(equation: str, noise: Array, joint: Joint) -> Mismatch:
+    residual = joint.residual.copy()
+    residual[joint.stack.part(equation)] = noise
+    left = joint.stack.projected(residual[:, None])[:, 0]
+    return mismatch_of(replace(joint.stack, residual=left), equation)
+
+
+@pytest.mark.parametrize("equation", ["torque", "transmission"])
+def test_chance_explains_nothing(equation: str) -> None:
+    """The noise is constant within each block: the worst that the blocks allow."""
     joint = nominal_fit(campaign({}, 16, 8.0))
-    rows = joint.stack.part("torque")
-    columns = functions(np.arange(rows.stop - rows.start, dtype=float))
-    ones = np.ones(len(columns))
-    kept = math.exp(-1.0 / correlated_rows) if correlated_rows else 0.0
-    noise = lfilter([1.0], [1.0, -kept], np.random.default_rng(1).normal(size=len(joint.residual)))
-    stack = replace(joint.stack, residual=joint.stack.projected(noise[:, None])[:, 0])
-    assert mismatch_of(stack, "torque").explained(columns, ones) < 0.02
-    few = replace(mismatch_of(stack, "torque"), step=20)
-    few = replace(few, other=few.other[::20], residual=few.residual[::20], fold=few.fold[::20])
-    assert few.explained(columns, ones) < 0.05
-    made = replace(stack, residual=joint.stack.projected(noise[:, None])[:, 0])
-    made.residual[rows] += 20.0 * np.sin(0.01 * np.arange(len(columns)))
-    assert mismatch_of(made, "torque").explained(columns, ones) > 0.8
-    assert mismatch_of(stack, "torque").explained(columns, 0.0 * ones) == 0.0
+    block = joint.stack.block[joint.stack.part(equation)]
+    time = np.arange(len(block), dtype=float)
+    shares = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(size=joint.stack.blocks)[block] + 0.3 * rng.normal(size=len(block))
+        made = of_noise(equation, noise, joint)
+        shares.append(made.explained(functions(time), np.ones(len(time))))
+        assert made.explained(functions(time), np.zeros(len(time))) == 0.0
+    assert np.median(shares) < 0.05
+    assert max(shares) < 0.35
+
+
+def test_a_slow_function_of_time_is_found_in_few_blocks() -> None:
+    joint = nominal_fit(campaign({}, 16, 8.0))
+    block = joint.stack.block[joint.stack.part("torque")]
+    time = np.arange(len(block), dtype=float)
+    drift = 30.0 * (time / len(time)) ** 2
+    noise = drift + np.random.default_rng(0).normal(size=len(time))
+    assert of_noise("torque", noise, joint).explained(functions(time), np.ones(len(time))) > 0.8
+
+
+def test_recordings_that_repeat_a_motion_lie_in_different_parts() -> None:
+    part = parts(np.repeat(np.arange(60), 30))
+    assert np.array_equal(np.bincount(part), np.full(10, 180))
+    assert len(set(part[::300])) > 2
+    assert np.array_equal(np.unique(parts(np.repeat([3, 13, 23], 5))), [0, 1, 2])
+
+
+def test_a_rest_time_is_told_at_the_breakaways_themselves() -> None:
+    joint = nominal_fit(campaign({}, 13, 8.0))
+    equation = next(e for e in joint.equations if e.name == "breakaway")
+    weight = weight_of(equation)
+    assert weight.min() < 0.5
+    direction = at_rows(DIRECTION, equation, weight)
+    assert set(direction) == {-1.0, 1.0}
 
 
 def test_an_offset_of_the_current_lies_in_the_torque_equation() -> None:
