@@ -9,7 +9,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs
 .DEFAULT_GOAL := help
 
 help:
@@ -96,7 +96,15 @@ lint: $(VENV)/.dev
 structure:
 	$(PYTHON) tools/structure.py
 
-test: lint
+# The kernels are compiled while the types are checked; the tests then need not wait for them.
+kernels: $(VENV)/.dev
+	@rm -rf out/kernels
+	-@$(BIN)/rig run figure10 --yes --out out/kernels/run > /dev/null
+	-@$(BIN)/rig identify out/kernels/run > /dev/null
+	@rm -rf out/kernels
+
+test: $(VENV)/.dev
+	@$(MAKE) --no-print-directory -j2 lint kernels
 	$(BIN)/pytest -n auto --dist worksteal -m "not proof"
 
 proofs: $(VENV)/.dev

@@ -56,11 +56,10 @@ settings.load_profile("repeatable")
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Return twice the number of processors where these are few: many tests wait for other
-    processes, for a browser, or for real time.
+    """Return one worker more than processors, because many tests wait for other processes, for a
+    browser, or for real time.
     """
-    processors = os.cpu_count() or 1
-    return max(processors, min(2 * processors, 6))
+    return 1 + (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -98,8 +98,8 @@ MAPPED = (
 )
 """Coordinates over which a mismatch is located."""
 FROM_TORQUE = ("torque", "torque rate", "current direction")
-"""Coordinates that are computed from the measured torque: they contain a mismatch of the torque
-equation, so that they seem to explain any such mismatch.
+"""Coordinates that are computed from the measured torque: they contain a mismatch of the torque and
+the breakaway equation, so that they seem to explain any such mismatch.
 """
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.fit.stack import NOMINAL_IN, Stack
 from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import (
@@ -66,7 +66,7 @@ def maps(
         after: Mismatch after correction, shape (n,).
         rng: Random generator for the bands.
         own: Coordinate that the catalogue states for the effect. Only this coordinate may be
-            computed from the measured torque in the torque equation.
+            computed from the measured torque in the torque and breakaway equations.
     """
     block = stack.block[stack.part(equation.name)]
     weight, alone = weight_of(equation), mismatch_of(stack, equation.name)
@@ -76,7 +76,8 @@ def maps(
     for coordinate in MAPPED:
         if not shows(coordinate, equation.views, coordinate.name == own):
             continue
-        if equation.name == "torque" and coordinate.name in FROM_TORQUE and coordinate.name != own:
+        measured = equation.name in NOMINAL_IN and coordinate.name in FROM_TORQUE
+        if measured and coordinate.name != own:
             continue
         values = at_rows(coordinate, equation, weight)
         unit = coordinate.unit if coordinate.periodic else ""

@@ -269,9 +269,15 @@ def _location_of(
     if len(found.final.effects) > 1:
         missing = without_effect(found.final, k)
         left = missing.residual
-    main = _greatest_per_row(shown, lambda e: float(np.sum(left[missing.part(e.name)] ** 2)))
+    final = found.final.residual
+
+    def taken(equation: Equation) -> float:
+        part = missing.part(equation.name)
+        return float(np.sum(left[part] ** 2) - np.sum(final[part] ** 2))
+
+    main = _greatest_per_row(shown, taken)
     rows = missing.part(main.name)
-    before, after = main.sigma * left[rows], main.sigma * found.final.residual[rows]
+    before, after = main.sigma * left[rows], main.sigma * final[rows]
     stated = ENTRIES[effect.term.name].coordinate.split(":")[0]
     drawn = maps(missing, main, before, after, rng, stated)
     where = location(main, best_map(drawn, stated), before)

@@ -14,6 +14,9 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.verdict.reasons import Reason
 from identification.recording import Dataset
 
+MOST = 0.5
+"""Share of a mismatch from which a coordinate has most of it."""
+
 
 def statement(
     verdict: Verdict,
@@ -57,7 +60,7 @@ def statement(
         f"noise floor {main.noise_floor_rms:.3g}."
     )
     if verdict is Verdict.OUTSIDE_CATALOGUE:
-        place = f", most of it over {where.coordinate}" if where else ""
+        place = _place(where) if where is not None and where.share_of_mismatch > 0.0 else ""
         return (
             f"the {main.equation} equation has a mismatch that no effect of the catalogue "
             f"explains{place}; {error}"
@@ -69,6 +72,13 @@ def statement(
         ]
         words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     return f"{words}. {change}"
+
+
+def _place(where: Location) -> str:
+    """Return the part of the sentence that states the location of a mismatch."""
+    share = where.share_of_mismatch
+    part = "most" if share > MOST else f"{max(1.0, 100.0 * share):.0f} %"
+    return f", {part} of it over {where.coordinate}"
 
 
 def unobservable_sentence(names: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 
 from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import Refined
-from identification.estimate.uncertainty.covariance import rise_to_static
+from identification.estimate.uncertainty.covariance import not_below, rise_to_static
 from identification.filter.breakaway_times import ROUNDS, Reduced, optimise_breakaway_times, reduce
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
@@ -174,4 +174,5 @@ def _covariances(
     turn = rise_to_static(names)
     full = plain * np.outer(widen * units / scale, widen * units / scale)
     bound = bread * np.outer(units / scale, units / scale)
-    return np.asarray(turn @ full @ turn.T), np.asarray(turn @ bound @ turn.T)
+    floor = np.asarray(turn @ bound @ turn.T)
+    return not_below(turn @ full @ turn.T, floor), floor

@@ -196,8 +196,8 @@ def named_covariances(
 
 
 def not_below(achieved: Array, floor: Array) -> Array:
-    """Return a covariance whose variances are at least those of a Cramer-Rao bound, with unchanged
-    correlations, shape (p, p).
+    """Return a covariance whose variances are at least those of a Cramer-Rao bound, shape (p, p);
+    the variance of no linear combination is reduced.
 
     The scatter of few segments may by chance be less than their noise.
 
@@ -205,9 +205,8 @@ def not_below(achieved: Array, floor: Array) -> Array:
         achieved: Covariance, shape (p, p).
         floor: Cramer-Rao bound, shape (p, p).
     """
-    least = np.maximum(np.diag(floor), 0.0) / np.maximum(np.diag(achieved), 1e-300)
-    widen = np.sqrt(np.maximum(least, 1.0))
-    return np.asarray(achieved * np.outer(widen, widen))
+    missing = np.maximum(np.diag(floor) - np.diag(achieved), 0.0)
+    return np.asarray(achieved + np.diag(missing))
 
 
 def rise_to_static(names: Sequence[str]) -> Array:

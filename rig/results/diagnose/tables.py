@@ -161,7 +161,7 @@ def _change(before: float | None, after: float | None) -> str:
 
 def _ranges(where: Location) -> str:
     if not where.ranges:
-        return "everywhere"
+        return "-"
     shown, factor = ("deg", _DEG) if where.unit == "rad" else (where.unit, 1.0)
     unit = "" if shown in ("", "1") else f" {shown}"
     return (

@@ -163,7 +163,7 @@ def test_an_offset_of_the_current_lies_in_the_torque_equation() -> None:
     effect = found.effects[0]
     assert effect.name in ("current_offset", "asymmetric_coulomb")
     assert found.fit.equation == "torque"
-    assert effect.where.unit == "1"
+    assert effect.where.coordinate == "direction"
 
 
 def test_a_shape_that_the_nominal_model_takes_over_is_missing_without_it() -> None:
