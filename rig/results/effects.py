@@ -15,7 +15,7 @@ from rig.config.configuration import nearest
 
 EFFECTS_SCHEMA = "loadrig.effects/1"
 _WIDTH = 100
-_LABEL = 14
+_LABEL = 18
 
 
 def entry_of(name: str) -> Entry:

@@ -32,6 +32,7 @@ def test_one_entry_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> None:
         *entry.look_alikes,
     ):
         assert part in words
+    assert f"distinguished by {entry.experiment}" in words
     assert "gap_rad: plausible from 0 to 0.1 rad" in words
 
 
