@@ -163,8 +163,8 @@ def curve(drawn: Sequence[Map]) -> Curve | None:
     mean explains about as much as the mean of any map; otherwise of the map whose mean explains
     most.
 
-    The mean of the location's map may explain little, if the nominal parameters have taken up a
-    part of the missing torque, or if this torque is proportional to the load.
+    The mean of the location's map may explain little, if the nominal parameters compensate a part
+    of the missing torque, or if this torque is proportional to the load.
     """
     if not drawn:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.single_effect import contribution, without_effect
+from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.instants import between_samples
@@ -25,7 +26,7 @@ from identification.diagnosis.verdict.reasons import Kind, Reason, reason_outsid
 from identification.diagnosis.verdict.wording import finding
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
-from identification.recording import Bench
+from identification.recording import Array, Bench
 
 FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
 """Ratio of the mean-square mismatch to that of the noise, up to which a mismatch is faint. The part
@@ -135,33 +136,38 @@ def main_equation(found: Search) -> Equation:
     """
     if found.p_value > RULES.level:
         return found.baseline.equations[0]
-    stack = found.baseline.stack
-
-    def taken(equation: Equation) -> float:
-        rows = stack.part(equation.name)
-        before, after = (j.residual[rows] for j in (found.baseline, found.final))
-        return float(np.sum(before**2) - np.sum(after**2))
-
     # The breakaway equation judges no model, even if the pattern of its mismatch is significant.
     judges = [e for e in found.baseline.equations if e.name != "breakaway"]
     if found.final.effects:
-        return _greatest_per_row(found.baseline.equations, taken)
+        base = found.baseline
+        return _most_reduced(base.equations, base.stack, base.residual, found.final.residual)
     loudest = found.loudest.split(" ")[0]
     named = [e for e in judges if e.name == loudest]
     return named[0] if named else max(judges, key=lambda e: _beyond_noise(found.baseline, e))
 
 
-def _greatest_per_row(
-    equations: Sequence[Equation], power: Callable[[Equation], float]
+def _most_reduced(
+    equations: Sequence[Equation], stack: Stack, before: Array, after: Array
 ) -> Equation:
-    """Return the equation with the greatest power in each row; the breakaway equation, which has
-    few rows, only if it has the greatest power over all rows.
+    """Return the equation whose mismatch is reduced most in each row; the breakaway equation, which
+    has few rows, only if its mismatch is reduced most over all rows.
+
+    Args:
+        equations: Equations of the stack.
+        stack: The stack.
+        before: Whitened mismatch before, shape (n,).
+        after: Whitened mismatch after, shape (n,).
     """
-    most = max(equations, key=power)
+
+    def reduction(equation: Equation) -> float:
+        rows = stack.part(equation.name)
+        return float(np.sum(before[rows] ** 2) - np.sum(after[rows] ** 2))
+
+    most = max(equations, key=reduction)
     if most.name == "breakaway":
         return most
     others = [e for e in equations if e.name != "breakaway"]
-    return max(others, key=lambda e: power(e) / max(1, len(e.residual)))
+    return max(others, key=lambda e: reduction(e) / max(1, len(e.residual)))
 
 
 def _beyond_noise(joint: Joint, equation: Equation) -> float:
@@ -269,15 +275,9 @@ def _location_of(
     if len(found.final.effects) > 1:
         missing = without_effect(found.final, k)
         left = missing.residual
-    final = found.final.residual
-
-    def taken(equation: Equation) -> float:
-        part = missing.part(equation.name)
-        return float(np.sum(left[part] ** 2) - np.sum(final[part] ** 2))
-
-    main = _greatest_per_row(shown, taken)
+    main = _most_reduced(shown, missing, left, found.final.residual)
     rows = missing.part(main.name)
-    before, after = main.sigma * left[rows], main.sigma * final[rows]
+    before, after = main.sigma * left[rows], main.sigma * found.final.residual[rows]
     stated = ENTRIES[effect.term.name].coordinate.split(":")[0]
     drawn = maps(missing, main, before, after, rng, stated)
     where = location(main, best_map(drawn, stated), before)
