@@ -212,7 +212,7 @@ def _map(axis: Axes, one: Map) -> None:
     axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate.endswith("direction")))
     sided = "\nagainst the motion" if one.against_motion else ""
     axis.set_ylabel(f"mismatch{sided} ({residual_unit})")
-    axis.set_title(f"{one.coordinate}: explains {100.0 * one.share:.2g} %", fontsize=9, loc="left")
+    axis.set_title(f"{one.coordinate}: explains {100.0 * one.share:.3g} %", fontsize=9, loc="left")
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:

@@ -3,13 +3,14 @@
 import io
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from identification.diagnosis.result import Fit as EquationError
-from identification.diagnosis.result import ResidualTrace
+from identification.diagnosis.result import Map, ResidualTrace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
@@ -222,3 +223,13 @@ def test_errors_are_drawn_over_the_noise_floor_of_each_equation() -> None:
     low, high = axis.get_xlim()
     assert low < 0.5
     assert high > 4.0
+
+
+def test_a_map_that_explains_all_says_100_percent_and_one_that_explains_nothing_is_left_out() -> (
+    None
+):
+    line = np.linspace(-1.0, 1.0, 5)
+    full = Map("torque", "speed", "rad/s", "N m", line, line, line - 0.1, line + 0.1, line, 0.9996)
+    made = mismatch.maps([full, replace(full, coordinate="time", share=0.001)])
+    titles = [axis.get_title(loc="left") for axis in made.axes if axis.get_visible()]
+    assert titles == ["speed: explains 100 %"]
