@@ -24,7 +24,7 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.weighing.scale import Scale, measured_level
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
-from rig.wiring.preflight import energised, require_ready
+from rig.wiring.preflight import require_ready
 
 
 class WeightError(Exception):
@@ -67,6 +67,7 @@ class PhaseHandlers:
 
     Attributes:
         cycle: The control cycle, with its counters.
+        off: Proves that the drive is off.
         own_limits: The limits that were stored in the drive before the run; None until the limits
             are read.
     """
@@ -91,6 +92,7 @@ class PhaseHandlers:
         self.cycle = Cycle(
             plan.limits, plan.cycle_ns, devices, recorder, console.stop, console.progress
         )
+        self.off = devices.off_proof(plan.limits)
         self._handlers: Mapping[Phase, Callable[[], Event]] = {
             Phase.LOAD: self._load,
             Phase.PREPARE: self._prepare,
@@ -133,8 +135,7 @@ class PhaseHandlers:
 
     def _load(self) -> Event:
         devices, stage = self._devices, self._plan.stages[self._stage_index]
-        if (error := energised(devices.servo.state())) is not None:
-            raise error
+        self._require_off("before the weight prompt")
         if devices.hang is None and self.own_limits is None:
             # The devices are checked before a person hangs a weight, so that no weight is hung
             # for a run that does not start.
@@ -177,6 +178,17 @@ class PhaseHandlers:
             devices.ignite()
             self._recorder.event(self.cycle.now_ns, "ignition", stage=stage.name)
         return Event.DONE
+
+    def _require_off(self, when: str) -> None:
+        """Prove that the drive is off, before a person touches weights or joint.
+
+        Raises:
+            StateError: The drive is not proved off.
+        """
+        proof = self.off.prove()
+        self._recorder.event(self.cycle.now_ns, "off", when=when, **proof.record())
+        if not proof.off:
+            raise proof.error(when)
 
     def _go_back(self) -> Event:
         if self._stage_index:
@@ -323,6 +335,7 @@ class PhaseHandlers:
         self._recorder.event(self.cycle.now_ns, "stage end", stage=self.stage.name)
         self._journal.stage_finished(self._stage_index)
         self._repeat = 0
+        self._require_off("at the end of the stage")
         return Event.DONE
 
     def _boundary(self) -> Event:

@@ -178,7 +178,7 @@ class RunRecord:
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
         message: How the run ended, as text.
         trip: The limit that was violated: check, value, limit, unit, time.
-        de_energised: Whether the drive was read back as de-energised.
+        de_energised: Whether state, current and motion showed at the end that the drive is off.
         drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
             unknown.
         cycles: Control cycles.
@@ -211,6 +211,7 @@ class RunRecord:
     trip: Mapping[str, Any] | None = None
     de_energised: bool | None = None
     drive_state: str | None = None
+    drive: dict[str, Any] | None = None
     cycles: int = 0
     overruns: int = 0
     stale: int = 0

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from datetime import date
 
-from drivers.errors import ConfigurationError, DeviceError, StateError
+from drivers.errors import ConfigurationError, DeviceError
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.errors import InputError
 from rig.common.findings import Cause, Finding, refusals, warnings
@@ -85,8 +85,9 @@ def device_findings(
     """
     servo = devices.servo
     state = servo.state()
-    if (error := energised(state)) is not None:
-        yield Finding(Cause.STATE, str(error))
+    if state.energised:
+        text = f"the drive is in {state.value!r}; it must be de-energised before a run"
+        yield Finding(Cause.STATE, text)
     elif state is ServoState.FAULT and not reset_fault:
         yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
     settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
@@ -131,15 +132,6 @@ def require_ready(
     if problems := refusals(found):
         raise ConfigurationError("; ".join(problems))
     return warnings(found)
-
-
-def energised(state: ServoState) -> StateError | None:
-    """Return why the drive's state forbids the weight prompt, or None if the drive is off."""
-    if not state.energised:
-        return None
-    return StateError(
-        f"the drive is in {state.value!r} before the weight prompt; it must be de-energised"
-    )
 
 
 def _refused(cause: Cause, errors: Iterable[DeviceError]) -> Iterator[Finding]:

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.clock import SimulatedClock
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import ServoLimits, ServoState
+from drivers.interfaces import Measuring, ServoLimits, ServoReadings, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import (
     INSISTENT_ATTEMPTS,
@@ -82,6 +82,7 @@ class Servo:
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
+        self.current = self.angle = 0.0
         self.clock = Clock(self)
 
     def pass_time(self, ns: int) -> None:
@@ -119,6 +120,14 @@ class Servo:
     def state(self) -> ServoState:
         self._do("state")
         return self.power
+
+    def glance(self) -> ServoReadings:
+        self._do("glance")
+        self.pass_time(NS // 1000)
+        return ServoReadings(self.angle, current_A=self.current)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
     def write_limits(self, limits: ServoLimits) -> None:
         self._do("write_limits")
