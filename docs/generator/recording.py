@@ -37,7 +37,10 @@ EVENTS: Mapping[str, tuple[str, str]] = {
         "number, and the segment as in `run.json`",
         "An excitation begins; its samples carry the number.",
     ),
-    "stage end": ("stage", "The drive is off again, and its state was read back."),
+    "stage end": (
+        "stage, current_A, motion_rad_s",
+        "The drive is off again, by its state, motor current and joint speed.",
+    ),
     "repeat": ("stage", "The operator asked for the stage once more."),
     "paused": ("stage", "The run waits between stages; the drive is off."),
     "go on": ("stage", "The operator ended the pause."),

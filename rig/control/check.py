@@ -24,7 +24,7 @@ from rig.planning.plan import bench_limits, servo_limits
 from rig.wiring.bench_text import Watcher, watcher
 from rig.wiring.connect import device_files
 from rig.wiring.devices import Devices
-from rig.wiring.off import HANDS_OFF
+from rig.wiring.off import BEFORE_PROMPT, HANDS_OFF
 from rig.wiring.preflight import bench_findings, device_findings
 
 SCHEMA = "loadrig.check/1"
@@ -73,7 +73,7 @@ def examine(
     readings = take_readings(devices, bench.machine.gear_ratio)
     proof = devices.off_proof(limits).prove()
     if proof.state is None or (not proof.off and not proof.state.energised):
-        found = [*found, Finding(Cause.OFF, f"{proof.doubt}; {HANDS_OFF}")]
+        found = [*found, Finding(Cause.OFF, f"{BEFORE_PROMPT}: {proof.doubt}; {HANDS_OFF}")]
     found = [
         *found,
         *device_findings(devices, wanted, bench.cycle_s),

@@ -164,8 +164,7 @@ def _moves(
         stop.check()
         if reset_fault and servo.state() is ServoState.FAULT:
             servo.reset_fault()
-        if not (proof := off.prove()).off:
-            raise proof.error("before the jog")
+        off.require("before the jog")
         devices.prepare(bench.cycle_s)
         held, unheld = servo.read_limits(), servo.lacks(bench.cycle_s).limits
         require_within_own(wanted, held, servo.limit_steps(), servo.limit_places, unheld)

@@ -24,6 +24,7 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.weighing.scale import Scale, measured_level
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
+from rig.wiring.off import BEFORE_PROMPT
 from rig.wiring.preflight import require_ready
 
 
@@ -135,7 +136,7 @@ class PhaseHandlers:
 
     def _load(self) -> Event:
         devices, stage = self._devices, self._plan.stages[self._stage_index]
-        self._require_off("before the weight prompt")
+        seen = self.off.require(BEFORE_PROMPT).seen
         if devices.hang is None and self.own_limits is None:
             # The devices are checked before a person hangs a weight, so that no weight is hung
             # for a run that does not start.
@@ -149,6 +150,7 @@ class PhaseHandlers:
             stage=stage.name,
             index=self._stage_index,
             weight_kg=stage.weight_kg,
+            **seen,
         )
         hot = stage.stage == "hot_fire"
         if hot:
@@ -178,17 +180,6 @@ class PhaseHandlers:
             devices.ignite()
             self._recorder.event(self.cycle.now_ns, "ignition", stage=stage.name)
         return Event.DONE
-
-    def _require_off(self, when: str) -> None:
-        """Prove that the drive is off, before a person touches weights or joint.
-
-        Raises:
-            StateError: The drive is not proved off.
-        """
-        proof = self.off.prove()
-        self._recorder.event(self.cycle.now_ns, "off", when=when, **proof.record())
-        if not proof.off:
-            raise proof.error(when)
 
     def _go_back(self) -> Event:
         if self._stage_index:
@@ -332,10 +323,10 @@ class PhaseHandlers:
         if self.stage.stage == "hot_fire" and self._devices.hang is not None:
             self._devices.hang(0.0)
         self._recorder.frames(self.cycle.now_ns, self._devices.link.take_frames())
-        self._recorder.event(self.cycle.now_ns, "stage end", stage=self.stage.name)
         self._journal.stage_finished(self._stage_index)
+        seen = self.off.require("at the end of the stage").seen
+        self._recorder.event(self.cycle.now_ns, "stage end", stage=self.stage.name, **seen)
         self._repeat = 0
-        self._require_off("at the end of the stage")
         return Event.DONE
 
     def _boundary(self) -> Event:

@@ -41,6 +41,7 @@ REST_RAD_S: Final = 0.01
 STEPS: Final = 2.0
 """Units by which a reading at rest may change."""
 _FAILURES: Final = 2
+BEFORE_PROMPT: Final = "before the weight prompt"
 HANDS_OFF: Final = (
     "do not touch the weights or the joint; switch the main supply off, and wait until the joint "
     "rests"
@@ -70,19 +71,20 @@ class Proof:
         """Whether state, current and motion show that the drive is off."""
         return not self.doubt
 
+    @property
+    def seen(self) -> dict[str, float | None]:
+        """Current and motion, for the record of an event."""
+        return {"current_A": self.current_A, "motion_rad_s": self.motion_rad_s}
+
     def record(self) -> dict[str, Any]:
         """Return the record for a result file."""
-        return {
-            "off": self.off,
-            "state": "unknown" if self.state is None else self.state.value,
-            "current_A": self.current_A,
-            "motion_rad_s": self.motion_rad_s,
-            "doubt": self.doubt,
-        }
+        state = "unknown" if self.state is None else self.state.value
+        return {"off": self.off, "state": state, **self.seen, "doubt": self.doubt}
 
-    def error(self, when: str) -> StateError:
-        """Return the error for a step that needs the drive to be off."""
-        return StateError(f"{when}, {self.doubt}")
+
+def energised_doubt(state: ServoState) -> str:
+    """Return why a drive in an energised state is not off."""
+    return f"the drive is in {state.value!r}; it must be de-energised"
 
 
 def seen_words(current_A: float | None, motion_rad_s: float | None) -> str:
@@ -146,6 +148,24 @@ class OffProof:
         found = [Proof(None, doubt="nothing could be read")]
         steps.attempt(lambda: self._observe(found, steps, patience_s))
         return found[-1]
+
+    def require(self, when: str) -> Proof:
+        """Prove that the drive is off; ``when`` begins the message, as "before the weight prompt".
+
+        Raises:
+            StateError: The drive is not proved off.
+            KeyboardInterrupt: The operator interrupted the reads.
+        """
+        steps = Steps()
+        proof = self.prove(steps)
+        if steps.interrupted:
+            raise KeyboardInterrupt
+        for defect in steps.unforeseen:
+            raise defect
+        if not proof.off:
+            problems = "; ".join(dict.fromkeys((proof.doubt, *steps.problems)))
+            raise StateError(f"{when}: {problems}")
+        return proof
 
     def _observe(self, found: list[Proof], steps: Steps, patience_s: float) -> None:
         deadline_ns = self._clock.now_ns() + round(patience_s * NS)
@@ -214,7 +234,7 @@ class OffProof:
         if state is None:
             return "its state could not be read"
         if state.energised:
-            return f"the drive reports the state {state.value!r}"
+            return energised_doubt(state)
         reports = not math.isnan(measuring.current_step_A)
         if reports and len(window.currents) < LEAST_READINGS:
             return f"the drive reports {state.value!r}, but its current could not be read"

@@ -21,6 +21,7 @@ from rig.wiring.connect import NO_BUS
 from rig.wiring.device_files import device_file_findings
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own
+from rig.wiring.off import BEFORE_PROMPT, energised_doubt
 from rig.wiring.plausibility import implausible
 
 RESET_HINT = "; remove the cause of the fault, then clear the fault with --reset-fault"
@@ -86,8 +87,7 @@ def device_findings(
     servo = devices.servo
     state = servo.state()
     if state.energised:
-        text = f"the drive is in {state.value!r}; it must be de-energised before a run"
-        yield Finding(Cause.STATE, text)
+        yield Finding(Cause.STATE, f"{BEFORE_PROMPT}: {energised_doubt(state)}")
     elif state is ServoState.FAULT and not reset_fault:
         yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
     settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
