@@ -115,6 +115,7 @@ DBC: Mapping[str, Case] = {
         at("prompt prepare disable", RIDES)
         | at("enable", Must(4, "no longer reports the limits", SILENCE_S)),
     ),
+    **{name: case for name, case in CASES.items() if "stuck" in name},
     "order to run refused": Case(
         (fault("drive", "mode_refused"),), RIDES, at(NO_POWER, _NO_ENABLE)
     ),
