@@ -181,6 +181,7 @@ class RunRecord:
         de_energised: Whether state, current and motion showed at the end that the drive is off.
         drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
             unknown.
+        drive: How the drive was left: state, current, motion, and why it was not proved off.
         cycles: Control cycles.
         overruns: Cycles that started late.
         stale: Cycles whose answer was incomplete.

@@ -88,9 +88,13 @@ def energised_doubt(state: ServoState) -> str:
 
 
 def seen_words(current_A: float | None, motion_rad_s: float | None) -> str:
-    """Return current and motion of a drive that is off, as text."""
+    """Return current and motion of a drive that is off as words that end a sentence; empty if
+    neither was observed.
+    """
+    if motion_rad_s is None:
+        return ""
     current = "current not reported" if current_A is None else f"{abs(current_A):.2f} A"
-    return f"{current}, {'motion not reported' if motion_rad_s is None else 'joint at rest'}"
+    return f", {current}, joint at rest"
 
 
 @dataclass

@@ -51,7 +51,7 @@ class SafeState:
         """One sentence for the operator."""
         if self.verified:
             seen = seen_words(self.current_A, self.motion_rad_s)
-            return f"the drive is de-energised (read back: {self.state}; {seen})"
+            return f"the drive is de-energised (read back: {self.state}){seen}"
         if self.doubt:
             words = "; ".join((self.doubt, *self.problems))
             return f"it could NOT be verified that the drive is de-energised: {words}; {HANDS_OFF}"

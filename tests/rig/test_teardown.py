@@ -302,11 +302,11 @@ UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unk
     [
         (
             SafeState(True, "fault", current_A=-0.004, motion_rad_s=0.0),
-            "the drive is de-energised (read back: fault; 0.00 A, joint at rest)",
+            "the drive is de-energised (read back: fault), 0.00 A, joint at rest",
         ),
         (
             SafeState(True, "fault", motion_rad_s=0.0),
-            "the drive is de-energised (read back: fault; current not reported, joint at rest)",
+            "the drive is de-energised (read back: fault), current not reported, joint at rest",
         ),
         (
             SafeState(False, "switch on disabled", (), True, (), 3.98, 0.0, "3.98 A flow"),
