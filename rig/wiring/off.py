@@ -40,7 +40,7 @@ REST_RAD_S: Final = 0.01
 """Greatest speed of a joint at rest, rad/s, if no speed limit is known."""
 STEPS: Final = 2.0
 """Units by which a reading at rest may change."""
-_FAILURES: Final = 2
+_FAILURES: Final = 3
 BEFORE_PROMPT: Final = "before the weight prompt"
 HANDS_OFF: Final = (
     "do not touch the weights or the joint; switch the main supply off, and wait until the joint "
@@ -196,27 +196,40 @@ class OffProof:
                 return
 
     def _window(self, steps: Steps) -> _Window:
+        """Read for :data:`WINDOW_S`, but at least :data:`LEAST_READINGS` times; a reading that
+        fails, or lacks a value, is repeated, up to :data:`_FAILURES` times.
+        """
         window, failures, count = _Window(), 0, 0
         begin_ns = self._clock.now_ns()
         while failures < _FAILURES and (
             count < LEAST_READINGS or self._clock.now_ns() - begin_ns < WINDOW_S * NS
         ):
-            count += 1
-            failures += steps.attempt(lambda: self._by_request(window)) is not None
+            before = len(window.motor)
+            steps.attempt(lambda: self._read(window))
+            good = len(window.motor) > before
+            count, failures = count + good, failures + (not good)
         steps.take_first(window.encoder)
         return window
 
-    def _by_request(self, window: _Window) -> None:
+    def _read(self, window: _Window) -> None:
         due_ns = self._clock.now_ns() + REQUEST_INTERVAL_NS
-        seen = self._servo.glance()
-        _take(window, self._clock.now_ns() / NS, seen.motor_angle_rad, seen.current_A)
-        if self._encoder is not None and not window.encoder.problems:
+        seen, encoder = self._servo.glance(), self._encoder
+        missing = self._reports_current and math.isnan(seen.current_A)
+        if not (missing or math.isnan(seen.motor_angle_rad)):
+            window.motor.append((self._clock.now_ns() / NS, seen.motor_angle_rad))
+            if self._reports_current:
+                window.currents.append(seen.current_A)
+        if encoder is not None and not window.encoder.problems:
             # Without its encoder, the joint is observed by the motor alone.
             found: list[float] = []
-            window.encoder.attempt(lambda: found.append(self._encoder.reading()))
+            window.encoder.attempt(lambda: found.append(encoder.reading()))
             now_s = self._clock.now_ns() / NS
             window.joint += [(now_s, angle) for angle in found if not math.isnan(angle)]
         self._clock.sleep_until_ns(due_ns)
+
+    @property
+    def _reports_current(self) -> bool:
+        return not math.isnan(self._servo.measuring().current_step_A)
 
     def _judge(self, state: ServoState | None, window: _Window) -> Proof:
         measuring = self._servo.measuring()
@@ -234,16 +247,12 @@ class OffProof:
     def _doubt(
         self, state: ServoState | None, current: float | None, motion: float | None, window: _Window
     ) -> str:
-        measuring = self._servo.measuring()
         if state is None:
             return "its state could not be read"
         if state.energised:
             return energised_doubt(state)
-        reports = not math.isnan(measuring.current_step_A)
-        if reports and len(window.currents) < LEAST_READINGS:
-            return f"the drive reports {state.value!r}, but its current could not be read"
         if motion is None:
-            return f"the drive reports {state.value!r}, but no angle could be read"
+            return f"the drive reports {state.value!r}, but current and angle could not be read"
         if current is not None and self._flows(window):
             return (
                 f"the drive reports {state.value!r}, but {abs(current):.2f} A flow (limit "
@@ -282,13 +291,6 @@ class OffProof:
         if self.zero_A is None and window.currents:
             self.zero_A = fmean(window.currents)
             self._noise_A = _rms(window.currents, self.zero_A)
-
-
-def _take(window: _Window, now_s: float, motor_rad: float, current_A: float) -> None:
-    if not math.isnan(motor_rad):
-        window.motor.append((now_s, motor_rad))
-    if not math.isnan(current_A):
-        window.currents.append(current_A)
 
 
 def _rms(values: list[float], about: float) -> float:

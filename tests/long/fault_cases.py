@@ -99,7 +99,7 @@ def _stopping(option: int) -> Case:
 
 
 CASES: Mapping[str, Case] = {
-    "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prompt prepare disable", NO_ANSWER)),
+    "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prepare disable", NO_ANSWER)),
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),
         Must(4, "sample age", WATCH_S),
@@ -179,12 +179,13 @@ CASES: Mapping[str, Case] = {
     "SDO abort": Case(
         (fault("drive", "sdo_abort"),),
         Must(4, "refuses", LATENT_S),
-        at("prompt prepare enable disable", REFUSED),
+        # Before the prompt, a value that is refused once is read again.
+        at("prompt", RIDES) | at("prepare enable disable", REFUSED),
     ),
     "SDO time-out": Case(
         (fault("drive", "sdo_timeout"),),
         Must(4, "no SDO response", LATENT_S),
-        at("prompt prepare enable disable", NO_ANSWER),
+        at("prompt", RIDES) | at("prepare enable disable", NO_ANSWER),
     ),
     "encoder bit": Case(
         (fault("encoder", "bit"),), FOUND, at("prompt prepare enable disable", RIDES)

@@ -100,9 +100,7 @@ _LINE: Mapping[str, Case] = {
     "10 answers repeated": Case(
         (fault("line", "repeated", **_ANSWERS, count=10),), RIDES, _DOUBLED
     ),
-    "a request refused": Case(
-        (fault("line", "refused"),), RIDES, at("prompt prepare disable", REFUSED)
-    ),
+    "a request refused": Case((fault("line", "refused"),), RIDES, at("prepare disable", REFUSED)),
     "drive's line cut for 0.5 s": Case(
         (fault("line", "cut", value=0.5),), replace(STALE, within_s=0.6), at(_IDLE, RIDES)
     ),
