@@ -190,6 +190,7 @@ CASES: Mapping[str, Case] = {
     "control loop hangs 0.5 s": Case(
         (fault("host", "hangs"),), Must(4, "8130h", WATCH_S), at("prompt prepare disable", RIDES)
     ),
+    "control loop pauses 22 ms": Case((fault("host", "hangs", value=0.022),), RIDES),
     "controller killed": Case((fault("host", "killed"),), Must(-9, "", WATCH_S, verified=False)),
     "clock steps 1 s ahead": Case(
         (fault("host", "clock_step", value=1.0),),
