@@ -63,14 +63,14 @@ PATCH_FILE = "bench.patch"
 @click.option(
     "--angle",
     "angle_deg",
-    type=float,
+    type=shared.Number(),
     help="True joint angle at the start, deg. Without this option the program asks for the angle; "
     "with --yes and without this option the angle is not checked.",
 )
 @click.option(
     "--speed-limit",
     "fastest_deg_s",
-    type=click.FloatRange(min=1.0),
+    type=shared.Number(min=1.0),
     default=FASTEST_DEG_S,
     show_default=True,
     help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; with soft "
@@ -87,14 +87,14 @@ PATCH_FILE = "bench.patch"
 @click.option(
     "--home-angle",
     "home_deg",
-    type=float,
+    type=shared.Number(),
     help="True joint angle of the home position, deg. [default: --angle if the homing method moves "
     "nothing, else the angle of the joint encoder]",
 )
 @click.option(
     "--home-time",
     "home_time_s",
-    type=click.FloatRange(min=1.0),
+    type=shared.Number(min=1.0),
     help="Longest time of the homing, s. [default: 5 if the homing method moves nothing, else from "
     "the limits of angle and speed]",
 )

@@ -82,7 +82,7 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--prompt-timeout",
     "prompt_timeout_s",
-    type=click.FloatRange(min=0, min_open=True),
+    type=shared.Number(min=0, min_open=True),
     help="Seconds to wait for an answer; then the run stops with status 3. [default: "
     "prompt_timeout_s of "
     "the bench file]",
