@@ -283,6 +283,7 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("disk", "full"): lambda s, _: s._fill_disk(),
     ("operator", "stop"): lambda s, _: s._stop.press(),
     ("operator", "unanswered"): FaultInjector._be_silent,
+    ("operator", "weight_removed"): lambda s, r: s._scene.machine.hang(r.amount or 0.0),
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
 """Actions on this program and its operator, by target and name of the fault.

@@ -70,6 +70,7 @@ class RunFolder:
         """Store that a stage begins; earlier recordings of this stage are no longer used."""
         discard(self.record, index)
         self.record.stages[index].state = "running"
+        self.record.stages[index].load_change_kg = None
         self.save()
 
     def weight_confirmed(self, index: int, weight_kg: float) -> None:
