@@ -55,17 +55,19 @@ def conclude(
         BaseException: An unexpected exception during the run.
     """
     record = folder.record
-    wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
+    gone = not folder.recording.exists()
+    wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE and not gone else 0
     if wrong:
         with suppress(
             StorageError
         ):  # The run has ended, and the warnings are shown even if they cannot be stored.
             folder.save()
-    _tell(folder, screen)
+    _tell(folder, screen, gone)
     screen.drain()
-    write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
-    seal_folder(folder.path, record, lambda words, good: screen.say(words, err=not good))
-    screen.drain()
+    if not gone:
+        write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
+        seal_folder(folder.path, record, lambda words, good: screen.say(words, err=not good))
+        screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
     if outcome.error is not None:
         note_drive(outcome.error, outcome.safe.message)
@@ -105,7 +107,7 @@ def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
     return len(found)
 
 
-def _tell(folder: RunFolder, screen: Screen) -> None:
+def _tell(folder: RunFolder, screen: Screen, gone: bool) -> None:
     record = folder.record
     rows = [
         [
@@ -120,12 +122,13 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
     part = record.parts[-1]
     clock = "in simulated time: " if record.simulated and not record.realtime else ""
     screen.say(
-        f"{part.cycles} cycles; recorded in {folder.recording}\n{clock}{summary(part.timing)}",
+        f"{part.cycles} cycles; {'no longer in' if gone else 'recorded in'} {folder.recording}\n"
+        f"{clock}{summary(part.timing)}",
         err=False,
     )
     for warning in record.warnings:
         screen.say(f"warning: {warning}")
-    if words := go_on_words(record, folder.path):
+    if not gone and (words := go_on_words(record, folder.path)):
         screen.say(words)
 
 

@@ -148,7 +148,7 @@ class FaultInjector:
     def _start_recording(self, path: Path) -> Recorder:
         """Create the recording on a file that can fail."""
         self._file = _DyingFile(path, "xb")
-        return Recorder(io.BufferedWriter(self._file))
+        return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
         """Let the devices run for some time without the host, judge every row of the schedule, and

@@ -238,7 +238,9 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
     """Fit a step at each piece in turn, beside the kinds' means, and return the best step: its
     piece, its size and its standard error, kg.
 
-    The piece itself is left out, because the load changed within it. The result is None if the step
+    The piece itself is left out, because the load changed within it. A whole stroke is required on
+    both sides: the first and last strokes differ from the others on stick-slipping benches. The
+    result is None if the step
     is not significant, or if a smooth drift explains the loads nearly as well.
     """
     count = len(pieces)
@@ -249,7 +251,8 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
     means = np.column_stack([[float(piece.kind == kind) for piece in pieces] for kind in kinds])
     freedom = count - len(kinds) - 2
     best, greatest = None, float(stats.t.isf(0.5 * FALSE_ALARM / count, freedom))
-    for at in range(1, count - 1):
+    inside = [k for k, piece in enumerate(pieces) if 0 < piece.stroke < pieces[-1].stroke]
+    for at in inside:
         left = place != place[at]
         step = (place > place[at]).astype(float)
         design = np.column_stack([step, means])[left]

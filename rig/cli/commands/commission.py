@@ -33,6 +33,7 @@ from rig.fault_injection.scene import Scene
 from rig.results.commission import commission_document, commission_record, difference
 from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.terminal import text as shown
+from rig.runs.catalogue.walk import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
 from rig.runs.run_record import Ending
@@ -44,7 +45,7 @@ from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
 
-RECORD_FILE = "commission.json"
+RECORD_FILE = COMMISSION_JSON
 PATCH_FILE = "bench.patch"
 
 

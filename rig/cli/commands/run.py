@@ -32,7 +32,7 @@ from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
-from rig.runs.run import bench_constants, create_folder, require_unused
+from rig.runs.run import bench_constants, create_folder, require_space, require_unused
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
@@ -160,6 +160,7 @@ def _run(options: _Options) -> int:
     # If another program uses the folder, the message of the lock is more helpful.
     if not (path / OWNER_FILE).exists():
         require_unused(path)
+    require_space(path, plan.cycles)
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(
         bench,
