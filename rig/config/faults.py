@@ -125,6 +125,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("operator", "unanswered"): Kind(
         "the prompt's input ends without an answer after this time", "s", 0.0
     ),
+    ("operator", "weight_removed"): Kind(
+        "the weight falls or is taken off, and this mass is left on the lever", "kg", 0.0
+    ),
     ("operator", "wrong_weight"): Kind(
         "the operator hangs this mass and types the planned mass", "kg", 60.0
     ),

@@ -105,6 +105,7 @@ class Cycle:
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
+        self._paused_ns = self._paused_until_ns = 0
         self._time_limit_s: float | None = None
         self._age_s = self._late_s = self._target = 0.0
         self._torque = math.nan
@@ -233,6 +234,7 @@ class Cycle:
             if units is not None:
                 units.take(sample, self._torque)
             if trip is not None:
+                trip = self._cause(trip)
                 of = (trip.check is Check.SPEED, trip.check is Check.TORQUE)
                 raise TripError(trip, "" if units is None else units.explanation(*of))
             if self._witness is not None and self._witness.decided(sample):
@@ -286,7 +288,7 @@ class Cycle:
         sample = self._exchange(self._target, 0)
         trip = check(sample, self._age_s, self._late_s, self._checkable(limits))
         if trip is not None:
-            raise TripError(trip)
+            raise TripError(self._cause(trip))
         return sample
 
     def _checkable(self, limits: Limits) -> Limits:
@@ -302,6 +304,15 @@ class Cycle:
         self._next_ns = now_ns
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns
+
+    def _cause(self, trip: Trip) -> Trip:
+        """Return the trip; a sample's age of which pauses of this computer are the larger part is a
+        trip by the pause.
+        """
+        paused_s = self._paused_ns * 1e-9 if self._paused_until_ns > self._fresh_ns else 0.0
+        if trip.check is not Check.SAMPLE_AGE or paused_s < 0.5 * trip.value:
+            return trip
+        return dataclasses.replace(trip, check=Check.PAUSE)
 
     def _check_time(self, limit_s: float) -> None:
         trip = check_stage_time((self._next_ns - self._powered_ns) / NS, limit_s, self.next_s)
@@ -324,6 +335,8 @@ class Cycle:
         if late_ns > self._period_ns:
             self._overrun(late_ns)
             begin_ns += late_ns
+            before_ns = self._paused_ns if self._paused_until_ns > self._fresh_ns else 0
+            self._paused_ns, self._paused_until_ns = before_ns + late_ns, begin_ns
         link.exchange()
         servo, encoder = self._servo.sample(), self._encoder.sample()
         self._torque = servo.motor_torque_N_m

@@ -24,6 +24,7 @@ class Check(Enum):
 
     NOT_RESET = "not reset"
     SAMPLE_AGE = "sample age"
+    PAUSE = "sample age after a pause of this computer"
     DRIVE_STATE = "drive state"
     ANGLE = "joint angle"
     SPEED = "joint speed"
@@ -42,6 +43,7 @@ class Check(Enum):
 _REMEDY = {
     Check.NOT_RESET: "confirm the weight at the prompt",
     Check.SAMPLE_AGE: "check the bus cabling, termination and load, then run again",
+    Check.PAUSE: "close other programs on this computer, then run again",
     Check.DRIVE_STATE: "read the drive's error code (603Fh), remove its cause, then run again",
     Check.ANGLE: "reduce the amplitude or the centre, or check the encoder offset",
     Check.SPEED: "reduce amplitude or frequency, or check the drive gains for oscillation",

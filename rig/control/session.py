@@ -28,7 +28,7 @@ from rig.planning.feedforward import Feedforward
 from rig.planning.plan import Plan, stage_records
 from rig.planning.reference import Reference
 from rig.runs.recorded_inputs import GivenFile, input_entry
-from rig.runs.recorder import Recorder, open_recorder
+from rig.runs.recorder import GoneError, Recorder, open_recorder
 from rig.runs.run import RunFolder, bench_constants, first_unfinished, part_file
 from rig.runs.run_record import (
     ACCEPTANCE_INPUT,
@@ -170,6 +170,7 @@ def execute(
     _warn(plan, record, devices, operator)
     folder = RunFolder(path, record)
     folder.save()
+    folder.reserve()
     if devices.guard is not None:
         devices.guard.record_in(path)
     recorder = _start_recording(folder, inputs, identities, start_recording)
@@ -191,6 +192,7 @@ def execute(
         part.seconds = (wall.now_ns() - began_ns) / NS
         _finish(record, part, outcome)
         outcome = _save(folder, outcome)
+        folder.release()
     assert outcome is not None
     return folder, outcome
 
@@ -246,6 +248,7 @@ def _start_recording(
         part.state, part.message = Ending.FAILED.value, message
         with suppress(StorageError):
             folder.ended(Ending.FAILED.value, message, de_energised=True)
+        folder.release()
         if recorder is not None:
             with suppress(StorageError):
                 recorder.close()
@@ -347,6 +350,8 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
     """Close the recording; a run whose recording cannot be finished has failed."""
     try:
         recorder.close()
+    except GoneError as error:
+        return _failed(outcome, str(error))
     except StorageError as error:
         return _failed(outcome, f"the recording lacks its end: {error}; then use `rig recover`")
     return outcome

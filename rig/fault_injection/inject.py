@@ -149,7 +149,7 @@ class FaultInjector:
     def _start_recording(self, path: Path) -> Recorder:
         """Create the recording on a file that can fail."""
         self._file = _DyingFile(path, "xb")
-        return Recorder(io.BufferedWriter(self._file))
+        return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
         """Let the devices run for some time without the host, judge every row of the schedule, and
@@ -286,6 +286,7 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("disk", "full"): lambda s, _: s._fill_disk(),
     ("operator", "stop"): lambda s, _: s._stop.press(),
     ("operator", "unanswered"): FaultInjector._be_silent,
+    ("operator", "weight_removed"): lambda s, r: s._scene.machine.hang(r.amount or 0.0),
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
 """Actions on this program and its operator, by target and name of the fault.

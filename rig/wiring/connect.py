@@ -184,7 +184,12 @@ def _wire(
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(
-            bench.encoder, bench.limits.middle_rad, simulated, link.clock
+            bench.encoder,
+            bench.limits.middle_rad,
+            simulated,
+            link.clock,
+            servo,
+            bench.machine.gear_ratio,
         )
         at_instant = link.call_at_instant if isinstance(link, EposSerialLink) else None
         link = EncoderLink(link, amt21, at_instant)

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+EMPTY = """\
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 2}], duration_s: 0.6,
+     center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.05}
+"""
+LOADED = """\
+  - {name: loaded, stage: loaded, weight_kg: 15, tones: [{amplitude_deg: 8, frequency_Hz: 1}],
+     duration_s: 8, settle_s: 0.05}
+"""
 PHASES: Mapping[str, float] = {
     "prompt": 0.0,
     "prepare": 0.005,
     "enable": 0.003,
     "approach": 0.1,
-    "excite": 0.15,
+    "excite": math.nan,
     "ramp_out": 0.0,
     "hold": 0.02,
     "disable": 0.0,
 }
-"""Phase to how long after its start the fault comes, s."""
+"""Phase to how long after its start the fault comes, s; that of the excitation is the case's."""
 STATES = (
     "switch_on_disabled",
     "ready",
@@ -60,11 +69,15 @@ RIDES = Must(0, "all 1 stages done")
 
 @dataclass(frozen=True)
 class Case:
-    """A fault: its rows in the schedule, and what must follow, by phase or for the rest of them."""
+    """A fault: its rows in the schedule, and what must follow, by phase or for the rest of them;
+    the stage of the run, and how long after the start of the excitation the fault comes, s.
+    """
 
     rows: tuple[Mapping[str, Any], ...]
     rest: Must
     by_phase: Mapping[str, Must] = field(default_factory=dict)
+    stage: str = EMPTY
+    excite_s: float = 0.15
 
     def must(self, phase: str) -> Must:
         """Return what must follow in this phase."""
@@ -200,6 +213,7 @@ CASES: Mapping[str, Case] = {
     "control loop hangs 0.5 s": Case(
         (fault("host", "hangs"),), Must(4, "8130h", WATCH_S), at("prompt prepare disable", RIDES)
     ),
+    "control loop pauses 22 ms": Case((fault("host", "hangs", value=0.022),), RIDES),
     "controller killed": Case((fault("host", "killed"),), Must(-9, "", WATCH_S, verified=False)),
     "clock steps 1 s ahead": Case(
         (fault("host", "clock_step", value=1.0),),
@@ -218,6 +232,13 @@ CASES: Mapping[str, Case] = {
         (fault("operator", "unanswered", value=30.0),),
         RIDES,
         at("prompt", Must(3, "without an answer", 0.0)),
+    ),
+    "10 of 15 kg fall off": Case(
+        (fault("operator", "weight_removed", value=5.0),),
+        RIDES,
+        at("excite ramp_out", Must(1, "all 1 stages done")),
+        LOADED,
+        3.7,
     ),
     "60 kg instead of none": Case((fault("operator", "wrong_weight", value=60.0),), RIDES),
     "300 kg instead of none": Case(

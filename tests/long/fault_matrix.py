@@ -26,17 +26,11 @@ from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import Log, read_run
 from rig.runs.recover import recover
 
-from .fault_cases import BRAKE_S, CASES, PHASES, STATES, Case, Must, Transport, fault
+from .fault_cases import BRAKE_S, CASES, EMPTY, PHASES, STATES, Case, Must, Transport, fault
 from .fault_cases_dbc import DBC
 from .fault_cases_serial import SERIAL
 
-SEQUENCE = """\
-sequence: 1
-name: matrix
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 2}], duration_s: 0.6,
-     center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.05}
-"""
+SEQUENCE = "sequence: 1\nname: matrix\nstages:\n" + EMPTY
 LOG_GAP_S = 0.2
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
 BEGIN, END = "<!-- matrix: written by tests/long/fault_matrix.py -->", "<!-- end of matrix -->"
@@ -69,11 +63,15 @@ class Cell:
 
 def run_case(case: Case, phase: str, bench: str, folder: Path) -> Cell:
     """Run one fault in one phase."""
-    rows = [{**row, "phase": phase, "after_s": PHASES[phase]} for row in case.rows]
-    return run_rows(rows, case.must(phase), bench, folder)
+    after_s = case.excite_s if phase == "excite" else PHASES[phase]
+    rows = [{**row, "phase": phase, "after_s": after_s} for row in case.rows]
+    sequence = SEQUENCE.replace(EMPTY, case.stage)
+    return run_rows(rows, case.must(phase), bench, folder, sequence)
 
 
-def run_rows(rows: list[dict[str, Any]], must: Must, bench: str, folder: Path) -> Cell:
+def run_rows(
+    rows: list[dict[str, Any]], must: Must, bench: str, folder: Path, sequence: str = SEQUENCE
+) -> Cell:
     """Run a schedule in a new folder and compare with what must come of it."""
     folder.mkdir(parents=True)
     expect = {"exit_status": must.exit_status, "words": must.words}
@@ -81,7 +79,7 @@ def run_rows(rows: list[dict[str, Any]], must: Must, bench: str, folder: Path) -
         expect["deenergised_within_s"] = must.within_s
     schedule = {"faults": 1, "rows": [{**row, "expect": expect} for row in rows]}
     (folder / "faults.yaml").write_text(yaml.safe_dump(schedule))
-    (folder / "sequence.yaml").write_text(SEQUENCE)
+    (folder / "sequence.yaml").write_text(sequence)
     run = folder / "run"
     arguments = ["run", str(folder / "sequence.yaml"), "--bench", bench, "--yes", "--out", str(run)]
     arguments += ["--faults", str(folder / "faults.yaml")]

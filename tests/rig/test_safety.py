@@ -280,6 +280,10 @@ def test_messages_in_full() -> None:
 WORDS = {
     Check.NOT_RESET: ("not reset", "confirm the weight at the prompt"),
     Check.SAMPLE_AGE: ("sample age", "check the bus cabling, termination and load, then run again"),
+    Check.PAUSE: (
+        "sample age after a pause of this computer",
+        "close other programs on this computer, then run again",
+    ),
     Check.DRIVE_STATE: (
         "drive state",
         "read the drive's error code (603Fh), remove its cause, then run again",

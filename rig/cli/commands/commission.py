@@ -33,6 +33,7 @@ from rig.fault_injection.scene import Scene
 from rig.results.commission import commission_document, commission_record, difference
 from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.terminal import text as shown
+from rig.runs.catalogue.walk import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
 from rig.runs.run_record import Ending
@@ -44,7 +45,7 @@ from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
 
-RECORD_FILE = "commission.json"
+RECORD_FILE = COMMISSION_JSON
 PATCH_FILE = "bench.patch"
 
 
@@ -63,14 +64,14 @@ PATCH_FILE = "bench.patch"
 @click.option(
     "--angle",
     "angle_deg",
-    type=float,
+    type=shared.Number(),
     help="True joint angle at the start, deg. Without this option the program asks for the angle; "
     "with --yes and without this option the angle is not checked.",
 )
 @click.option(
     "--speed-limit",
     "fastest_deg_s",
-    type=click.FloatRange(min=1.0),
+    type=shared.Number(min=1.0),
     default=FASTEST_DEG_S,
     show_default=True,
     help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; with soft "
@@ -87,14 +88,14 @@ PATCH_FILE = "bench.patch"
 @click.option(
     "--home-angle",
     "home_deg",
-    type=float,
+    type=shared.Number(),
     help="True joint angle of the home position, deg. [default: --angle if the homing method moves "
     "nothing, else the angle of the joint encoder]",
 )
 @click.option(
     "--home-time",
     "home_time_s",
-    type=click.FloatRange(min=1.0),
+    type=shared.Number(min=1.0),
     help="Longest time of the homing, s. [default: 5 if the homing method moves nothing, else from "
     "the limits of angle and speed]",
 )

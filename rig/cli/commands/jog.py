@@ -39,11 +39,17 @@ SCHEMA = "loadrig.jog/1"
 @click.option(
     "--to",
     "angles",
-    type=float,
+    type=shared.Number(),
     multiple=True,
     help="Joint angle, deg; may be given several times.",
 )
-@click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
+@click.option(
+    "--speed",
+    type=shared.Number(),
+    default=5.0,
+    show_default=True,
+    help="Greatest speed on the way, deg/s.",
+)
 @click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
 @shared.simulated_seed
 @shared.reset_fault()

@@ -166,7 +166,7 @@ PANELS: tuple[Panel, ...] = (
         "ms",
         1e3,
         {"age": "age", "answer": "answer collected after the cycle's start"},
-        (Check.SAMPLE_AGE,),
+        (Check.SAMPLE_AGE, Check.PAUSE),
         lambda limits: limits.sample_age,
     ),
     LATENESS,
