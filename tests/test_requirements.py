@@ -14,10 +14,15 @@ from pathlib import Path
 _PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 
 
+def _name(requirement: str) -> str:
+    """Normalised name of a distribution (PEP 503)."""
+    return re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", requirement)[0]).lower()
+
+
 def _needed(names: list[str]) -> set[str]:
     """Names of the distributions that these requirements install, without extras."""
     found: set[str] = set()
-    waiting = [re.split(r"[^\w.-]", name)[0].lower() for name in names]
+    waiting = [_name(requirement) for requirement in names]
     while waiting:
         name = waiting.pop()
         if name in found:
@@ -25,7 +30,7 @@ def _needed(names: list[str]) -> set[str]:
         found.add(name)
         with suppress(metadata.PackageNotFoundError):  # needed by other systems only
             waiting += [
-                re.split(r"[^\w.-]", requirement)[0].lower()
+                _name(requirement)
                 for requirement in metadata.requires(name) or ()
                 if "extra ==" not in requirement
             ]
@@ -48,7 +53,7 @@ def test_the_base_installation_imports_every_command() -> None:
     others = [
         package
         for package, distributions in metadata.packages_distributions().items()
-        if base.isdisjoint(name.lower() for name in distributions)
+        if base.isdisjoint(map(_name, distributions))
     ]
     assert "pytest" in others
     done = subprocess.run(
