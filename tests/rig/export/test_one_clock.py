@@ -104,6 +104,17 @@ def test_a_table_beside_a_log(run: Path) -> None:
     assert np.min(np.abs(sample_times(run) - float(table["time"]))) < 1e-9
 
 
+def test_after_a_recovery(run: Path) -> None:
+    """A recording whose writer died keeps its clock when it is repaired."""
+    path = run / "recording.mcap"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    assert status(["recover", str(run)]) == 0
+    with can.CanutilsLogReader(exported(run, "candump", "a.log")) as messages:
+        stamps = [m.timestamp - created(run) for m in messages if m.arbitration_id == PDO]
+    np.testing.assert_allclose(behind(sample_times(run), stamps), ANSWER_S, atol=3e-6)
+
+
 def test_frames_of_an_earlier_version(run: Path) -> None:
     """Their times count from an unknown origin: the first frame is taken as the start."""
     path = run / "recording.mcap"
