@@ -178,3 +178,16 @@ def test_every_operator_case_names_a_test_that_exists() -> None:
         (place,) = _CODE.findall(where)
         file, _, name = place.partition("::")
         assert f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), place
+
+
+def test_the_architecture_lists_the_folders_of_rig() -> None:
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    table = text.partition("The folders of `rig`")[2].partition("A folder of the table")[0]
+    listed = re.findall(r"^\| `(\w+)/` \|", table, re.MULTILINE)
+    assert sorted(listed) == sorted(path.parent.name for path in ROOT.glob("rig/*/__init__.py"))
+    users = {
+        path.relative_to(ROOT).parts[:2]
+        for path in ROOT.glob("identification/**/*.py")
+        if re.search(r"^\s*(?:import|from) matplotlib", path.read_text(), re.MULTILINE)
+    }
+    assert users == {("identification", "plots")}

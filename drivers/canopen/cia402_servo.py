@@ -28,7 +28,7 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.lacks import Lacks
-from drivers.objects import ProcessChannel, identity_doubts, optional, read_identity, refusal
+from drivers.objects import ProcessChannel, identity_doubts, optional, read_identity
 from drivers.transitions import await_state, exchanges
 from drivers.units import ServoScales
 
@@ -141,23 +141,22 @@ class Cia402Servo(HomingServo):
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
         """Yield an error for each limit that does not fit into its object."""
-        for address, value in servo_limits.encode(limits, self._scales).items():
-            if address in self._held:
-                yield from refusal(self._channel.require_fit, *address, value)
-        for address, value in self._motion.settings(limits):
-            yield from refusal(self._channel.require_fit, *address, value)
+        encoded = servo_limits.encode(limits, self._scales).items()
+        values = [(address, value) for address, value in encoded if address in self._held]
+        values += self._motion.settings(limits)
+        yield from servo_limits.refusals(self._channel, self._scales, values)
 
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
 
         Raises:
-            ConfigurationError: A value that is read back differs from the written value, or a limit
-                does not fit into its object.
+            LimitError: A value that is read back differs from the written value, or a limit does
+                not fit into its object.
             ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
         for address, value in self._motion.settings(limits):
-            servo_limits.store(self._channel, address, value)
+            servo_limits.store_limit(self._channel, self._scales, address, value)
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:

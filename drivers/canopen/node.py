@@ -9,7 +9,7 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, configure, plan
-from drivers.canopen.sdo import PumpedNode, Wire, described, translated, variable
+from drivers.canopen.sdo import PumpedNode, Wire, described, translated, unfit, variable
 from drivers.clock import NS
 from drivers.errors import ConfigurationError, LinkError, StateError
 from drivers.objects import ObjectAddress, PdoLayout, optional, refusal
@@ -341,10 +341,7 @@ class CanopenNode:
         try:
             return bytes(item.STRUCT_TYPES[item.data_type].pack(value))
         except (KeyError, struct.error) as error:
-            raise ConfigurationError(
-                f"{self.label}: the value {value} does not fit into object "
-                f"{index:04X}h:{subindex:02X}h ({item.name})"
-            ) from error
+            raise unfit(self.label, item, value) from error
 
     def _upload(self, index: int, subindex: int) -> bytes:
         with translated(self.node_id, index, subindex):

@@ -8,11 +8,17 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 import canopen
-from canopen.objectdictionary import ObjectDictionary
+from canopen.objectdictionary import ObjectDictionary, datatypes
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from drivers.errors import ConfigurationError, LinkError, NotDescribedError, ObjectAccessError
+from drivers.errors import (
+    ConfigurationError,
+    LinkError,
+    NotDescribedError,
+    ObjectAccessError,
+    RangeError,
+)
 
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
@@ -145,6 +151,26 @@ def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
             f"node {node_id}, object {index:04X}h:{subindex:02X}h: {error}; "
             "check power, cabling, termination, bit rate and node identifier"
         ) from error
+
+
+def unfit(label: str, item: Any, value: int) -> ConfigurationError:
+    """Return the error for a value that cannot be packed into an object.
+
+    Args:
+        label: Name of the device.
+        item: The object, as :func:`variable` returns it.
+        value: The value.
+    """
+    what = (
+        f"{label}: the value {value} does not fit into object "
+        f"{item.index:04X}h:{item.subindex:02X}h ({item.name})"
+    )
+    signed = item.data_type in datatypes.SIGNED_TYPES
+    if not (signed or item.data_type in datatypes.UNSIGNED_TYPES):
+        return ConfigurationError(f"{what}, which is no integer")
+    span = 1 << len(item)
+    low, high = (-span // 2, span // 2 - 1) if signed else (0, span - 1)
+    return RangeError(low, high, f"{what}, which holds {low} to {high}")
 
 
 def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:

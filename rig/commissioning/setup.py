@@ -115,6 +115,7 @@ class Setup:
         """Return the setup of a bench whose link is open."""
         limits = low_limits(bench, fastest_deg_s)
         cycle = Cycle(limits, bench.cycle_ns, devices, recorder, stop, lambda *_: None)
+        recorder.begin(cycle.start_ns)
         return cls(bench, devices, interview, stop, recorder, limits, cycle, home=home)
 
     @cached_property

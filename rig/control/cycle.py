@@ -117,6 +117,11 @@ class Cycle:
         self.timing = Timing()
 
     @property
+    def start_ns(self) -> int:
+        """Start of the run by the link's clock, ns."""
+        return self._start_ns
+
+    @property
     def now_ns(self) -> int:
         """Time since the start of the run, ns."""
         return self._clock.now_ns() - self._start_ns

@@ -129,6 +129,7 @@ class Sequencer:
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
         """Run the phases; return the ending, a text on it, and the trip or defect, if any."""
         try:
+            self._recorder.begin(self._cycle.start_ns)
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
                 # Record the frames outside the control cycle first, before a further failure is

@@ -16,6 +16,7 @@ from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import (
+    CLOCK_METADATA,
     EVENT_JSON_SCHEMA,
     EVENT_TOPIC,
     FRAME_ENCODING,
@@ -70,6 +71,7 @@ class Recorder:
         self._path = path
         self._looked_ns = 0
         self._writer = writer = McapWriter(stream)
+        self._zero_ns = 0
         self._flushed_ns = 0
         self._latest_ns = 0
         self._broken = False
@@ -78,6 +80,19 @@ class Recorder:
         self._sample = writer.channel(SAMPLE_TOPIC, "protobuf", sample)
         self._event = writer.channel(EVENT_TOPIC, "json", event)
         self._frames = writer.channel(FRAMES_TOPIC, FRAME_ENCODING, 0)
+
+    def begin(self, zero_ns: int) -> None:
+        """Set the start of the recording, to be called before the first message; times of frames
+        are then recorded as times since this start.
+
+        Args:
+            zero_ns: Start of the recording by the clock that stamps the frames, ns.
+
+        Raises:
+            StorageError: The metadata cannot be written.
+        """
+        self._zero_ns = zero_ns
+        self.metadata(CLOCK_METADATA, {"zero_ns": str(zero_ns)})
 
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Record one cycle.
@@ -97,7 +112,7 @@ class Recorder:
         try:
             self._writer.message(self._sample, time_ns, encode_sample(sample))
             if frames:
-                self._writer.message(self._frames, time_ns, encode_frames(frames))
+                self._writer.message(self._frames, time_ns, encode_frames(frames, self._zero_ns))
             if time_ns - self._flushed_ns >= FLUSH_NS:
                 self._flushed_ns = time_ns
                 self._writer.flush()
@@ -147,7 +162,7 @@ class Recorder:
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
             with self._writing():
-                self._writer.message(self._frames, time_ns, encode_frames(frames))
+                self._writer.message(self._frames, time_ns, encode_frames(frames, self._zero_ns))
                 self._writer.flush()
 
     def copy(self, topic: str, time_ns: int, message: bytes) -> None:

@@ -26,13 +26,6 @@ LOWEST_SHARE = 1e-3
 """Least Stribeck speed that is tried, relative to the greatest recorded speed."""
 
 
-def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
-    """Return the values at the used samples of all recordings in one array, shape (n,); ``values``
-    has one array per recording.
-    """
-    return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
-
-
 def samples_in_motion(prepared: Sequence[Prepared]) -> int:
     """Return the number of samples in motion that a fit uses, over all recordings."""
     return sum(int(np.sum(_moving(p))) for p in prepared)

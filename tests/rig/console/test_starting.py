@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from rig.cli.commands.console import _server
-from rig.common.errors import InputError
 from rig.config.packaged import packaged
 from rig.console.starting import Starter, StartError, Wish
 
@@ -160,10 +158,3 @@ def test_a_run_that_fails_to_start_says_why(sequence: Path, tmp_path: Path) -> N
 def test_broken_wishes_are_refused(message: dict[str, Any]) -> None:
     with pytest.raises(StartError):
         Wish.of(message)
-
-
-def test_without_the_extra_the_command_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "rig.console.serve", raising=False)
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
-    with pytest.raises(InputError, match=r"pip install 'loadrig\[console\]'"):
-        _server()
