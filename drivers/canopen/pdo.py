@@ -5,7 +5,7 @@ values.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -14,7 +14,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.sdo import variable
 from drivers.errors import ConfigurationError, ObjectAccessError
-from drivers.objects import PdoLayout, optional
+from drivers.objects import ObjectAddress, PdoLayout, optional
 
 _MAX_BYTES: Final = 8
 PDO_BITS: Final = 8 * _MAX_BYTES
@@ -154,6 +154,13 @@ def plan(
             f"{direction.name}s"
         )
     return {layout.number: packing(dictionary, layout) for layout in layouts}
+
+
+def accessed(direction: Direction, layouts: Sequence[PdoLayout]) -> Iterator[ObjectAddress]:
+    """Yield the objects with which :func:`configure` begins the settings of each PDO."""
+    for layout in layouts:
+        index = direction.communication + layout.number - 1
+        yield from ((index, 1), (index, 2), (index + _MAPPING, 0))
 
 
 def configure(

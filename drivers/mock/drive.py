@@ -122,6 +122,7 @@ class SimulatedDrive(SimulatedNode):
         self.traits = traits or Traits()
         self._own = OwnObjects(self.traits)
         self._own.add_to(self.objects)
+        self.remote_frames = self.traits.remote_frames
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
         self.current_sign = 1

@@ -113,6 +113,8 @@ LACKS: Final[Mapping[str, frozenset[int]]] = {name: make.lacks for name, make in
 _HEAD: Final = re.compile(r"\[([0-9A-Fa-f]{4})(?:sub[0-9A-Fa-f]+)?\]\s*$")
 _STANDARD: Final = frozenset({(0x6078, 0)})
 """Objects of CiA 402 that drives of some make have in another unit."""
+_ERROR_CONTROL: Final = ((0x100C, 0), (0x100D, 0), (0x1017, 0), (0x1029, 1))
+"""Objects whose value after power-on a simulated drive takes from its EDS."""
 _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 """Struct code to data type of CiA 301."""
 
@@ -142,7 +144,7 @@ def description(make: str) -> str:
 
 def described_drive(dictionary: ObjectDictionary) -> Traits:
     """Return the kind of simulated drive for an EDS: the make follows from vendor and objects in
-    the EDS, and the drive has only the objects of the EDS.
+    the EDS, and the drive has only the objects of the EDS, and its values of NMT error control.
     """
     vendor, product = identity(dictionary)
     shown = addresses(dictionary)
@@ -152,7 +154,15 @@ def described_drive(dictionary: ObjectDictionary) -> Traits:
         if make.vendor_id == vendor and all(own.address in shown for own in make.own)
     ]
     traits = max(found, key=lambda make: len(make.own), default=Traits())
-    return replace(traits, product_code=product or traits.product_code, shown=shown)
+    stated = {
+        address: variable.default
+        for address in _ERROR_CONTROL
+        if address in shown
+        and (variable := dictionary.get_variable(*address)) is not None
+        and isinstance(variable.default, int)
+    }
+    code = product or traits.product_code
+    return replace(traits, product_code=code, shown=shown, defaults=stated)
 
 
 def _record(index: int) -> str:

@@ -4,7 +4,7 @@ modes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field
 
 from drivers.mock.canopen.dictionary import DeviceDictionary, Entry, key
@@ -67,6 +67,9 @@ class Traits:
         rated_torque_unit_N_m: Unit of the rated torque 6076h, N m.
         modes: Modes of operation, the value of 6502h.
         shown: Addresses of the objects that can be accessed over the bus, or None for all objects.
+        defaults: Values after power-on that differ from those of the usual simulated drive, by
+            index and subindex.
+        remote_frames: Whether the drive answers guard requests, which are remote frames.
     """
 
     vendor_id: int = 0x7FF
@@ -80,6 +83,8 @@ class Traits:
     rated_torque_unit_N_m: float = 1e-3
     modes: int = PP | HM | CSP | CSV | CST
     shown: Container[tuple[int, int]] | None = None
+    defaults: Mapping[tuple[int, int], int] = field(default_factory=dict)
+    remote_frames: bool = True
 
     def speed_unit(self, counts_per_turn: float) -> float:
         """Return the unit of the drive's speeds, counts per second."""
@@ -125,6 +130,7 @@ class OwnObjects:
         values[key(0x1018, 1)] = self.traits.vendor_id
         values[key(0x1018, 2)] = self.traits.product_code
         values[key(0x6502)] = self.traits.modes
+        values.update((key(*address), value) for address, value in self.traits.defaults.items())
         for shown in self.traits.own:
             if shown.quantity is None:
                 values[key(*shown.address)] = round(rated_current_A / shown.unit)

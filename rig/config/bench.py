@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -18,6 +19,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
 from drivers.canopen import cia402_objects, cia404, cia406
 from drivers.canopen.eds_file import read_eds
+from drivers.canopen.sdo import described
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
@@ -351,11 +353,12 @@ def _with_watch(document: Document[Bench]) -> Document[Bench]:
     if not isinstance(servo, ServoSection) or servo.stops_alone is not None or servo.eds is None:
         return document
     try:
-        described = read_eds(document.path.parent / servo.eds, servo.node)
+        eds = read_eds(document.path.parent / servo.eds, servo.node)
     except ConfigurationError:
         return document
-    is_drive = all(index in described for index, _ in cia402_objects.NEEDED)
-    if cia402_objects.ON_ABORT[0] in described or not is_drive:
+    has = partial(described, eds, mappable=False)
+    is_drive = all(has(*address) for address in cia402_objects.NEEDED)
+    if not is_drive or cia402_objects.stops_alone(has):
         return document
     return without_watch(document)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -34,6 +35,25 @@ SCALES = ServoScales(
     temperature_object=(0x2101, 0),
     known_objects=((0x2100, 0), (0x2101, 0)),
 )
+
+
+def drive_eds(
+    folder: Path, lacks: Sequence[int] = (), defaults: Mapping[tuple[int, int], int] | None = None
+) -> Path:
+    """Write the EDS of the simulated drive without some objects, and with other default values."""
+    kept, keep, at = [], True, (0, 0)
+    for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
+        if head := re.match(r"\[([0-9A-F]{4})(?:sub([0-9A-F]+))?\]", line):
+            at = int(head[1], 16), int(head[2] or "0", 16)
+        if line.startswith("["):
+            keep = head is None or at[0] not in lacks
+        if line.startswith("DefaultValue=") and at in (defaults or {}):
+            line = f"DefaultValue={(defaults or {})[at]}"
+        if keep:
+            kept.append(line)
+    path = folder / "drive.eds"
+    path.write_text("\n".join(kept) + "\n", encoding="ascii")
+    return path
 
 
 @dataclass

@@ -129,6 +129,13 @@ class DeviceDictionary:
         """Return an integer value."""
         return self.values[key(index, subindex)]
 
+    def kept(self, index: int, subindex: int = 0) -> int:
+        """Return the value of an object of the communication profile; 0 if the device does not have
+        the object.
+        """
+        number = key(index, subindex)
+        return self.values[number] if number in self.entries else 0
+
     def entry(self, index: int, subindex: int) -> Entry:
         """Find an object.
 
