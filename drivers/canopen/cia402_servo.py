@@ -94,6 +94,7 @@ class Cia402Servo(HomingServo):
         self._target = 0
         self._previous = 0
         self._staged_in = 0
+        self._armed = False
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
@@ -104,10 +105,16 @@ class Cia402Servo(HomingServo):
         yield from identity_doubts(self._channel)
 
     def state(self) -> ServoState:
-        """Read the drive's state from the device (6041h)."""
+        """Read the drive's state from the device (6041h), and end the heartbeat time-out of a drive
+        that has switched off by itself.
+        """
         state = decode_state(self._channel.read(*cia402.STATUSWORD))
         if not state.energised:
             self._channel.limit_wait(None)
+            if self._armed:
+                # Without power the loop may pause, but a drive may go into fault then, too.
+                with suppress(DeviceError):
+                    self._release()
         return state
 
     def sent_state(self) -> ServoState | None:
@@ -246,7 +253,7 @@ class Cia402Servo(HomingServo):
         self._motion.begin(cycle_s)
         with channel.kept_alive(_ENABLE_SHARE * self._timeout_s):
             self._arm()
-            channel.unwatch()
+            self._release()
         self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
@@ -292,7 +299,8 @@ class Cia402Servo(HomingServo):
             self._await(lambda state: not state.energised, "a de-energised state")
             if self._motion.takes_offset:
                 channel.write(*TORQUE_OFFSET, 0)
-            channel.unwatch()
+            if self._armed or not self._cycle_ns:
+                self._release()
 
     def quick_stop(self, *, at_once: bool = True) -> None:
         """Order the drive to brake with its own ramp (605Ah, 6085h).
@@ -383,9 +391,14 @@ class Cia402Servo(HomingServo):
         """Make the drive monitor the control loop; a drive that counts as a drive without a
         watchdog may refuse this.
         """
+        self._armed = True
         for refused in refusal(self._channel.watch, self._watch_s):
             if self.watch_s is not None:
                 raise refused
+
+    def _release(self) -> None:
+        self._channel.unwatch()
+        self._armed = False
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
