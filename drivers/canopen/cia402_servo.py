@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Final
 
 from drivers import servo_limits
@@ -39,9 +39,9 @@ _ENABLE_SHARE: Final = 3.0
 signs of the control loop end then.
 """
 _UNANSWERED_SHARE, _DISABLE_SHARE = 1.5, 5.0
-"""Time in which a drive answers the command to switch the power off, and time of all further
-requests of this command, in units of the heartbeat time-out: the signs of the control loop end then
-at the latest, so that a drive that does not switch off stops by itself.
+"""Time in which a drive answers a request for its state or the command to switch the power off, and
+time of all further requests of this command, in units of the heartbeat time-out: the signs of the
+control loop end then at the latest, so that a drive that does not answer or obey stops by itself.
 """
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
@@ -108,7 +108,11 @@ class Cia402Servo(HomingServo):
         """Read the drive's state from the device (6041h), and end the heartbeat time-out of a drive
         that has switched off by itself.
         """
-        state = decode_state(self._channel.read(*cia402.STATUSWORD))
+        # A drive that does not execute the quick stop is braked by its watchdog.
+        told = self._armed and self._word != cia402.QUICK_STOP
+        limit_s = _UNANSWERED_SHARE * self._watch_s
+        with self._channel.kept_alive(limit_s) if told else nullcontext():
+            state = decode_state(self._channel.read(*cia402.STATUSWORD))
         if not state.energised:
             self._channel.limit_wait(None)
             if self._armed:

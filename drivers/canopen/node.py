@@ -398,13 +398,15 @@ class CanopenNode:
     @contextmanager
     def kept_alive(self, limit_s: float) -> Iterator[None]:
         """While this context is open, but at most for ``limit_s``, send the signs of the control
-        loop also while an SDO answer is awaited.
+        loop also while an SDO answer is awaited. A context within another does not extend it.
         """
-        self._wire.alive_until_ns = self._wire.clock.now_ns() + round(limit_s * NS)
+        wire, outer_ns = self._wire, self._wire.alive_until_ns
+        until_ns = wire.clock.now_ns() + round(limit_s * NS)
+        wire.alive_until_ns = min(until_ns, outer_ns) if outer_ns else until_ns
         try:
             yield
         finally:
-            self._wire.alive_until_ns = 0
+            wire.alive_until_ns = outer_ns
 
     def limit_wait(self, limit_s: float | None) -> None:
         """Wait at most ``limit_s`` for an SDO answer if the heartbeat consumer is active, because

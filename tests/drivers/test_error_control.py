@@ -294,3 +294,43 @@ def test_an_object_without_which_a_run_fails_is_found_by_the_check(
         found += failed
         host.link.close()
     assert found >= 15
+
+
+def test_the_state_of_a_slow_drive_is_read_under_power(tmp_path: Path) -> None:
+    host = enabled(make_host(eds=drive_eds(tmp_path)))
+    host.bench.drive.sdo_delay_ns = 100_000_000
+    for _ in range(3):
+        host.cycles(30)
+        assert host.servo.state() is ServoState.OPERATION_ENABLED
+    host.servo.disable()
+    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    host.link.close()
+
+
+def test_requests_without_an_answer_do_not_keep_power_on(tmp_path: Path) -> None:
+    host = enabled(make_host(eds=drive_eds(tmp_path)))
+    host.cycles(30)
+    begun = host.clock.now_ns()
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    off: list[int] = []
+    host.bench.drive.entered.append(
+        lambda state: off.append(host.clock.now_ns() - begun) if state is State.FAULT else None
+    )
+    for _ in range(4):
+        with suppress(DeviceError):
+            host.servo.state()
+    assert off
+    assert off[0] < 0.35e9
+    host.link.close()
+
+
+def test_a_drive_that_switched_off_by_itself_is_no_longer_watched(tmp_path: Path) -> None:
+    host = enabled(make_host(eds=drive_eds(tmp_path)))
+    host.cycles(30)
+    host.servo.quick_stop()
+    host.cycles(60)
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+    assert host.bench.drive.objects.integer(0x1016, 1) == 0
+    host.wait(0.5)
+    host.link.exchange()
+    host.link.close()
