@@ -189,6 +189,15 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
+    def unguarded(self, watched: bool) -> Iterator[DeviceError]:
+        """Yield an error for a device that :meth:`map_process_data` would guard by remote frames,
+        and that does not answer one. Nothing is written.
+
+        Raises:
+            LinkError: The request cannot be sent.
+        """
+        ...
+
     def map_process_data(
         self,
         outputs: Sequence[PdoLayout],
@@ -323,6 +332,7 @@ def access_refusals(
         for error in refusal(channel.read, *address):
             if not (isinstance(error, ObjectAccessError) and error.code == _WRITE_ONLY):
                 yield error
+    yield from channel.unguarded(watched)
 
 
 def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:

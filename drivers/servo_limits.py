@@ -8,7 +8,7 @@ from typing import Final
 
 from drivers.errors import ConfigurationError
 from drivers.interfaces import LimitSteps, ServoLimits
-from drivers.objects import ObjectAccess, ObjectAddress
+from drivers.objects import ObjectAccess, ObjectAddress, optional
 from drivers.units import ServoScales
 
 POSITION_MIN: Final = (0x607D, 1)
@@ -116,7 +116,8 @@ def read(
     drive: ObjectAccess, scales: ServoScales, held: Sequence[ObjectAddress] = OBJECTS
 ) -> ServoLimits:
     """Read the limits that are stored in a drive, from those limit objects that the drive has."""
-    return decode({address: drive.read(*address) for address in held}, scales)
+    found = {address: optional(drive.read, *address) for address in held}
+    return decode({at: value for at, value in found.items() if value is not None}, scales)
 
 
 def write(

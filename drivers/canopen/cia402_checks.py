@@ -8,7 +8,12 @@ from drivers import servo_limits
 from drivers.canopen import cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402_objects import Cyclic
-from drivers.canopen.motion import TORQUE_OFFSET, Motion
+from drivers.canopen.motion import (
+    PROFILE_ACCELERATION,
+    TORQUE_OFFSET,
+    Motion,
+    ProfilePosition,
+)
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.lacks import Lacks
 from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, access_refusals, refusal
@@ -85,6 +90,8 @@ def lacks(
     words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
     words += [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
     words += _replaced(channel, scales, sent, cycle_s)
+    if motion.mode == ProfilePosition.mode and not channel.describes(*PROFILE_ACCELERATION):
+        words.append("no ramps of the profile (6083h, 6084h): set them with the maker's tool")
     return Lacks(frozenset(missing), sent.temperature is None, sent.supply is None, tuple(words))
 
 

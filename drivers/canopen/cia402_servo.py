@@ -163,7 +163,8 @@ class Cia402Servo(HomingServo):
             if address in self._held:
                 yield from refusal(self._channel.require_fit, *address, value)
         for address, value in self._motion.settings(limits):
-            yield from refusal(self._channel.require_fit, *address, value)
+            if self._channel.describes(*address):
+                yield from refusal(self._channel.require_fit, *address, value)
 
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
@@ -175,7 +176,8 @@ class Cia402Servo(HomingServo):
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
         for address, value in self._motion.settings(limits):
-            servo_limits.store(self._channel, address, value)
+            if self._channel.describes(*address):
+                servo_limits.store(self._channel, address, value)
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:

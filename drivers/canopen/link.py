@@ -17,6 +17,7 @@ import canopen
 from drivers.can.port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
 from drivers.can.slcan_port import open_slcan
 from drivers.can.timing import ANSWER_SHARE
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.emergency import explain
 from drivers.canopen.node import (
@@ -130,8 +131,13 @@ class CanopenLink(Link):
         name = f"{interface} {channel} at {bitrate} bit/s"
         return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)
 
-    def add_node(self, node_id: int, eds: Path) -> CanopenNode:
+    def add_node(self, node_id: int, eds: Path, axis: Axis = ONE_AXIS) -> CanopenNode:
         """Declare a device on the bus.
+
+        Args:
+            node_id: Node identifier.
+            eds: Its EDS file.
+            axis: The axis that is used of a device with several axes.
 
         Raises:
             ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
@@ -139,7 +145,7 @@ class CanopenLink(Link):
         """
         require_node(node_id, {self.master_id, *self._nodes})
         dictionary = read_eds(eds, node_id)
-        node = CanopenNode(node_id, dictionary, self)
+        node = CanopenNode(node_id, dictionary, self, axis)
         self._network.add_node(node.remote)
         self._nodes[node_id] = node
         return node

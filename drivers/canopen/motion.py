@@ -363,8 +363,6 @@ class ProfilePosition(Motion):
         return {
             **super().needed,
             PROFILE_SPEED: "it limits the speed of the profile",
-            PROFILE_ACCELERATION: "it is the acceleration of the profile",
-            PROFILE_DECELERATION: "it is the deceleration of the profile",
         }
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:

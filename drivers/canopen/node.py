@@ -11,10 +11,11 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoCommunicationError
 
 from drivers.can.port import REMOTE_FLAG
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, accessed, configure, plan
 from drivers.canopen.sdo import PumpedNode, Wire, described, translated, variable
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, LinkError, StateError
+from drivers.errors import ConfigurationError, DeviceError, LinkError, StateError
 from drivers.objects import (
     CONSUMER,
     GUARD_TIME,
@@ -40,7 +41,8 @@ _ERROR_CONTROL: Final = 0x700
 _REQUEST: Final = bytes(1)
 """A guard request has the length of its answer; a remote frame has no data."""
 _ENTER_PRE_OPERATIONAL: Final = 0x80
-_ANSWER_S: Final = 0.02
+_PROBE_S: Final = 0.1
+"""Time in which a device answers a guard request."""
 
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 NMT_NAMES: Final = {
@@ -116,8 +118,11 @@ class CanopenNode:
         guarding: Node guarding, or None for a device that sends heartbeats.
     """
 
-    def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
+    def __init__(
+        self, node_id: int, dictionary: ObjectDictionary, wire: Wire, axis: Axis = ONE_AXIS
+    ) -> None:
         self.node_id = node_id
+        self._axis = axis
         self.remote = PumpedNode(node_id, dictionary, wire)
         self.outputs: dict[int, bytes] = {}
         self.inputs: dict[int, Input] = {}
@@ -166,6 +171,7 @@ class CanopenNode:
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
+        index, subindex = self._at(index, subindex)
         item = variable(self._dictionary, index, subindex)
         data = self._upload(index, subindex)
         if not item.fixed_size or len(data) != len(item) // 8:
@@ -173,7 +179,9 @@ class CanopenNode:
                 f"{self.label}: object {index:04X}h:{subindex:02X}h has {len(data)} bytes, but "
                 f"{len(item) // 8} in its EDS; use the EDS file of this device"
             )
-        return int(item.decode_raw(data))
+        value = int(item.decode_raw(data))
+        share = self._axis.share(self._dictionary, index, subindex)
+        return value if share is None else value >> 16 * share & 0xFFFF
 
     def read_text(self, index: int, subindex: int = 0) -> str:
         """Read a visible-string object; the errors are those of :meth:`read`."""
@@ -187,6 +195,7 @@ class CanopenNode:
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
+        index, subindex = self._at(index, subindex)
         data = self._packed(index, subindex, value)
         self._access(index, subindex, lambda: self.remote.sdo.download(index, subindex, data))
 
@@ -199,18 +208,20 @@ class CanopenNode:
         """Return whether the EDS contains an object and, with ``mappable``, allows the object in
         process data. Nothing is sent.
         """
-        return described(self._dictionary, index, subindex, mappable)
+        if (index, subindex) in self._axis.unlike:
+            return False
+        return described(self._dictionary, *self._at(index, subindex), mappable)
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
         """Return whether a PDO can hold these objects. Nothing is sent."""
-        found = (self._dictionary.get_variable(*address) for address in addresses)
+        found = (self._dictionary.get_variable(*self._at(*address)) for address in addresses)
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
 
     def stated(self, index: int, subindex: int) -> int | None:
         """Return the default value of an object in the EDS, or None without a default value,
         without sending anything.
         """
-        item = self._dictionary.get_variable(index, subindex)
+        item = self._dictionary.get_variable(*self._at(index, subindex))
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
 
@@ -220,7 +231,7 @@ class CanopenNode:
 
         Nothing is sent.
         """
-        self._packed(index, subindex, value)
+        self._packed(*self._at(index, subindex), value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object; the SDO request is sent even if no answer can be received.
@@ -250,7 +261,7 @@ class CanopenNode:
                 "by which this program detects that the device is lost"
             )
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
-            plan(self._dictionary, self.label, direction, layouts)
+            plan(self._dictionary, self.label, direction, layouts, self._axis)
 
     def accessed(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
@@ -263,6 +274,24 @@ class CanopenNode:
             yield from accessed(direction, layouts)
         for layout in (*outputs, *inputs):
             yield from layout.objects
+
+    def unguarded(self, watched: bool) -> Iterator[DeviceError]:
+        """Yield an error for a device that is to be guarded and does not answer a guard request.
+
+        A device that sends heartbeats answers none, and a device with a life time would expect
+        more; these devices are not asked.
+        """
+        if not self._guarded(watched) or any(
+            self.describes(*address) and optional(self.read, *address)
+            for address in (_PRODUCER, LIFE_FACTOR)
+        ):
+            return
+        usual, self.guarding = self.guarding, Guarding()
+        try:
+            if not self._answers_guarding():
+                yield self._no_remote_frames(_PROBE_S)
+        finally:
+            self.guarding = usual
 
     def map_process_data(
         self,
@@ -294,13 +323,13 @@ class CanopenNode:
             self._produce_heartbeat()
         self.outputs, self._staged, self._then = {}, {}, {}
         for layout, (identifier, packing) in zip(
-            outputs, configure(self, self._dictionary, RECEIVE, outputs), strict=True
+            outputs, configure(self, self._dictionary, RECEIVE, outputs, self._axis), strict=True
         ):
             self.outputs[identifier] = bytes(packing.size)
             self._staged[layout.number] = (identifier, packing)
         self.inputs, self._numbered, self._slow = {}, {}, []
         for layout, (identifier, packing) in zip(
-            inputs, configure(self, self._dictionary, TRANSMIT, inputs), strict=True
+            inputs, configure(self, self._dictionary, TRANSMIT, inputs, self._axis), strict=True
         ):
             slot = Input(packing, layout.every, layout.slack)
             slot.values = tuple(self.read(*address) for address in layout.objects)
@@ -414,6 +443,10 @@ class CanopenNode:
         """
         self.remote.limit_wait(limit_s if self._watched else None)
 
+    def _at(self, index: int, subindex: int) -> ObjectAddress:
+        """Return the address of an object of the first axis in the objects of the axis used."""
+        return self._axis.at(self._dictionary, index, subindex)
+
     def _guarded(self, watched: bool) -> bool:
         """Return whether the device is guarded; otherwise it sends heartbeats. A device does not do
         both.
@@ -499,10 +532,24 @@ class CanopenNode:
 
     def _stopped(self) -> bool:
         """Return whether the device, which has not answered, is in the NMT state STOPPED."""
-        if (guarding := self.guarding) is not None:
-            self.request()
-            self._wire.pump(lambda: guarding.unanswered_ns is None, _ANSWER_S)
+        self._answers_guarding()
         return self.nmt_state == STOPPED
+
+    def _answers_guarding(self) -> bool:
+        """Send a guard request to a guarded device; return whether it is answered."""
+        guarding = self.guarding
+        if guarding is None:
+            return False
+        self.request()
+        return self._wire.pump(lambda: guarding.unanswered_ns is None, _PROBE_S)
+
+    def _no_remote_frames(self, waited_s: float) -> LinkError:
+        return LinkError(
+            f"{self.label} did not answer the guard requests (remote frames "
+            f"{_ERROR_CONTROL | self.node_id:03X}h) within {waited_s:g} s: the device or the CAN "
+            "interface has no remote frames, so that the drive cannot monitor this program; set "
+            "servo.stops_alone: false, which reduces the limits"
+        )
 
     def _command(self, code: int) -> None:
         self._wire.send(0x000, bytes([code, self.node_id]))
@@ -520,12 +567,7 @@ class CanopenNode:
                 else NMT_NAMES.get(self.nmt_state, f"{self.nmt_state}")
             )
             if self.guarding is not None and self.nmt_state is None:
-                raise LinkError(
-                    f"{self.label} did not answer the guard requests (remote frames "
-                    f"{_ERROR_CONTROL | self.node_id:03X}h) within {timeout_s:g} s: the device or "
-                    "the CAN interface has no remote frames, so that the drive cannot monitor this "
-                    "program; set servo.stops_alone: false, which reduces the limits"
-                )
+                raise self._no_remote_frames(timeout_s)
             raise LinkError(
                 f"{self.label} did not report the NMT state OPERATIONAL within {timeout_s:g} s "
                 f"(last heartbeat: {state})"

@@ -16,7 +16,7 @@ from drivers.canopen.cia402 import CONTROLWORD
 from drivers.clock import NS
 from drivers.epos.frames import ERROR, NMT, OBJECT, Opcode, encode
 from drivers.epos.object_access import VALUE_BYTES, Line, ObjectAccess
-from drivers.errors import ConfigurationError, StateError
+from drivers.errors import ConfigurationError, DeviceError, StateError
 from drivers.objects import ObjectAddress, PdoLayout
 
 CYCLE_WRITES: Final = 1
@@ -185,6 +185,10 @@ class EposSerialNode(ObjectAccess):
         for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
             if address != _HOST_TIME:
                 yield address
+
+    def unguarded(self, watched: bool) -> Iterator[DeviceError]:
+        """Yield nothing: the protocol has no remote frames."""
+        yield from ()
 
     def map_process_data(
         self,

@@ -13,12 +13,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.device_data import identity
-from drivers.canopen.eds_file import addresses
+from drivers.canopen.eds_file import addresses, read_eds
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.traits import HM, PP, Shown, Traits, current_A, supply_V, temperature_C
 
@@ -142,12 +144,20 @@ def description(make: str) -> str:
     )
 
 
-def described_drive(dictionary: ObjectDictionary) -> Traits:
+def described_drive(dictionary: ObjectDictionary, axis: Axis = ONE_AXIS) -> Traits:
     """Return the kind of simulated drive for an EDS: the make follows from vendor and objects in
     the EDS, and the drive has only the objects of the EDS, and its values of NMT error control.
+
+    Args:
+        dictionary: The EDS.
+        axis: The axis that the simulated drive is, of a device with several axes.
     """
     vendor, product = identity(dictionary)
-    shown = addresses(dictionary)
+    usual, described = _usual(), addresses(dictionary)
+    single = {(index, sub) for index, sub in usual if sub or (index, 1) not in usual}
+    at = {own: axis.at(dictionary, *own) if own in single else own for own in usual | described}
+    shown = frozenset(own for own, on_bus in at.items() if on_bus in described)
+    places = {on_bus: own for own, on_bus in at.items() if own in usual and on_bus != own}
     found = [
         make
         for make in MAKES.values()
@@ -162,7 +172,19 @@ def described_drive(dictionary: ObjectDictionary) -> Traits:
         and isinstance(variable.default, int)
     }
     code = product or traits.product_code
-    return replace(traits, product_code=code, shown=shown, defaults=stated)
+    return replace(
+        traits,
+        product_code=code,
+        shown=shown,
+        defaults=stated,
+        places=places,
+        status_share=axis.share(dictionary, 0x6041, 0),
+    )
+
+
+@lru_cache(maxsize=1)
+def _usual() -> frozenset[tuple[int, int]]:
+    return addresses(read_eds(DRIVE_EDS, 1))
 
 
 def _record(index: int) -> str:

@@ -10,7 +10,6 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from datetime import date
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -18,6 +17,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
 from drivers.canopen import cia402_objects, cia404, cia406
+from drivers.canopen.axis import Axis
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.sdo import described
 from drivers.errors import ConfigurationError
@@ -243,6 +243,11 @@ class Bench(Schema):
                     "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; "
                     "use amt21"
                 )
+            if self.servo.object_offset or self.servo.sub_index:
+                raise ValueError(
+                    "servo.object_offset and servo.sub_index need a CAN bus, but bus.interface is "
+                    "epos_serial; remove these keys"
+                )
             if self.servo.mode not in (None, "csp"):
                 raise ValueError(
                     f"servo.mode {self.servo.mode} needs a CAN bus: over a serial line only "
@@ -356,7 +361,11 @@ def _with_watch(document: Document[Bench]) -> Document[Bench]:
         eds = read_eds(document.path.parent / servo.eds, servo.node)
     except ConfigurationError:
         return document
-    has = partial(described, eds, mappable=False)
+    axis = Axis(servo.object_offset, servo.sub_index)
+
+    def has(index: int, subindex: int) -> bool:
+        return described(eds, *axis.at(eds, index, subindex), mappable=False)
+
     is_drive = all(has(*address) for address in cia402_objects.NEEDED)
     if not is_drive or cia402_objects.stops_alone(has):
         return document

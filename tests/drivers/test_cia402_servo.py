@@ -142,6 +142,9 @@ class Drive:
     def require_mappable(self, outputs: Any, inputs: Any) -> None:
         pass
 
+    def unguarded(self, watched: bool) -> Any:
+        return ()
+
     def kept_alive(self, limit_s: float) -> Any:
         return nullcontext()
 

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from drivers.canopen.axis import Axis
+
 from .contract import Rig, ServoContract
 from .host import drive_eds, make_host
 
@@ -52,5 +54,20 @@ class TestOtherErrorControl(ServoContract):
         lacks, defaults, python_can = request.param
         eds = drive_eds(tmp_path, lacks, defaults)
         host = make_host(eds=eds, python_can=python_can)
+        yield Rig(host.link, host.servo, host.encoder, host.cycle_s, host.cycles)
+        host.link.close()
+
+
+class TestAxes(ServoContract):
+    """One axis of a drive with several axes in one node."""
+
+    @pytest.fixture(
+        params=[Axis(object_offset=0x800), Axis(object_offset=0x1800), Axis(sub_index=1),
+                Axis(sub_index=2)],
+        ids=["6800h", "7800h", "first subindex", "second subindex"],
+    )  # fmt: skip
+    def rig(self, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+        axis: Axis = request.param
+        host = make_host(eds=drive_eds(tmp_path, axis=axis), axis=axis)
         yield Rig(host.link, host.servo, host.encoder, host.cycle_s, host.cycles)
         host.link.close()

@@ -133,7 +133,11 @@ def test_a_guarded_drive_that_leaves_operational_is_noticed(tmp_path: Path) -> N
 
 def test_without_remote_frames_the_remedy_is_named(tmp_path: Path) -> None:
     host = guarded(tmp_path)
+    assert not list(host.servo.refusals(host.cycle_s))
+    assert len(requests(host)) == 1
     host.bench.drive.remote_frames = False
+    (error,) = host.servo.refusals(host.cycle_s)
+    assert "701h" in str(error)
     with pytest.raises(LinkError, match=r"701h.*servo\.stops_alone: false"):
         host.servo.prepare(host.cycle_s)
     host.bench.bus.shutdown()

@@ -37,6 +37,10 @@ COUNTS, GEAR, TURN = 4096, 100, 262144
 RATED_A, RATED_N_M, KT = 15.0, 0.45, 0.03
 CYCLE_S = 0.02
 STEP_S = 2e-4
+LATE_S = 0.03
+BUSY = "late by"
+REPEATS = 4
+_NICE = -15
 
 BENCH = """\
 bench: 1
@@ -197,6 +201,12 @@ def next_state(state: str, word: int, rising: int) -> str:
     return "run" if word & 0x08 else "on"
 
 
+def hurry() -> None:
+    """Raise the priority of this process, where this is allowed."""
+    with suppress(OSError):
+        os.nice(_NICE)
+
+
 def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
     """Be drive and encoder until the process is ended; write EDS files and what happens."""
     import durand
@@ -207,13 +217,18 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
     from durand.services.nmt import StateEnum
 
     lock = threading.RLock()
+    log = (folder / "drive.log").open("a", buffering=1)
 
     class Timers(AbstractScheduler[threading.Timer]):
         def add(
             self, delay: float, callback: Any, args: Any = (), kwargs: Any = None
         ) -> threading.Timer:
+            due = time.monotonic() + delay
+
             def run() -> None:
                 with lock:
+                    if (late := time.monotonic() - due) > LATE_S:
+                        log.write(json.dumps([time.time(), f"{BUSY} {late:.3f} s"]) + "\n")
                     callback(*args, **(kwargs or {}))
 
             timer = threading.Timer(delay, run)
@@ -349,7 +364,6 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
     servo_net, encoder_net = Net(wire), Net(wire)
     servo, joint = drive(servo_net, case.lacks | case.hides), encoder(encoder_net)
     objects, plant = servo.object_dictionary, Plant()
-    log = (folder / "drive.log").open("a", buffering=1)
     state, word, demand, toggle = "off", 0, 0.0, 0
     alive: threading.Timer | None = None
 
@@ -448,6 +462,7 @@ class Result:
     case: Case
     problems: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    repeats: int = 0
 
 
 @contextmanager
@@ -483,6 +498,7 @@ def at_terminal(words: list[str], folder: Path, limit_s: float = 240.0) -> tuple
     pid, terminal = pty.fork()
     if not pid:
         os.chdir(folder)
+        hurry()
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "dumb", "COLUMNS": "200"}
         command = [sys.executable, "-c", "from rig.cli.entry import main; main()", *words]
         os.execve(sys.executable, command, environment)
@@ -519,12 +535,23 @@ def events(folder: Path) -> list[tuple[float, str]]:
 
 
 def states(folder: Path) -> list[str]:
-    return [what for _, what in events(folder)]
+    return [what for _, what in events(folder) if not what.startswith(BUSY)]
 
 
 def tried(case: Case, quick: bool, keep: Path | None) -> Result:
-    result = Result(case)
+    """Try a case, again if it failed while the computer was too busy for real time."""
     begun = time.monotonic()
+    for repeats in range(REPEATS):
+        result, busy = once(case, quick, keep)
+        result.repeats = repeats
+        if not result.problems or not busy:
+            break
+    result.seconds = time.monotonic() - begun
+    return result
+
+
+def once(case: Case, quick: bool, keep: Path | None) -> tuple[Result, bool]:
+    result = Result(case)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with peer(case, folder) as channel:
@@ -541,8 +568,8 @@ def tried(case: Case, quick: bool, keep: Path | None) -> Result:
             for path in folder.iterdir():
                 if path.is_file():
                     (target / path.name).write_bytes(path.read_bytes())
-    result.seconds = time.monotonic() - begun
-    return result
+        late = "lateness of the control cycle" in " ".join(result.problems)
+        return result, late or any(what.startswith(BUSY) for _, what in events(folder))
 
 
 def command(folder: Path, name: str, words: list[str], wanted: int = 0) -> Iterator[str]:
@@ -598,6 +625,7 @@ def main() -> int:
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
     if chosen.serve is not None:
+        hurry()
         ours, theirs = pty.openpty()
         tty.setraw(theirs)
         case = next(case for case in cases() if case.name == chosen.serve)
@@ -608,7 +636,8 @@ def main() -> int:
         for result in pool.map(lambda case: tried(case, chosen.quick, chosen.keep), todo):
             failed += bool(result.problems)
             verdict = "; ".join(result.problems) or "passed"
-            print(f"{result.case.name:45} {result.seconds:5.0f} s  {verdict}", flush=True)
+            again = f", {result.repeats} repeated" if result.repeats else ""
+            print(f"{result.case.name:45} {result.seconds:5.0f} s  {verdict}{again}", flush=True)
     print(f"{len(todo) - failed} of {len(todo)} cases passed")
     return int(bool(failed))
 
