@@ -9,7 +9,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -46,6 +46,7 @@ help:
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
+	@echo "make durand    check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
 	@echo "make fuzz      a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format"
@@ -211,6 +212,9 @@ units: $(VENV)/.dev
 
 terminal: $(VENV)/.dev
 	$(BIN)/python -m tests.long.terminal
+
+durand: $(VENV)/.dev
+	$(BIN)/python -m tests.long.durand_peer
 
 realtime: $(VENV)/.dev
 	$(BIN)/python -m tests.long.realtime

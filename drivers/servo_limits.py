@@ -15,7 +15,7 @@ from drivers.errors import (
     RangeError,
 )
 from drivers.interfaces import LimitSteps, ServoLimits
-from drivers.objects import ObjectAccess, ObjectAddress, ProcessChannel, refusal
+from drivers.objects import ObjectAccess, ObjectAddress, ProcessChannel, optional, refusal
 from drivers.units import ServoScales
 
 POSITION_MIN: Final = (0x607D, 1)
@@ -203,7 +203,8 @@ def read(
     drive: ObjectAccess, scales: ServoScales, held: Sequence[ObjectAddress] = OBJECTS
 ) -> ServoLimits:
     """Read the limits that are stored in a drive, from those limit objects that the drive has."""
-    return decode({address: drive.read(*address) for address in held}, scales)
+    found = {address: optional(drive.read, *address) for address in held}
+    return decode({at: value for at, value in found.items() if value is not None}, scales)
 
 
 def write(

@@ -360,8 +360,6 @@ class ProfilePosition(Motion):
         return {
             **super().needed,
             servo_limits.PROFILE_SPEED: "it limits the speed of the profile",
-            servo_limits.PROFILE_ACCELERATION: "it is the acceleration of the profile",
-            servo_limits.PROFILE_DECELERATION: "it is the deceleration of the profile",
         }
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:

@@ -175,11 +175,6 @@ class ObjectAccess:
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
 
-    def require_watchable(self) -> None:
-        """Do nothing, because the guard of the link replaces the watchdog, which the protocol
-        lacks.
-        """
-
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object and that a value fits the type of the object; the errors
         are those of :meth:`write`.

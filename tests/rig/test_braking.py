@@ -663,13 +663,15 @@ def test_a_bus_that_is_sent_to_but_not_read_carries_the_order_at_once() -> None:
 
 
 def test_a_drive_that_answers_no_order_gets_no_heartbeat() -> None:
-    """A drive in NMT STOPPED receives neither process data nor requests; its watchdog brakes it."""
+    """A drive in NMT STOPPED receives neither process data nor requests; its watchdog brakes it,
+    and it is brought back to PRE-OPERATIONAL to verify that the power is off.
+    """
     wire = Wire("cst")
     wire.host.bench.bus.attach().send(0x000, bytes([0x02, DRIVE_NODE]))
     with pytest.raises(LinkError, match="left the NMT state OPERATIONAL"):
         wire.host.cycles(100)
     wire.began_ns = wire.host.clock.now_ns()
-    assert not wire.safe().verified
+    assert wire.safe().verified
     watch_s = wire.host.servo.watch_s
     assert watch_s is not None
     assert wire.entered == [State.FAULT_REACTION, State.FAULT]
