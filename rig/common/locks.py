@@ -123,6 +123,11 @@ def hold_bench(
     return _hold(places, command)
 
 
+def lock_files(resources: Iterable[Resource], folder: Path | None = None) -> list[Path]:
+    """Return the lock files of parts of a bench, whether they exist or not."""
+    return [(folder or LOCK_FOLDER) / file_name(part.key) for part in resources]
+
+
 def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Final
 
@@ -57,6 +58,8 @@ class Guard:
         self._path, self._baud = port, baud
         self._drive = {
             "name": self.name,
+            "port": port,
+            "baud": baud,
             "node": node,
             "eds": str(eds.resolve()),
             "scales": dataclasses.asdict(scales),
@@ -71,13 +74,13 @@ class Guard:
         self._heard = b""
 
     def open_port(self) -> BytePort:
-        """Open the port.
+        """Open the port; locked, unless it is opened again, when the guardian may hold the lock.
 
         Raises:
             OSError: The port cannot be opened.
             ValueError: The port does not support this rate.
         """
-        self._port = PySerialPort(self._path, self._baud)
+        self._port = PySerialPort(self._path, self._baud, exclusive=self._process is None)
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
@@ -151,11 +154,15 @@ class Guard:
 
     def close(self) -> None:
         """End the guardian. If :meth:`release` was not called, the guardian stops the drive now,
-        and repeats this for at most a minute until the stop is verified.
+        and repeats this until the stop is verified, or `rig off` takes over.
         """
-        process, self._process = self._process, None
+        process = self._process
         if process is None:
             return
+        if self._armed:
+            with suppress(LinkError):
+                self._tell({"left": True})
+        self._process = None
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
             pipe.close()
