@@ -16,7 +16,7 @@ from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.device_data import DeviceData
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink
-from drivers.clock import Clock, RealClock
+from drivers.clock import Clock, RealClock, Suspension
 from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
@@ -115,6 +115,7 @@ def connect(
                 ignite=wired.ignite,
                 lock=lock,
                 nominal=nominal_of(bench),
+                suspension=Suspension() if realtime or not bench.simulated else None,
             )
         finally:
             link.close()
