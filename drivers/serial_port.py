@@ -203,9 +203,7 @@ class PySerialPort(InheritedPort):
     """
 
     @os_errors
-    def __init__(
-        self, path: str, baud: int, rtscts: bool = False, exclusive: bool = True
-    ) -> None:
+    def __init__(self, path: str, baud: int, rtscts: bool = False, exclusive: bool = True) -> None:
         _require_posix()
         try:
             port = serial.Serial(path, baud, timeout=0, exclusive=exclusive, rtscts=rtscts)

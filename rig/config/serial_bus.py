@@ -45,6 +45,7 @@ def sleep_words(reason: str) -> str:
         "battery), because a drive without a watchdog stays under power while the computer sleeps"
     )
 
+
 _Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
 
 

@@ -200,11 +200,11 @@ def make_off(
                 link.open,
                 watched=link.has_watchdog,
                 patience_s=patience_s,
-                failed=lambda deed: say(
-                    f"{bench.name}: {deed.safe.message}; trying for {patience_s:g} s"
-                )
-                if deed.attempts == 1
-                else None,
+                failed=lambda deed: (
+                    say(f"{bench.name}: {deed.safe.message}; trying for {patience_s:g} s")
+                    if deed.attempts == 1
+                    else None
+                ),
             )
         finally:
             link.close()

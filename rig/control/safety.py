@@ -59,7 +59,7 @@ _REMEDY = {
     Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator "
     "burn out",
     Check.LATENESS: "close other programs on this computer, or lower cycle_Hz, then run again",
-    Check.SLEEP: "switch the sleep of this computer off (lid, idle time, battery), then run again",
+    Check.SLEEP: "nothing watches the drive meanwhile: switch the sleep of this computer off (lid, idle time, battery), then run again",
     Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 
@@ -106,7 +106,7 @@ class Trip:
         if self.check is Check.DRIVE_STATE:
             return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
         if self.check is Check.SLEEP:
-            return f"the computer slept for {self.value:.1f} s, in which nothing watched the drive"
+            return f"the computer slept for {self.value:.1f} s"
         if self.check is Check.NOT_RESET:
             return "the safety latch is open: its reset was not requested"
         return (

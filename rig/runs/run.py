@@ -36,9 +36,7 @@ class RunFolder:
         told: Warnings that the operator was told at the start.
     """
 
-    def __init__(
-        self, path: Path, record: RunRecord, told: frozenset[str] = frozenset()
-    ) -> None:
+    def __init__(self, path: Path, record: RunRecord, told: frozenset[str] = frozenset()) -> None:
         self.path = path
         self.record = record
         self.told = told
