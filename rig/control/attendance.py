@@ -102,7 +102,7 @@ def kept_awake(purpose: str) -> Iterator[str]:
         except OSError:
             yield f"{_INHIBIT[0]} is not installed"
             return
-        assert process.stdin is not None and process.stdout is not None
+        assert process.stdout is not None
         stack.callback(process.kill)
         ready = select.select([process.stdout], [], [], _INHIBIT_S)[0]
         yield "" if ready and process.stdout.readline() else f"{_INHIBIT[0]} is refused"

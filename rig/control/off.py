@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.clock import NS, Clock, RealClock
-from drivers.errors import LinkError
 from rig.common.errors import InputError, InUseError, StorageError
 from rig.common.lock_holder import Holder
 from rig.common.locks import Lock, hold_bench, lock_files

@@ -59,7 +59,8 @@ _REMEDY = {
     Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator "
     "burn out",
     Check.LATENESS: "close other programs on this computer, or lower cycle_Hz, then run again",
-    Check.SLEEP: "nothing watches the drive meanwhile: switch the sleep of this computer off (lid, idle time, battery), then run again",
+    Check.SLEEP: "nothing watches the drive meanwhile: switch the sleep of this computer off (lid, "
+    "idle time, battery), then run again",
     Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 

@@ -37,9 +37,9 @@ class Guard:
     """Opens a drive's port, and runs a guardian process while the drive is energised.
 
     Program and guardian never use the port at the same time: while the guardian has the port,
-    :meth:`feed` raises an error. The guardian answers every sign of life. A guardian that has ended,
-    does not read, or does not answer for :data:`ANSWER_S` is reported once; the program can then
-    take the power off itself.
+    :meth:`feed` raises an error. The guardian answers every sign of life. A guardian that has
+    ended, does not read, or does not answer for :data:`ANSWER_S` is reported once; the program can
+    then take the power off itself.
 
     Args:
         port: Device of this computer.
@@ -118,8 +118,8 @@ class Guard:
 
         Raises:
             LinkError: The guardian has taken over, has ended, accepts no messages or does not
-                answer. While the guardian has the drive, every call raises LinkError. Otherwise only one call raises
-                LinkError, so that the drive can then be stopped and read back.
+                answer. While the guardian has the drive, every call raises LinkError. Otherwise
+                only one call raises LinkError, so that the drive can then be stopped and read back.
         """
         if self._taken:
             self._await_report(0.0)

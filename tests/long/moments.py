@@ -1,5 +1,5 @@
-"""A run on the serial bench is suspended, sent Ctrl-Z, loses its terminal's reader, its adapter, its
-guardian, or is suspended together with its guardian, at random moments.
+"""A run on the serial bench is suspended, sent Ctrl-Z, loses its terminal's reader, its adapter or
+its guardian, or is suspended together with its guardian, at random moments.
 
 `python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watchdog, so that
 power must be gone within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at

@@ -267,8 +267,8 @@ COLUMNS: Mapping[str, Column] = {
     ),
     "adapter out 2 s": Column(
         _adapter_back,
-        "the drive's pseudo-terminal is closed as in *adapter gone*; 2 s later there is another one "
-        "under the same name, as under /dev/serial/by-id",
+        "the drive's pseudo-terminal is closed as in *adapter gone*; 2 s later there is another "
+        "one under the same name, as under /dev/serial/by-id",
         busy=False,
         transports=("serial", "slcan", "dbc"),
     ),

@@ -485,6 +485,13 @@ def answered(guard: Guard, guardian: Guardian, time: Time, seconds: float) -> No
             guardian.speaks.write(ALIVE)
 
 
+def unanswered(guard: Guard, time: Time) -> None:
+    """Feed for a second with a guardian that does not answer."""
+    for _ in range(50):
+        time.wait(0.02)
+        guard.feed()
+
+
 def test_a_guardian_that_hangs_ends_the_run_after_a_fifth_of_a_second(
     guard: Guard, guardian: Guardian, time: Time
 ) -> None:
@@ -492,25 +499,19 @@ def test_a_guardian_that_hangs_ends_the_run_after_a_fifth_of_a_second(
     answered(guard, guardian, time, 1.0)
     before_ns = time.now_ns
     with pytest.raises(LinkError) as caught:
-        for _ in range(50):
-            time.wait(0.02)
-            guard.feed()
+        unanswered(guard, time)
     assert 0.2e9 < time.now_ns - before_ns <= 0.26e9
     assert str(caught.value).startswith(
         f"the guardian of {NAME} did not answer for 0.22 s (limit 0.2 s), so that nothing would "
     )
     # It is reported once: the program takes the power off itself, and goes on feeding meanwhile.
     guardian.heard()
-    for _ in range(50):
-        time.wait(0.02)
-        guard.feed()
+    unanswered(guard, time)
     assert guardian.heard() == b"\n" * 50
     # A guardian that answers again is missed again.
     answered(guard, guardian, time, 0.5)
     with pytest.raises(LinkError, match="did not answer"):
-        for _ in range(20):
-            time.wait(0.02)
-            guard.feed()
+        unanswered(guard, time)
 
 
 def test_a_pause_of_the_program_is_no_silence_of_the_guardian(

@@ -277,10 +277,14 @@ def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_
     assert json.loads(file.read_text())["users"][0]["ended"] == "killed"
 
 
+def _once(document: Document[Bench], say: Callable[[str], None]) -> off.Off:
+    return make_off(document, say, patience_s=0.0)
+
+
 def test_a_bench_whose_port_is_missing_is_not_proved_off(
     wired: PtyBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.cli.commands.off.make_off", lambda *a: make_off(*a, patience_s=0.0))
+    monkeypatch.setattr("rig.cli.commands.off.make_off", _once)
     file = tmp_path / "off.json"
     text = wired.path.read_text().replace(wired.port, str(tmp_path / "gone"))
     wired.path.write_text(text)
