@@ -164,7 +164,7 @@ def _slept(transport: str, phase: str) -> Must:
 
 
 def _deleted(transport: str, phase: str) -> Must:
-    return Must((4,), GONE_S + STOP_S, words="run folder")
+    return Must((4,), GONE_S + STOP_S, words="was deleted during the run")
 
 
 def _garbage(transport: str, phase: str) -> Must:

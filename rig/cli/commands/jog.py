@@ -82,8 +82,8 @@ def command(
         connected(stop, document, seed, realtime, purpose="rig jog") as devices,
     ):
         say_taken_over(devices.lock, screen)
-        for words in unprotected(devices):
-            screen.say(words)
+        for warning in unprotected(devices):
+            screen.say(warning)
         batches = [angles] if angles else _asked(Prompt(screen), stop, screen)
         for batch in batches:
             try:
