@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.clock import Clock
+from drivers.clock import Clock, Suspension
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from rig.common.locks import Lock
 from rig.common.phase import Phase
@@ -54,6 +54,8 @@ class Devices:
         lock: Lock that prevents other programs from using the bench, or None for a simulated bench.
         nominal: Constants of the bench file with which motions are compared, or None for no
             comparison.
+        suspension: Detects that this computer slept; None in simulated time.
+        awake: Why this computer may sleep during the run; empty if it does not.
     """
 
     link: Link
@@ -67,6 +69,8 @@ class Devices:
     ignite: Callable[[], None] | None = None
     lock: Lock | None = None
     nominal: Nominal | None = None
+    suspension: Suspension | None = None
+    awake: str = ""
 
     def off_proof(self, limits: Limits) -> OffProof:
         """Return an observer that proves that the drive of a bench with these limits is off."""
