@@ -13,8 +13,9 @@ from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_AT
 
 EVENTS: Mapping[str, tuple[str, str]] = {
     "prompt": (
-        "stage, index, weight_kg",
-        "The operator is asked for the load of a stage; the drive is off.",
+        "stage, index, weight_kg, current_A, motion_rad_s",
+        "The operator is asked for the load of a stage; the drive is off, by its state, motor "
+        "current and joint speed.",
     ),
     "answer": (
         "stage, weight_kg",

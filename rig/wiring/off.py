@@ -78,8 +78,13 @@ class Proof:
 
     def record(self) -> dict[str, Any]:
         """Return the record for a result file."""
-        state = "unknown" if self.state is None else self.state.value
-        return {"off": self.off, "state": state, **self.seen, "doubt": self.doubt}
+        return {
+            "off": self.off,
+            "state": "unknown" if self.state is None else self.state.value,
+            "current_A": self.current_A,
+            "motion_rad_s": self.motion_rad_s,
+            "doubt": self.doubt,
+        }
 
 
 def energised_doubt(state: ServoState) -> str:
