@@ -37,10 +37,9 @@ COUNTS, GEAR, TURN = 4096, 100, 262144
 RATED_A, RATED_N_M, KT = 15.0, 0.45, 0.03
 CYCLE_S = 0.02
 STEP_S = 2e-4
-LATE_S = 0.03
+TICK_S, LATE_S = 0.005, 0.02
 BUSY = "late by"
 REPEATS = 4
-_NICE = -15
 
 BENCH = """\
 bench: 1
@@ -202,9 +201,9 @@ def next_state(state: str, word: int, rising: int) -> str:
 
 
 def hurry() -> None:
-    """Raise the priority of this process, where this is allowed."""
+    """Run this process before all others, where this is allowed: both sides are in real time."""
     with suppress(OSError):
-        os.nice(_NICE)
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
 def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
@@ -223,12 +222,8 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
         def add(
             self, delay: float, callback: Any, args: Any = (), kwargs: Any = None
         ) -> threading.Timer:
-            due = time.monotonic() + delay
-
             def run() -> None:
                 with lock:
-                    if (late := time.monotonic() - due) > LATE_S:
-                        log.write(json.dumps([time.time(), f"{BUSY} {late:.3f} s"]) + "\n")
                     callback(*args, **(kwargs or {}))
 
             timer = threading.Timer(delay, run)
@@ -243,6 +238,15 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
         def lock(self) -> Any:
             return lock
 
+    def tick() -> None:
+        """Note when the computer does not run this process in time."""
+        while True:
+            due = time.monotonic() + TICK_S
+            time.sleep(TICK_S)
+            if (late := time.monotonic() - due) > LATE_S:
+                log.write(json.dumps([time.time(), f"{BUSY} {late:.3f} s"]) + "\n")
+
+    threading.Thread(target=tick, daemon=True).start()
     timers = Timers()
     durand.set_scheduler(timers)
 
@@ -618,7 +622,7 @@ def main() -> int:
     """Try all cases; print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true", help="without commissioning")
     parser.add_argument("--keep", type=Path, help="folder for the files of failed cases")
     parser.add_argument("--serve")
