@@ -71,19 +71,16 @@ class Guarding:
     remote frame, and the toggle bit of the answer alternates.
 
     Attributes:
-        sent_ns: Time of the last request.
         unanswered_ns: Time of the first request since the last answer, or None.
         toggle: Toggle bit of the last answer, or None before the first.
     """
 
     def __init__(self) -> None:
-        self.sent_ns = 0
         self.unanswered_ns: int | None = None
         self.toggle: int | None = None
 
     def asked(self, now_ns: int) -> None:
         """Register a request."""
-        self.sent_ns = now_ns
         if self.unanswered_ns is None:
             self.unanswered_ns = now_ns
 
@@ -140,7 +137,7 @@ class CanopenNode:
         self._then: dict[int, bytes] = {}
         self._numbered: dict[int, Input] = {}
         self._slow: list[Input] = []
-        self._watched = False
+        self._watched = self._braking = False
 
     @property
     def label(self) -> str:
@@ -441,7 +438,8 @@ class CanopenNode:
         """Wait at most ``limit_s`` for an SDO answer if the heartbeat consumer is active, because
         no heartbeat is sent meanwhile; None restores the time-out of the link.
         """
-        self.remote.limit_wait(limit_s if self._watched else None)
+        self._braking = self._watched and limit_s is not None
+        self.remote.limit_wait(limit_s if self._braking else None)
 
     def _at(self, index: int, subindex: int) -> ObjectAddress:
         """Return the address of an object of the first axis in the objects of the axis used."""
@@ -528,8 +526,11 @@ class CanopenNode:
                 return act()
 
     def _stopped(self) -> bool:
-        """Return whether the device, which has not answered, is in the NMT state STOPPED."""
-        self._answers_guarding()
+        """Return whether the device, which has not answered, is in the NMT state STOPPED. While the
+        device brakes, no guard request asks for it, because its watchdog may have to brake it.
+        """
+        if not self._braking:
+            self._answers_guarding()
         return self.nmt_state == STOPPED
 
     def _answers_guarding(self) -> bool:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+import can
 import pytest
 
-from drivers.can.port import REMOTE_FLAG
+from drivers.can.port import REMOTE_FLAG, PythonCanPort
+from drivers.can.slcan import encode
 from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, DeviceError, LinkError, ObjectAccessError
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key
-from drivers.mock.power_state import POWERED, State
+from drivers.mock.power_state import POWERED, Command, State
+from drivers.mock.wires.slcan import LawicelAdapter
 from drivers.objects import ObjectAddress
 
 from .host import SCALES, Host, drive_eds, enabled, make_host, prepared
@@ -338,3 +342,60 @@ def test_a_drive_that_switched_off_by_itself_is_no_longer_watched(tmp_path: Path
     host.wait(0.5)
     host.link.exchange()
     host.link.close()
+
+
+def test_a_guarded_drive_that_ignores_the_quick_stop_is_not_kept_alive(tmp_path: Path) -> None:
+    """While the drive brakes, a request that is not answered asks for no NMT state."""
+    host = enabled(guarded(tmp_path))
+    host.cycles(30)
+    host.bench.drive.deaf_to = frozenset({Command.QUICK_STOP})
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    with suppress(DeviceError):
+        host.servo.quick_stop()
+    requests(host)
+    for _ in range(5):
+        with suppress(DeviceError):
+            host.servo.state()
+    assert requests(host) == []
+    assert host.bench.drive.power_state is State.FAULT
+    host.link.close()
+
+
+# Guard requests on the wire.
+
+
+def test_a_guard_request_has_a_length_and_no_data() -> None:
+    assert encode(GUARD_REQUEST, bytes(1)) == b"r7011\r"
+    with (
+        can.Bus(interface="virtual", channel="guard") as near,
+        can.Bus(interface="virtual", channel="guard") as far,
+    ):
+        PythonCanPort(near, SimulatedClock(0)).transmit(GUARD_REQUEST, bytes(1))
+        message = far.recv(1.0)
+    assert message is not None
+    assert (message.is_remote_frame, message.dlc, bytes(message.data)) == (True, 1, b"")
+
+
+def test_an_interface_that_would_send_data_instead_is_refused() -> None:
+    class Socketcand(can.BusABC):
+        """As python-can 4.6, which drops the flag of a remote frame."""
+
+        def __init__(self) -> None:
+            super().__init__(channel=0)
+
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            raise AssertionError("sent as a data frame")
+
+    Socketcand.__module__ = "can.interfaces.socketcand.socketcand"
+    bus = Socketcand()
+    with pytest.raises(OSError, match="sends no remote frames"):
+        PythonCanPort(bus, SimulatedClock(0)).transmit(GUARD_REQUEST, bytes(1))
+    bus.shutdown()
+
+
+def test_a_simulated_adapter_passes_guard_requests_on(host: Host) -> None:
+    adapter = LawicelAdapter(host.bench.bus)
+    adapter.receive(b"O\r")
+    assert adapter.receive(b"r7011\rr70110\r") == b"\a"
+    host.wait(0.001)
+    assert b"t7011" in adapter.receive(b"")

@@ -1,12 +1,14 @@
 """The commands of a real bench against a drive and an encoder on an independent CANopen stack.
 
-python -m tests.long.durand_peer [--only WORD] [--jobs N] [--quick]
+python -m tests.long.durand_peer [--only WORD] [--wire udp|slcan] [--quick]
 
 The drive (CiA 402) and the encoder (CiA 406) use the package durand, which shares no code with the
-library canopen, and are reached over a pseudo-terminal with the LAWICEL protocol. `rig check`, `rig
-commission` and `rig run` are started as at a real bench, and their questions are answered at a
-terminal. A case passes if every command succeeds, the drive ends without power, and it was in fault
-only in the step of the commissioning that provokes a fault.
+library canopen. They are reached by the interface udp_multicast of python-can in a network
+namespace of their own, which no packet leaves, or over a pseudo-terminal with the LAWICEL protocol,
+whose bytes arrive late on a busy computer. `rig check`, `rig commission` and `rig run` are started
+as at a real bench, and their questions are answered at a terminal. A case passes if every command
+succeeds, the drive ends without power, and it was in fault only in the step of the commissioning
+that provokes a fault.
 """
 
 from __future__ import annotations
@@ -26,11 +28,12 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Collection, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import can
 
 ROOT = Path(__file__).parents[2]
 COUNTS, GEAR, TURN = 4096, 100, 262144
@@ -46,7 +49,7 @@ bench: 1
 name: durand_{name}
 machine: {{torque_constant_N_m_A: 0.03, back_emf_constant_V_s_rad: 0.02588, resistance_ohm: 1.56,
   inductance_H: 0.00132, gear_ratio: 100, moment_arm_m: 0.095, lever_ratio: 10}}
-bus: {{interface: slcan, channel: {channel}, bitrate: 1000000}}
+bus: {{interface: {interface}, channel: {channel}, bitrate: 1000000}}
 servo: {{node: 1, counts_per_motor_turn: 4096, rated_current_A: 15, rated_torque_N_m: 0.45,
   eds: drive.eds{keys}}}
 encoder: {{node: 2, counts_per_turn: 262144, eds: encoder.eds}}
@@ -112,20 +115,45 @@ def cases() -> Iterator[Case]:
 # The drive and the encoder, in a process of their own.
 
 
-class Wire:
-    """The near end of a LAWICEL adapter: lines on a pseudo-terminal, heard by one thread."""
+Hear = Callable[[int, bytes, bool], None]
+"""Takes a frame: identifier, data, and whether it is a remote frame."""
 
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
+
+class UdpWire:
+    """The bus in the network namespace."""
+
+    interface = "udp_multicast"
+
+    def __init__(self) -> None:
+        self.channel = "239.74.163.2"
+        self._bus = can.Bus(interface=self.interface, channel=self.channel, hop_limit=0)
+
+    def put(self, identifier: int, data: bytes) -> None:
+        self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+
+    def listen(self, hear: Hear) -> None:
+        while True:
+            if (message := self._bus.recv(1.0)) is not None:
+                hear(message.arbitration_id, bytes(message.data), message.is_remote_frame)
+
+
+class SlcanWire:
+    """The near end of a LAWICEL adapter: lines on a pseudo-terminal."""
+
+    interface = "slcan"
+
+    def __init__(self) -> None:
+        self._descriptor, theirs = pty.openpty()
+        tty.setraw(theirs)
+        self.channel = os.ttyname(theirs)
         self._lock = threading.Lock()
-        self.heard: list[Callable[[int, bytes, bool], None]] = []
 
     def put(self, identifier: int, data: bytes) -> None:
         line = f"t{identifier:03X}{len(data)}{bytes(data).hex().upper()}\r".encode()
         with self._lock, suppress(OSError):
             os.write(self._descriptor, line)
 
-    def listen(self) -> None:
+    def listen(self, hear: Hear) -> None:
         rest = b""
         while True:
             try:
@@ -138,8 +166,19 @@ class Wire:
                 if line[:1] not in (b"t", b"r"):
                     continue
                 data = bytes.fromhex(line[5:].decode()) if line[:1] == b"t" else b""
-                for hear in self.heard:
-                    hear(int(line[1:4], 16), data, line[:1] == b"r")
+                hear(int(line[1:4], 16), data, line[:1] == b"r")
+
+
+WIRES: Mapping[str, type[UdpWire] | type[SlcanWire]] = {"udp": UdpWire, "slcan": SlcanWire}
+ALONE = "DURAND_PEER_ALONE"
+
+
+def stay_alone() -> None:
+    """Start this program again in a network namespace in which only the loopback interface is."""
+    route = 'ip link set lo up && ip route add 224.0.0.0/4 dev lo && exec "$@"'
+    command = [sys.executable, "-m", "tests.long.durand_peer", *sys.argv[1:]]
+    os.environ[ALONE] = "1"
+    os.execvp("unshare", ["unshare", "-rn", "sh", "-c", route, "sh", *command])
 
 
 class Plant:
@@ -206,7 +245,7 @@ def hurry() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
-def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
+def serve(case: Case, folder: Path, wire: UdpWire | SlcanWire) -> None:
     """Be drive and encoder until the process is ended; write EDS files and what happens."""
     import durand
     from durand import DatatypeEnum as Type
@@ -266,7 +305,7 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
                 super().write(index, subindex, value, downloaded)
 
     class Net(NetworkABC):  # type: ignore[misc]
-        def __init__(self, wire: Wire | None) -> None:
+        def __init__(self, wire: UdpWire | SlcanWire | None) -> None:
             self.wire = wire
             self.calls: dict[int, Any] = {}
 
@@ -364,7 +403,6 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
     (folder / "drive.eds").write_text(described.eds.content)
     (folder / "encoder.eds").write_text(encoder(Net(None)).eds.content)
 
-    wire = Wire(descriptor)
     servo_net, encoder_net = Net(wire), Net(wire)
     servo, joint = drive(servo_net, case.lacks | case.hides), encoder(encoder_net)
     objects, plant = servo.object_dictionary, Plant()
@@ -453,9 +491,8 @@ def serve(case: Case, folder: Path, descriptor: int, path: str) -> None:
     objects.update_callbacks[0x6060, 0].add(lambda value: objects.write(0x6061, 0, value))
     objects.update_callbacks[0x1016, 1].add(stop_watching)
     objects.update_callbacks[0x100D, 0].add(stop_watching)
-    wire.heard.append(hear)
-    print(path, flush=True)
-    wire.listen()
+    print(wire.channel, flush=True)
+    wire.listen(hear)
 
 
 # The commands, and what must come of them.
@@ -470,9 +507,10 @@ class Result:
 
 
 @contextmanager
-def peer(case: Case, folder: Path) -> Iterator[str]:
-    """Run drive and encoder; yield the path of the adapter."""
+def peer(case: Case, folder: Path, wire: str) -> Iterator[str]:
+    """Run drive and encoder; yield the channel of the bus."""
     command = [sys.executable, "-m", "tests.long.durand_peer", "--serve", case.name]
+    command += ["--wire", wire]
     with (folder / "peer.err").open("w") as errors:
         process = subprocess.Popen(
             [*command, "--folder", str(folder)],
@@ -502,7 +540,6 @@ def at_terminal(words: list[str], folder: Path, limit_s: float = 240.0) -> tuple
     pid, terminal = pty.fork()
     if not pid:
         os.chdir(folder)
-        hurry()
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "dumb", "COLUMNS": "200"}
         command = [sys.executable, "-c", "from rig.cli.entry import main; main()", *words]
         os.execve(sys.executable, command, environment)
@@ -542,11 +579,11 @@ def states(folder: Path) -> list[str]:
     return [what for _, what in events(folder) if not what.startswith(BUSY)]
 
 
-def tried(case: Case, quick: bool, keep: Path | None) -> Result:
+def tried(case: Case, wire: str, quick: bool, keep: Path | None) -> Result:
     """Try a case, again if it failed while the computer was too busy for real time."""
     begun = time.monotonic()
     for repeats in range(REPEATS):
-        result, busy = once(case, quick, keep)
+        result, busy = once(case, wire, quick, keep)
         result.repeats = repeats
         if not result.problems or not busy:
             break
@@ -554,13 +591,14 @@ def tried(case: Case, quick: bool, keep: Path | None) -> Result:
     return result
 
 
-def once(case: Case, quick: bool, keep: Path | None) -> tuple[Result, bool]:
+def once(case: Case, wire: str, quick: bool, keep: Path | None) -> tuple[Result, bool]:
     result = Result(case)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with peer(case, folder) as channel:
-            number = abs(hash(case.name)) % 10**6
-            text = BENCH.format(channel=channel, keys=case.keys, name=number)
+        with peer(case, folder, wire) as channel:
+            text = BENCH.format(
+                interface=WIRES[wire].interface, channel=channel, keys=case.keys, name=os.getpid()
+            )
             (folder / "bench.yaml").write_text(text)
             (folder / "short.yaml").write_text(SEQUENCE)
             refused = bool(case.hides) or (not case.remote_frames and not case.keys)
@@ -622,26 +660,26 @@ def main() -> int:
     """Try all cases; print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", default="")
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--wire", choices=WIRES, default="udp")
     parser.add_argument("--quick", action="store_true", help="without commissioning")
     parser.add_argument("--keep", type=Path, help="folder for the files of failed cases")
     parser.add_argument("--serve")
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
+    hurry()
+    if chosen.wire == "udp" and ALONE not in os.environ:
+        stay_alone()
     if chosen.serve is not None:
-        hurry()
-        ours, theirs = pty.openpty()
-        tty.setraw(theirs)
         case = next(case for case in cases() if case.name == chosen.serve)
-        serve(case, chosen.folder, ours, os.ttyname(theirs))
+        serve(case, chosen.folder, WIRES[chosen.wire]())
     todo = [case for case in cases() if chosen.only in case.name]
     failed = 0
-    with ThreadPoolExecutor(chosen.jobs) as pool:
-        for result in pool.map(lambda case: tried(case, chosen.quick, chosen.keep), todo):
-            failed += bool(result.problems)
-            verdict = "; ".join(result.problems) or "passed"
-            again = f", {result.repeats} repeated" if result.repeats else ""
-            print(f"{result.case.name:45} {result.seconds:5.0f} s  {verdict}{again}", flush=True)
+    for case in todo:
+        result = tried(case, chosen.wire, chosen.quick, chosen.keep)
+        failed += bool(result.problems)
+        verdict = "; ".join(result.problems) or "passed"
+        again = f", {result.repeats} repeated" if result.repeats else ""
+        print(f"{case.name:45} {result.seconds:5.0f} s  {verdict}{again}", flush=True)
     print(f"{len(todo) - failed} of {len(todo)} cases passed")
     return int(bool(failed))
 
