@@ -206,7 +206,7 @@ def test_it_stops_the_drive_of_a_program_that_died(process: Process, left: bool)
     assert process.did[-2:] == [("released",), ("drain", 1.0)]
     why = "could not take its power off" if left else "is gone"
     assert process.did[-3][1] == (
-        f"guardian: the program that drove EPOS4 at /dev/some {why}; after 0.00 s {OFF}"
+        f"guardian: the program that drove EPOS4 at /dev/some {why}; after 0.05 s {OFF}"
     )
 
 
