@@ -256,9 +256,7 @@ class Amt21Encoder(Encoder):
         """
         self.line.collect(since_ns)
         value = decode(self.line.answer)
-        self._fresh = value is not None and self._gate.admit(
-            value, self._asked_ns, self._elsewhere
-        )
+        self._fresh = value is not None and self._gate.admit(value, self._asked_ns, self._elsewhere)
 
     def sample(self) -> EncoderSample:
         """Return the sample of the last exchange, with a time stamp of the host, because the
