@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from identification.recording import Dataset, Recording
 from rig.config.sequence import Array
@@ -240,9 +239,12 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
 
     The piece itself is left out, because the load changed within it. A whole stroke is required on
     both sides: the first and last strokes differ from the others on stick-slipping benches. The
-    result is None if the step
-    is not significant, or if a smooth drift explains the loads nearly as well.
+    result is None if the step is not significant, or if a smooth drift explains the loads nearly as
+    well.
     """
+    # Imported late: most runs have no loaded stage, and none waits for it before its end.
+    from scipy.special import stdtrit
+
     count = len(pieces)
     place = np.arange(count) / count
     kinds = sorted({piece.kind for piece in pieces})
@@ -250,7 +252,7 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
         return None
     means = np.column_stack([[float(piece.kind == kind) for piece in pieces] for kind in kinds])
     freedom = count - len(kinds) - 2
-    best, greatest = None, float(stats.t.isf(0.5 * FALSE_ALARM / count, freedom))
+    best, greatest = None, -float(stdtrit(freedom, 0.5 * FALSE_ALARM / count))
     inside = [k for k, piece in enumerate(pieces) if 0 < piece.stroke < pieces[-1].stroke]
     for at in inside:
         left = place != place[at]

@@ -236,7 +236,7 @@ CASES: Mapping[str, Case] = {
     "10 of 15 kg fall off": Case(
         (fault("operator", "weight_removed", value=5.0),),
         RIDES,
-        at("excite ramp_out", Must(1, "all 1 stages done")),
+        at("excite", Must(1, "all 1 stages done")),
         LOADED,
         3.7,
     ),

@@ -17,7 +17,7 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.without_bus import record
 from identification.recording import Bench, Dataset, Recording
 from rig.config.bench import load_bench
-from rig.results.prove.draw import Rig, draw
+from rig.results.prove.draw import Kind, Rig, draw
 from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
 from rig.weighing.load_change import Change, changed_loads
 
@@ -30,12 +30,13 @@ _EFFECTS = [name for name in (*SIZES, *OUTSIDE_SIZES) if name != "load_dependent
 def _tones(duration_s: float, *tones: tuple[float, float]) -> Array:
     t = np.arange(round(duration_s / CYCLE_S)) * CYCLE_S
     fade = np.minimum(1.0, np.minimum(t, duration_s - t))
-    return np.asarray(np.deg2rad(sum(a * np.sin(2 * np.pi * f * t) for a, f in tones) * fade))
+    degrees = np.sum([a * np.sin(2 * np.pi * f * t) for a, f in tones], axis=0)
+    return np.asarray(np.deg2rad(degrees * fade), dtype=np.float64)
 
 
 def _ramps() -> Array:
     t = np.arange(round(72.0 / CYCLE_S)) * CYCLE_S % 18.0
-    return np.deg2rad(np.clip(np.minimum(t, 17.0 - t), 0.0, 8.0))
+    return np.asarray(np.deg2rad(np.clip(np.minimum(t, 17.0 - t), 0.0, 8.0)), dtype=np.float64)
 
 
 COMMANDS: Mapping[str, Callable[[], Array]] = {
@@ -67,7 +68,7 @@ def trials(count: int, removed: bool) -> Iterator[Trial]:
     for number in range(count):
         command = list(COMMANDS)[number % len(COMMANDS)]
         effect = _EFFECTS[number // len(COMMANDS) % len(_EFFECTS)] if number % 5 else ""
-        kind = "nothing" if not effect else "one" if effect in SIZES else "outside"
+        kind: Kind = "nothing" if not effect else "one" if effect in SIZES else "outside"
         rig = draw(kind, [effect] if effect else [], [5, number, removed])
         soft = number % 7 == 3
         if soft:
@@ -98,7 +99,7 @@ def _simulated(
     return Recording(
         name="loaded",
         channels={
-            "time": np.arange(len(command)) * CYCLE_S,
+            "time": np.arange(len(command), dtype=np.float64) * CYCLE_S,
             "angle": np.concatenate([part.angle for part in parts]),
             "current": np.concatenate([part.current for part in parts]),
             "command": command,
