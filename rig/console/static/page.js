@@ -33,7 +33,7 @@ const recorded = new Recorded(going, showJudged, link);
 // doing when its phase changes.
 function say(words, run = null, end = false) {
   at("outcome").textContent = words;
-  said = { run, end, phase: phaseMark() };
+  said = { run, end, phase: phaseMark(), passing: run && !end };
 }
 
 function phaseMark() {
@@ -43,7 +43,7 @@ function phaseMark() {
 function showActivity() {
   const words = activityWords(state.status);
   const replaced = !at("outcome").textContent || said.activity
-    || (said.run && said.phase !== phaseMark());
+    || (said.passing && said.phase !== phaseMark());
   if (!replaced || at("outcome").textContent === words) return;
   say(words, state.run);
   said.activity = true;
@@ -53,6 +53,7 @@ function showActivity() {
 function awaitRun(words) {
   starting = true;
   say(words);
+  said.passing = true;
   at("runs").value = "";
   ask();
 }
