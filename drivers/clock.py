@@ -12,6 +12,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 NS = 1_000_000_000
+SHORTEST_SLEEP_NS = NS // 10
+"""Shortest time that counts as a sleep of the computer, ns; a real sleep lasts seconds."""
 
 
 class Clock(Protocol):
@@ -38,6 +40,48 @@ class RealClock:
         left = deadline_ns - time.monotonic_ns()
         if left > 0:
             time.sleep(left / NS)
+
+
+def _boot_ns() -> int:
+    """Return the time since boot, ns, which includes the time in which the computer slept; the
+    monotonic time on a system without this clock.
+    """
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic_ns() if clock is None else time.clock_gettime_ns(clock)
+
+
+class Suspension:
+    """Detects that the computer slept: the monotonic clock does not count this time, so that no
+    lateness shows it.
+
+    Args:
+        boot_ns: Time that counts sleep, ns.
+        awake_ns: Time that does not count sleep, ns.
+    """
+
+    def __init__(
+        self,
+        boot_ns: Callable[[], int] = _boot_ns,
+        awake_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._boot_ns, self._awake_ns = boot_ns, awake_ns
+        self._most_ns = self._asleep_ns()
+
+    def passed_ns(self) -> int:
+        """Return how long the computer has slept since the last call, ns; 0 if it did not, or for
+        less than :data:`SHORTEST_SLEEP_NS`.
+        """
+        slept_ns = self._asleep_ns() - self._most_ns
+        if slept_ns <= 0:
+            return 0
+        self._most_ns += slept_ns
+        return slept_ns if slept_ns >= SHORTEST_SLEEP_NS else 0
+
+    def _asleep_ns(self) -> int:
+        # This order, because a pause between the two reads then makes the difference smaller; the
+        # greatest difference so far is the time slept.
+        boot_ns = self._boot_ns()
+        return boot_ns - self._awake_ns()
 
 
 class SimulatedClock:

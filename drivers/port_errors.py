@@ -7,6 +7,7 @@ TypeError and others.
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -17,6 +18,12 @@ from drivers.errors import ConfigurationError, DeviceError, LinkError
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+_GONE = frozenset(
+    {errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.EPIPE}
+    | {errno.ECONNRESET, errno.ENOTCONN, errno.ESHUTDOWN}
+)
+"""Errors of an adapter that was unplugged, or of a connection that has ended: the port stays dead.
+"""
 _TRACEBACK = "Traceback (most recent call last)"
 
 
@@ -37,6 +44,17 @@ def words(error: Exception) -> str:
     return f"{name}: {text}" if text else name
 
 
+class UnpluggedError(OSError):
+    """A port is dead, although the operating system reports no error."""
+
+
+def is_gone(error: BaseException) -> bool:
+    """Whether a port is dead, so that only opening it again can help."""
+    return isinstance(error, UnpluggedError) or (
+        isinstance(error, OSError) and error.errno in _GONE
+    )
+
+
 def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
     """Return the action with every exception converted to OSError.
 
@@ -50,6 +68,9 @@ def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
         except OSError:
             raise
         except Exception as error:
+            found = error.args[0] if error.args else None
+            if isinstance(found, int) and found in _GONE:
+                raise UnpluggedError(words(error)) from error
             raise OSError(words(error)) from error
 
     return translated

@@ -16,7 +16,7 @@ import serial
 from drivers.clock import NS, RealClock
 from drivers.frame_flags import SERIAL_FLAG as SERIAL_FLAG
 from drivers.interfaces import RawFrame
-from drivers.port_errors import close_all, os_errors
+from drivers.port_errors import UnpluggedError, close_all, os_errors
 
 try:
     import fcntl
@@ -141,7 +141,9 @@ class InheritedPort:
             return b""
         if not data:
             # An unplugged adapter is always ready to read, but returns no data and no error.
-            raise OSError("the adapter was unplugged, or another program reads this line too")
+            raise UnpluggedError(
+                "the adapter was unplugged, or another program reads this line too"
+            )
         return data
 
     @os_errors
@@ -193,6 +195,7 @@ class PySerialPort(InheritedPort):
         path: Path of the device.
         baud: Bit rate, bit/s.
         rtscts: Hardware flow control.
+        exclusive: Whether to lock the port, and to refuse a port that another program has locked.
 
     Raises:
         OSError: The port cannot be opened, does not support this bit rate, or is used by another
@@ -200,10 +203,10 @@ class PySerialPort(InheritedPort):
     """
 
     @os_errors
-    def __init__(self, path: str, baud: int, rtscts: bool = False) -> None:
+    def __init__(self, path: str, baud: int, rtscts: bool = False, exclusive: bool = True) -> None:
         _require_posix()
         try:
-            port = serial.Serial(path, baud, timeout=0, exclusive=True, rtscts=rtscts)
+            port = serial.Serial(path, baud, timeout=0, exclusive=exclusive, rtscts=rtscts)
         except OSError as error:
             if error.errno != errno.EAGAIN:
                 raise

@@ -98,6 +98,7 @@ def open_slcan(
     sleep_after_open: float = _START_S,
     rtscts: bool = False,
     timeout: float | None = None,
+    exclusive: bool = True,
 ) -> SlcanPort:
     """Open an adapter. The options are those of the interface ``slcan`` of python-can.
 
@@ -110,12 +111,13 @@ def open_slcan(
         sleep_after_open: Time that the adapter takes to start, s.
         rtscts: Hardware flow control of the serial line.
         timeout: Accepted but not used, because each read has a time-out of its own.
+        exclusive: Whether the port must not be used by another program.
 
     Raises:
         OSError: The port cannot be opened, or another program uses it.
     """
     path, _, baud = channel.partition("@")
-    line = PySerialPort(path, int(baud) if baud else tty_baudrate, rtscts)
+    line = PySerialPort(path, int(baud) if baud else tty_baudrate, rtscts, exclusive)
     try:
         clock.sleep_until_ns(clock.now_ns() + round(sleep_after_open * NS))
         return SlcanPort(line, clock, bitrate)

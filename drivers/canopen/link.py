@@ -29,7 +29,7 @@ from drivers.canopen.node import (
 from drivers.clock import NS, Clock
 from drivers.errors import DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
-from drivers.port_errors import close_all, opened, require_one_cycle, words
+from drivers.port_errors import close_all, is_gone, opened, require_one_cycle, words
 
 MASTER_ID: Final = 0x7F
 """Node identifier of this program's own heartbeat."""
@@ -89,6 +89,7 @@ class CanopenLink(Link):
         self._name = name
         self._connect = connect
         self._port: FramePort | None = None
+        self._lost = False
         self._network = _Network(self.send)
         self._nodes: dict[int, CanopenNode] = {}
         self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
@@ -149,14 +150,13 @@ class CanopenLink(Link):
         """
         if self._port is not None:
             return
-        advice = "check the interface, its driver and your permission to use it"
-        self._port = opened(self._connect, self._name, advice)
+        self._port = self._connected()
 
     def close(self) -> None:
         """Close the bus. The method raises no error, may be called twice, and may be called after a
         failure.
         """
-        port, self._port = self._port, None
+        port, self._port, self._lost = self._port, None, False
         if port is not None:
             close_all(port.shutdown)
 
@@ -229,6 +229,7 @@ class CanopenLink(Link):
         try:
             port.transmit(identifier, data)
         except Exception as error:
+            self._check_gone(error)
             raise LinkError(
                 f"{self._name} cannot send a frame: {words(error)}; check cabling, termination, "
                 "and that at least one device has power"
@@ -254,10 +255,25 @@ class CanopenLink(Link):
             self._receive(left / NS)
         return True
 
+    def _connected(self) -> FramePort:
+        advice = "check the interface, its driver and your permission to use it"
+        return opened(self._connect, self._name, advice)
+
     def _opened(self) -> FramePort:
+        """Return the port; a port whose adapter was unplugged is opened again by its name."""
         if self._port is None:
-            raise LinkError(f"{self._name} is not open: call open() first")
+            if not self._lost:
+                raise LinkError(f"{self._name} is not open: call open() first")
+            self._port = self._connected()
         return self._port
+
+    def _check_gone(self, error: Exception) -> None:
+        """Close a dead port, so that the next frame opens it again: an adapter that is plugged in
+        again carries the stop of a drive.
+        """
+        if is_gone(error) and self._port is not None:
+            CanopenLink.close(self)
+            self._lost = True
 
     def _receive(self, timeout_s: float) -> None:
         """Dispatch the received frames; wait if no frame has arrived."""
@@ -265,6 +281,7 @@ class CanopenLink(Link):
         try:
             frames = port.collect(timeout_s)
         except Exception as error:
+            self._check_gone(error)
             raise LinkError(
                 f"{self._name} cannot receive frames: {words(error)}; check the interface and its "
                 "cable"

@@ -19,7 +19,7 @@ from drivers.epos.node import FASTEST_1_S, EposSerialNode
 from drivers.epos.object_access import IDENTITY, Guard
 from drivers.errors import LinkError
 from drivers.interfaces import Link, RawFrame
-from drivers.port_errors import close_all, opened, require_one_cycle, words
+from drivers.port_errors import close_all, is_gone, opened, require_one_cycle, words
 from drivers.serial_port import BytePort, raw_frames
 
 _FRAMES_KEPT: Final = 1 << 16
@@ -47,6 +47,9 @@ class EposSerialLink(Link):
 
     The protocol has no watchdog in the drive: if the control loop stops, the drive continues to
     hold its last target.
+
+    A port whose adapter was unplugged is opened again, by its name, at the next request: an adapter
+    that is plugged in again carries the stop of the drive.
 
     Args:
         clock: Real or simulated clock, as the port.
@@ -82,6 +85,7 @@ class EposSerialLink(Link):
         self._answer_wait_ns = round(answer_s * NS)
         self._silence_ns = round(silence_s * NS)
         self._port: BytePort | None = None
+        self._lost = False
         self._decoder = FrameDecoder()
         self._in_step = False
         self._marks: deque[tuple[bytes, bytes]] = deque()
@@ -116,14 +120,13 @@ class EposSerialLink(Link):
         """
         if self._port is not None:
             return
-        advice = "check the name of the port, the adapter, and your permission to use it"
-        self._port = opened(self._connect, self._name, advice)
+        self._port = self._connected()
         self._in_step = False
         self._marks.clear()
 
     def close(self) -> None:
         """Close the port; safe to call twice and after a failure. Raises nothing."""
-        port, self._port = self._port, None
+        port, self._port, self._lost = self._port, None, False
         if port is not None:
             close_all(port.close)
 
@@ -317,10 +320,21 @@ class EposSerialLink(Link):
             if left <= 0:
                 return []
 
+    def _connected(self) -> BytePort:
+        advice = "check the name of the port, the adapter, and your permission to use it"
+        return opened(self._connect, self._name, advice)
+
     def _opened(self) -> BytePort:
+        """Return the port; a port whose adapter was unplugged is opened again by its name."""
         if self._port is None:
-            raise LinkError(f"{self._name} is not open: call open() first")
+            if not self._lost:
+                raise LinkError(f"{self._name} is not open: call open() first")
+            self._port = self._connected()
+            self._in_step = False
         return self._port
 
     def _gone(self, error: Exception) -> LinkError:
+        if is_gone(error):
+            self.close()
+            self._lost = True
         return LinkError(f"{self._name} is gone: {words(error)}; check the adapter and its cable")

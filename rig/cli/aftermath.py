@@ -112,7 +112,8 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
         err=False,
     )
     for warning in record.warnings:
-        screen.say(f"warning: {warning}")
+        if warning not in folder.told:
+            screen.say(f"warning: {warning}")
     if words := go_on_words(record, folder.path):
         screen.say(words)
 

@@ -28,6 +28,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
     "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
+    "off": ("rig.cli.commands.off:command", "Make a bench safe, whoever uses it."),
     "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
     "watch": (
         "rig.cli.commands.watch:command",

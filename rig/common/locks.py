@@ -123,6 +123,11 @@ def hold_bench(
     return _hold(places, command)
 
 
+def lock_files(resources: Iterable[Resource], folder: Path | None = None) -> list[Path]:
+    """Return the lock files of parts of a bench, whether they exist or not."""
+    return [(folder or LOCK_FOLDER) / file_name(part.key) for part in resources]
+
+
 def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 
@@ -369,12 +374,17 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
         )
     who = holder.words(place.what, utc_now())
     if holder.alive():
-        return f"{place.subject} is in use by {who}; wait for it to end, or stop it"
+        return f"{place.subject} is in use by {who}; wait for it to end, or stop it{_off(place)}"
     return (
         f"{place.subject} is in use: {who} is gone, but a process that it started, such as the "
         "guardian of a drive that is not off yet, still holds the lock; wait for the end of that "
-        "process"
+        f"process{_off(place)}"
     )
+
+
+def _off(place: _Place) -> str:
+    """Return the command that makes a bench safe although it is locked."""
+    return "; `rig off BENCH` makes the bench safe all the same" if place.shared else ""
 
 
 def _left_words(place: _Place, left: bytes) -> str:

@@ -18,6 +18,8 @@ MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
 """Factor by which the limits of torque, current and speed are reduced for a drive without watchdog.
 """
+NO_WATCHDOG_AT_ALL: Final = "this drive has no watchdog"
+"""Beginning of a warning of which the page of a run concludes that the limits are reduced."""
 _ALONE: Final = (
     "the drive holds its last target with power on, and only the main switch or the emergency "
     "stop switches the power off. Stay beside the bench. Torque, current and speed limits are "
@@ -25,12 +27,24 @@ _ALONE: Final = (
     f"{UNWATCHED_SHARE:.0%} of the bench file's"
 )
 NO_WATCHDOG: Final = (
-    f"this drive has no watchdog: if this program, its computer or the cable fails, {_ALONE}"
+    f"{NO_WATCHDOG_AT_ALL}: if this program or its computer fails or sleeps, or the cable fails, "
+    f"{_ALONE}"
 )
 GUARDED: Final = (
-    "this drive has no watchdog: if this program ends, a second process, its guardian, brakes and "
-    f"switches the power off; if the computer or the cable fails, {_ALONE}"
+    f"{NO_WATCHDOG_AT_ALL}: if this program ends or hangs, a second process, its guardian, brakes "
+    "and switches the power off; if the guardian ends or hangs, this program does. If both are "
+    "killed or frozen at once, if the computer fails or sleeps, and while the cable or its adapter "
+    f"is out, nothing protects: {_ALONE}"
 )
+
+
+def sleep_words(reason: str) -> str:
+    """Return the warning that nothing keeps this computer awake."""
+    return (
+        f"nothing keeps this computer awake ({reason}): switch its sleep off (lid, idle time, "
+        "battery), because a drive without a watchdog stays under power while the computer sleeps"
+    )
+
 
 _Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
 

@@ -4,8 +4,13 @@ that a stop signal interrupts the opening.
 
 from __future__ import annotations
 
+import dataclasses
+import select
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from typing import Final
 
 from rig.common.errors import InputError
 from rig.config.bench import Bench
@@ -14,6 +19,10 @@ from rig.planning.plan import Plan
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import Attach, connect
 from rig.wiring.devices import Devices
+
+_INHIBIT: Final = ("systemd-inhibit", "--what=sleep:idle:handle-lid-switch", "--who=rig")
+_INHIBIT_S: Final = 2.0
+"""Time, s, in which the system must have accepted the request to stay awake."""
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
@@ -54,7 +63,8 @@ def connected(
     purpose: str = "rig",
 ) -> Iterator[Devices]:
     """Open a bench with :func:`rig.wiring.connect.connect`; a stop signal interrupts the opening,
-    because no drive is energised yet.
+    because no drive is energised yet. The computer of a real bench is kept awake, where this is
+    possible.
 
     Raises:
         KeyboardInterrupt: The operator stopped the opening.
@@ -64,4 +74,35 @@ def connected(
             devices = stack.enter_context(
                 connect(document, seed, realtime, attach, torque_offset, purpose)
             )
+            if not document.value.simulated:
+                why = stack.enter_context(kept_awake(purpose))
+                devices = dataclasses.replace(devices, awake=why)
         yield devices
+
+
+@contextmanager
+def kept_awake(purpose: str) -> Iterator[str]:
+    """Ask the system not to sleep, neither when it is idle nor when its lid is closed.
+
+    Yields the reason if this is impossible; empty if the system stays awake. The request ends with
+    this program, however it ends, because the input of the process that holds it ends.
+    """
+    held = (sys.executable, "-c", "print(flush=True); import sys; sys.stdin.read()")
+    with ExitStack() as stack:
+        try:
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [*_INHIBIT, f"--why={purpose} drives a bench", *held],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+            )
+        except OSError:
+            yield f"{_INHIBIT[0]} is not installed"
+            return
+        assert process.stdout is not None
+        stack.callback(process.kill)
+        ready = select.select([process.stdout], [], [], _INHIBIT_S)[0]
+        yield "" if ready and process.stdout.readline() else f"{_INHIBIT[0]} is refused"

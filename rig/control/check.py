@@ -17,7 +17,6 @@ from rig.common.tables import table
 from rig.config.bench import Bench
 from rig.config.calibration import calibration_records
 from rig.config.configuration import Document
-from rig.config.serial_bus import GUARDED, NO_WATCHDOG
 from rig.control.readings import Readings, reading_findings, take_readings
 from rig.control.session import DEVICES, describe_devices
 from rig.planning.plan import bench_limits, servo_limits
@@ -123,14 +122,10 @@ def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> st
         _limits(found),
         "",
     ]
-    lines += [f"warning: {text}" for text in (*_warned(watching), *found["warnings"])]
+    lines += [f"warning: {text}" for text in (*watching.warnings, *found["warnings"])]
     lines += [f"problem: {text}" for text in found["problems"]]
     lines.append(f"verdict: {found['verdict']}")
     return "\n".join(lines)
-
-
-def _warned(watching: Watcher) -> list[str]:
-    return {"nobody": [NO_WATCHDOG], "guardian": [GUARDED]}.get(watching.kind, [])
 
 
 def _devices(found: dict[str, Any]) -> str:

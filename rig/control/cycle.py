@@ -96,6 +96,7 @@ class Cycle:
         self._pressure = devices.pressure
         self._clock = devices.link.clock
         self._pacer = devices.pacer
+        self._suspension = devices.suspension
         self._recorder = recorder
         self._stop = stop
         self._progress = progress
@@ -175,6 +176,8 @@ class Cycle:
         """
         self._fresh_ns = self._clock.now_ns()
         self._start_grid(self._fresh_ns)
+        if self._suspension is not None:
+            self._suspension.passed_ns()
 
     def follow(
         self,
@@ -269,7 +272,7 @@ class Cycle:
             self._start_grid(now_ns)
         # The drive is monitored while it brakes even if the recording cannot be written.
         with suppress(StorageError):
-            sample = self._exchange(self._target, 0)
+            sample = self._exchange(self._target, 0, braking=True)
             if self.units is not None:
                 self.units.take_braking(sample, self._torque)
         return self._servo.sent_state()
@@ -312,9 +315,12 @@ class Cycle:
         if trip is not None:
             raise TripError(trip)
 
-    def _exchange(self, target: float, segment: int) -> Sample:
+    def _exchange(self, target: float, segment: int, braking: bool = False) -> Sample:
         """Wait for the start of the cycle, send the prepared commands, receive the answer and
         record it.
+
+        Raises:
+            TripError: The computer slept, and the drive is not braking; nothing was sent.
         """
         link, clock = self._link, self._clock
         self._target = target
@@ -322,6 +328,11 @@ class Cycle:
         paced_late_ns = 0 if self._pacer is None else self._pace(self._pacer, begin_ns)
         clock.sleep_until_ns(begin_ns)
         late_ns = clock.now_ns() - begin_ns
+        if self._suspension is not None and not braking:
+            slept_ns = self._suspension.passed_ns()
+            if slept_ns:
+                time_s = (begin_ns - self._start_ns) * 1e-9
+                raise TripError(Trip(Check.SLEEP, slept_ns / NS, 0.0, "s", time_s))
         timing = self.timing
         timing.lateness.note(max(late_ns, paced_late_ns))
         self._late_s = max(late_ns, paced_late_ns) * 1e-9

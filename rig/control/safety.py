@@ -36,6 +36,7 @@ class Check(Enum):
     PRESSURE = "chamber pressure"
     CONTACT_FORCE = "contact force"
     LATENESS = "lateness of the control cycle"
+    SLEEP = "sleep of the computer"
     STAGE_TIME = "time under power in this stage"
 
 
@@ -58,6 +59,8 @@ _REMEDY = {
     Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator "
     "burn out",
     Check.LATENESS: "close other programs on this computer, or lower cycle_Hz, then run again",
+    Check.SLEEP: "nothing watches the drive meanwhile: switch the sleep of this computer off (lid, "
+    "idle time, battery), then run again",
     Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 
@@ -108,6 +111,8 @@ class Trip:
         """Value, limit and unit, without a remedy."""
         if self.check is Check.DRIVE_STATE:
             return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
+        if self.check is Check.SLEEP:
+            return f"the computer slept for {self.value:.1f} s"
         if self.check is Check.NOT_RESET:
             return "the safety latch is open: its reset was not requested"
         return (

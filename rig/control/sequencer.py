@@ -38,7 +38,7 @@ class Outcome:
     error: BaseException | None = None
 
 
-_FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
+_FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS, Check.SLEEP})
 """Checks that fail because of a device, the bus or the computer, and not because the bench reaches
 a physical limit.
 """

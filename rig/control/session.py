@@ -19,7 +19,6 @@ from rig.config.calibration import calibration_records, overdue
 from rig.config.configuration import Document
 from rig.config.redact import redacted
 from rig.config.sequence import Sequence
-from rig.config.serial_bus import GUARDED, NO_WATCHDOG
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import Operator
 from rig.control.phase_handlers import Console, StartingPoint
@@ -41,6 +40,7 @@ from rig.runs.run_record import (
 )
 from rig.terminal.stop_button import StopButton
 from rig.weighing.scale import Scale
+from rig.wiring.bench_text import unprotected
 from rig.wiring.connect import device_files
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import only_here
@@ -167,8 +167,7 @@ def execute(
     record = _record_of(inputs, plan)
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
-    _warn(plan, record, devices, operator)
-    folder = RunFolder(path, record)
+    folder = RunFolder(path, record, _warn(plan, record, devices, operator))
     folder.save()
     if devices.guard is not None:
         devices.guard.record_in(path)
@@ -195,22 +194,21 @@ def execute(
     return folder, outcome
 
 
-def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
-    """Before the first prompt, show the limits that only this program checks, and store the message
-    once in the record.
+def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> frozenset[str]:
+    """Before the first prompt, show what nothing protects, and the limits that only this program
+    checks; store these messages once in the record, and return them.
 
     Raises:
         DeviceError: The drive does not answer.
     """
-    servo, told = devices.servo, []
-    if not devices.link.has_watchdog:
-        told.append(NO_WATCHDOG if devices.guard is None else GUARDED)
+    servo, told = devices.servo, unprotected(devices)
     if (words := only_here(servo, plan.servo_limits, servo.read_limits())) is not None:
         told.append(words)
     for words in told:
         operator.tell(words)
         if words not in record.warnings:
             record.warnings.append(words)
+    return frozenset(told)
 
 
 def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:

@@ -33,11 +33,13 @@ class RunFolder:
     Args:
         path: The folder.
         record: Content of ``run.json``.
+        told: Warnings that the operator was told at the start.
     """
 
-    def __init__(self, path: Path, record: RunRecord) -> None:
+    def __init__(self, path: Path, record: RunRecord, told: frozenset[str] = frozenset()) -> None:
         self.path = path
         self.record = record
+        self.told = told
 
     @property
     def recording(self) -> Path:

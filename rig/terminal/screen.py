@@ -177,6 +177,7 @@ class Screen:
         self._line_open = False
         self._drawn_ns: int | None = None
         self._silent = False
+        self._shared = False
 
     @property
     def trouble(self) -> OSError | None:
@@ -198,6 +199,12 @@ class Screen:
         self._begin_line()
         outlet = self._err if err else self._out
         outlet.put(f"{_wrapped(words, outlet.columns) if outlet.terminal else words}\n")
+
+    def share(self) -> None:
+        """Begin every message on a new line of the terminal: another program, or the shell, may
+        have left a line unfinished.
+        """
+        self._shared = self._err.terminal
 
     def silence(self) -> None:
         """Switch off the echo of typed keys, except in answers, until :meth:`close`.
@@ -247,7 +254,7 @@ class Screen:
         if self._shown:
             self._err.put(self._erase())
             self._shown = 0
-        if self._line_open:
+        if self._line_open or self._shared:
             self._err.put("\n")
             self._line_open = False
 

@@ -10,7 +10,7 @@ from drivers.canopen.cia402_servo import WATCH_S
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection
-from rig.config.serial_bus import SerialBus
+from rig.config.serial_bus import GUARDED, NO_WATCHDOG, SerialBus, sleep_words
 from rig.wiring.devices import Devices
 from rig.wiring.guardian import SILENCE_S
 
@@ -47,6 +47,11 @@ class Watcher:
             )
         return "NOBODY: the drive goes on holding its last target when this program dies"
 
+    @property
+    def warnings(self) -> list[str]:
+        """What nothing protects, for the operator before a run."""
+        return {"nobody": [NO_WATCHDOG], "guardian": [GUARDED]}.get(self.kind, [])
+
 
 def watcher_of(bench: Bench) -> Watcher:
     """Return the watchdog or guardian that the bench file implies."""
@@ -63,3 +68,9 @@ def watcher(devices: Devices) -> Watcher:
     if devices.link.has_watchdog and devices.servo.watch_s is not None:
         return Watcher("drive", devices.servo.watch_s)
     return Watcher("nobody") if devices.guard is None else Watcher("guardian", SILENCE_S)
+
+
+def unprotected(devices: Devices) -> list[str]:
+    """Return what nothing protects on a connected bench, for the operator before a run."""
+    told = watcher(devices).warnings
+    return [*told, sleep_words(devices.awake)] if told and devices.awake else told

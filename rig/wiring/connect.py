@@ -16,7 +16,7 @@ from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.device_data import DeviceData
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink
-from drivers.clock import Clock, RealClock
+from drivers.clock import Clock, RealClock, Suspension
 from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
@@ -27,6 +27,7 @@ from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.drive import Rating
 from drivers.mock.makes import described_drive
 from drivers.mock.plant.parts import constants
+from drivers.serial_port import PySerialPort
 from rig.common.errors import InputError
 from rig.common.locks import hold_bench
 from rig.config.bench import Bench
@@ -114,6 +115,7 @@ def connect(
                 ignite=wired.ignite,
                 lock=lock,
                 nominal=nominal_of(bench),
+                suspension=Suspension() if realtime or not bench.simulated else None,
             )
         finally:
             link.close()
@@ -195,6 +197,47 @@ def _wire(
     return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
 
 
+def bare_drive(document: Document[Bench]) -> tuple[Link, Servo]:
+    """Return the drive of a real bench on a link that has not been opened, without its other
+    devices, which may be what failed; only to stop the drive. A port is opened even if another
+    program has locked it.
+
+    Raises:
+        InputError: The drive has no EDS or DBC file.
+    """
+    bench = document.value
+    bus, section = bench.bus, bench.servo
+    assert bus is not None
+    if isinstance(section, DbcServoSection):
+        assert isinstance(bus, Bus)
+        wiring = wire(section, document.path, bench.simulated, document.problem)
+        dbc = DbcLink.on_interface(RealClock(), *_interface(bus), bus_options=_shared(bus))
+        drive = section.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
+        return dbc, DbcServo(dbc, dbc.add_channel(wiring, section.name), drive)
+    data = servo_data(document)
+    scales = servo_scales(section, bench.machine, data)
+    eds = eds_path(document, "servo")
+    if isinstance(bus, SerialBus):
+        port, baud = bus.port, bus.baud
+        line = EposSerialLink(
+            RealClock(), lambda: PySerialPort(port, baud, exclusive=False), f"EPOS4 at {port}"
+        )
+        return line, Cia402Servo(line.add_node(section.node, eds), line, scales)
+    link = CanopenLink.on_interface(RealClock(), *_interface(bus), bus_options=_shared(bus))
+    motion = servo_motion(section, scales, data, False)
+    node = link.add_node(section.node, eds)
+    return link, Cia402Servo(node, link, scales, motion=motion, stops_alone=section.stops_alone)
+
+
+def _interface(bus: Bus) -> tuple[str, str, int]:
+    return bus.interface, bus.channel or "", bus.bitrate
+
+
+def _shared(bus: Bus) -> dict[str, bool]:
+    """Return the option by which a port is opened that another program has locked."""
+    return {"exclusive": False} if bus.interface == "slcan" else {}
+
+
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
@@ -248,7 +291,7 @@ def _link(
     simulated, clock = _simulated_bench(document, servo, bus.bitrate, seed, attach)
     if simulated is not None:
         return CanopenLink(clock, lambda: simulated.bus, name="simulated bus"), simulated
-    return CanopenLink.on_interface(clock, bus.interface, bus.channel or "", bus.bitrate), None
+    return CanopenLink.on_interface(clock, *_interface(bus)), None
 
 
 def _dbc_servo(
@@ -262,7 +305,7 @@ def _dbc_servo(
         mock, clock = _simulated_dbc(document, bench.mock, servo, bus.bitrate, seed, attach)
         link, hang = DbcLink(clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
     else:
-        link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
+        link = DbcLink.on_interface(RealClock(), *_interface(bus))
     drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
     return link, DbcServo(link, link.add_channel(wiring, servo.name), drive), hang
 

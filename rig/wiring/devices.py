@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.clock import Clock
+from drivers.clock import Clock, Suspension
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from rig.common.locks import Lock
 from rig.common.phase import Phase
@@ -52,6 +52,8 @@ class Devices:
         lock: Lock that prevents other programs from using the bench, or None for a simulated bench.
         nominal: Constants of the bench file with which motions are compared, or None for no
             comparison.
+        suspension: Detects that this computer slept; None in simulated time.
+        awake: Why this computer may sleep during the run; empty if it does not.
     """
 
     link: Link
@@ -65,6 +67,8 @@ class Devices:
     ignite: Callable[[], None] | None = None
     lock: Lock | None = None
     nominal: Nominal | None = None
+    suspension: Suspension | None = None
+    awake: str = ""
 
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its process data; nothing is energised.

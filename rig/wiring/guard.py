@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Final
 
@@ -24,6 +25,8 @@ from rig.wiring.guardian import READY, TOOK_OVER
 _START_S: Final = 20.0
 _END_S: Final = 2.0
 _FEED_NS: Final = NS // 50
+ANSWER_S: Final = 0.2
+"""Longest time without an answer of the guardian, s."""
 _TAKEOVER_S: Final = 3.0
 """Time to wait for the guardian's report after a takeover, s, longer than braking and reading back.
 """
@@ -34,8 +37,9 @@ class Guard:
     """Opens a drive's port, and runs a guardian process while the drive is energised.
 
     Program and guardian never use the port at the same time: while the guardian has the port,
-    :meth:`feed` raises an error. A guardian that has ended or does not read is reported once; the
-    program can then take the power off itself.
+    :meth:`feed` raises an error. The guardian answers every sign of life. A guardian that has
+    ended, does not read, or does not answer for :data:`ANSWER_S` is reported once; the program can
+    then take the power off itself.
 
     Args:
         port: Device of this computer.
@@ -57,6 +61,8 @@ class Guard:
         self._path, self._baud = port, baud
         self._drive = {
             "name": self.name,
+            "port": port,
+            "baud": baud,
             "node": node,
             "eds": str(eds.resolve()),
             "scales": dataclasses.asdict(scales),
@@ -67,17 +73,18 @@ class Guard:
         self._process: subprocess.Popen[bytes] | None = None
         self._armed = False
         self._taken = False
-        self._deaf = False
+        self._deaf = self._mute = False
         self._heard = b""
+        self._asked_ns: int | None = None
 
     def open_port(self) -> BytePort:
-        """Open the port.
+        """Open the port; locked, unless it is opened again, when the guardian may hold the lock.
 
         Raises:
             OSError: The port cannot be opened.
             ValueError: The port does not support this rate.
         """
-        self._port = PySerialPort(self._path, self._baud)
+        self._port = PySerialPort(self._path, self._baud, exclusive=self._process is None)
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
@@ -101,7 +108,8 @@ class Guard:
             self._process = self._start()
         folder = {} if self._folder is None else {"folder": str(self._folder)}
         self._tell({"armed": True, "limit_s": limit_s, **folder})
-        self._armed, self._deaf = True, False
+        self._armed, self._deaf, self._mute = True, False, False
+        self._asked_ns = None
         self._fed_ns = time.monotonic_ns()
 
     def feed(self) -> None:
@@ -109,9 +117,9 @@ class Guard:
         is armed.
 
         Raises:
-            LinkError: The guardian has taken over, has ended, or accepts no messages. While the
-                guardian has the drive, every call raises LinkError. Otherwise only one call raises
-                LinkError, so that the drive can then be stopped and read back.
+            LinkError: The guardian has taken over, has ended, accepts no messages or does not
+                answer. While the guardian has the drive, every call raises LinkError. Otherwise
+                only one call raises LinkError, so that the drive can then be stopped and read back.
         """
         if self._taken:
             self._await_report(0.0)
@@ -129,7 +137,8 @@ class Guard:
                 f"stopped the drive: {words}"
             )
         self._fed_ns = now
-        reported = self._deaf
+        self._check_answer(now)
+        reported = self._deaf or self._mute
         try:
             self._write(b"\n")
         except LinkError:
@@ -137,6 +146,25 @@ class Guard:
             # above.
             if not (reported and self._deaf):
                 raise
+
+    def _check_answer(self, now_ns: int) -> None:
+        """Take the answers that have arrived; :class:`LinkError` once if there was none for too
+        long. An answer to a sign of life from before a pause of this program counts, because it is
+        taken first.
+        """
+        if self._heard:
+            self._heard = self._heard.rpartition(b"\n")[2]
+            self._asked_ns, self._mute = None, False
+        if self._asked_ns is None:
+            self._asked_ns = now_ns
+        elif now_ns - self._asked_ns > ANSWER_S * NS and not (self._mute or self._deaf):
+            self._mute = True
+            raise LinkError(
+                f"the guardian of {self.name} did not answer for "
+                f"{(now_ns - self._asked_ns) / NS:.2f} s (limit {ANSWER_S:g} s), so that nothing "
+                "would stop the drive if this program failed; close other programs on this "
+                "computer, then run again"
+            )
 
     def release(self) -> None:
         """Disarm the guardian after the drive was verified off; the next :meth:`arm` arms it again.
@@ -151,19 +179,28 @@ class Guard:
 
     def close(self) -> None:
         """End the guardian. If :meth:`release` was not called, the guardian stops the drive now,
-        and repeats this for at most a minute until the stop is verified.
+        and repeats this until the stop is verified, or `rig off` takes over.
         """
-        process, self._process = self._process, None
+        process = self._process
         if process is None:
             return
+        if self._armed:
+            with suppress(LinkError):
+                self._tell({"left": True})
+        self._process = None
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
             pipe.close()
         try:
             process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            # The guardian is still trying to stop the drive and must not be interrupted.
-            process.returncode = 0
+            if self._armed:
+                # The guardian is still trying to stop the drive and must not be interrupted.
+                process.returncode = 0
+                return
+            # A guardian that hangs after the drive was verified off would keep the bench locked.
+            process.kill()
+            process.wait()
 
     def _start(self) -> subprocess.Popen[bytes]:
         if self._port is None:

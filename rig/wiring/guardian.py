@@ -3,21 +3,27 @@ hangs.
 
 The guardian is started with the open port before the drive is enabled. JSON lines on its standard
 input state how to reach the drive, where to write its report, and whether the drive is under power
-(``armed``). While armed, every line, even an empty one, is a sign of life of the control loop. The
-guardian acts in two cases:
+(``armed``). While armed, every line, even an empty one, is a sign of life of the control loop, and
+the guardian answers it with :data:`ALIVE`. The guardian acts in three cases:
 
 - the input ends while the guardian is armed: the other program is gone;
+- the same after the line ``left``: the other program could not take the power off;
 - no line arrives for ``limit_s``: the other program hangs, or was suspended.
 
 First the guardian writes ``took over`` to the standard output, so that the other program does not
 use the port if it continues. Then the guardian brakes the drive, takes the power off, reads 6041h
 back, writes its report next to the recording, and writes a line with the result to the standard
 output. A full output never blocks the guardian.
+
+If this fails, the guardian tries again without a limit, and opens the port again if the adapter was
+unplugged. It ends when the drive is verified off, or when ``rig off`` takes the drive over by
+:data:`HAND_OVER`.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import select
 import signal
@@ -27,14 +33,17 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum
+from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import Any, Final
 
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import NS, Clock, RealClock
 from drivers.epos.link import EposSerialLink
+from drivers.errors import LinkError
 from drivers.interfaces import Servo
-from drivers.serial_port import InheritedPort
+from drivers.serial_port import BytePort, InheritedPort, PySerialPort
 from drivers.units import ServoScales
 from rig.common.locks import inherited
 from rig.terminal.screen import Screen
@@ -43,16 +52,25 @@ from rig.wiring.teardown import SafeState, make_safe
 SCHEMA: Final = "loadrig.guardian/1"
 REPORT_FILE: Final = "guardian.json"
 READY: Final = b"ready\n"
+ALIVE: Final = b"alive\n"
 TOOK_OVER: Final = b"took over\n"
 SILENCE_S: Final = 0.2
 """Default time without a sign of life after which the guardian acts, s."""
-_PATIENCE_S: Final = 60.0
+HAND_OVER: Final = signal.SIGUSR1
+"""Signal by which `rig off` asks the guardian to leave the drive to it."""
+MODULE: Final = "rig.wiring.guardian"
 _PAUSE_NS: Final = NS // 5
 """Pause between two attempts to stop the drive, s. On a lost port an attempt fails immediately;
 without a pause, repeated attempts would occupy the processor.
 """
 _CYCLE_NS: Final = NS // 1000
 _CHUNK: Final = 4096
+_REMIND_S: Final = 60.0
+"""Time between two messages of a guardian that goes on trying, s."""
+_TRYING: Final = (
+    "; the guardian goes on trying until the drive is off, and opens the port again when the "
+    "adapter is back; `rig off` takes over from it"
+)
 _SHOW_S: Final = 1.0
 
 
@@ -61,7 +79,9 @@ class Cause(Enum):
 
     RELEASED = "released"
     GONE = "gone"
+    LEFT = "left"
     SILENT = "silent"
+    HANDED_OVER = "handed over"
 
 
 @dataclass
@@ -69,16 +89,21 @@ class Ward:
     """Data that the guardian has received from the other program.
 
     Attributes:
-        drive: Data to reach the drive: ``name``, ``node``, ``eds`` and ``scales``.
+        drive: Data to reach the drive: ``name``, ``port``, ``baud``, ``node``, ``eds`` and
+            ``scales``.
         folder: Folder for the report, or None for no report.
         armed: Whether the drive may be under power.
         limit_s: Longest silence of the other program while armed, s.
+        left: Whether the other program ended without having taken the power off.
+        handed_over: Whether `rig off` has asked for the drive.
     """
 
     drive: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
     armed: bool = False
     limit_s: float = SILENCE_S
+    left: bool = False
+    handed_over: bool = False
     _rest: bytes = b""
 
     def hear(self, data: bytes) -> None:
@@ -99,6 +124,7 @@ class Ward:
             self.folder = Path(told["folder"]) if "folder" in told else self.folder
             self.limit_s = float(told.get("limit_s", self.limit_s))
             self.armed = bool(told.get("armed", self.armed))
+            self.left = bool(told.get("left", self.left))
 
 
 @dataclass(frozen=True)
@@ -113,64 +139,90 @@ class Deed:
 def stop(
     servo: Servo,
     clock: Clock,
-    patience_s: float = _PATIENCE_S,
-    failed: Callable[[SafeState], None] = lambda safe: None,
+    reach: Callable[[], object] = lambda: None,
+    *,
+    watched: bool = False,
+    patience_s: float = math.inf,
+    failed: Callable[[Deed], None] = lambda deed: None,
+    give_up: Callable[[], bool] = lambda: False,
 ) -> Deed:
-    """Brake, take the power off and read the state back; repeat until the state is verified or the
-    time is over.
+    """Brake, take the power off and read the state back; repeat until the state is verified, the
+    time is over, or the drive is handed over.
 
     Args:
         servo: The drive.
         clock: Clock of its link.
+        reach: Opens the link of the drive if it is not open, before each attempt.
+        watched: Whether the drive takes the power off by itself when it is not commanded.
         patience_s: Time for all attempts, s.
-        failed: Called after the first failed attempt.
+        failed: Called after every failed attempt but the last.
+        give_up: Whether to end after the present attempt.
     """
     began = clock.now_ns()
     attempts = 0
     while True:
         attempts += 1
-        safe = make_safe(
-            servo,
-            lambda: clock.sleep_until_ns(clock.now_ns() + _CYCLE_NS),
-            clock,
-            _CYCLE_NS,
-            brake=True,
-            hurry=lambda: False,
-            watched=False,
-        )
-        spent_s = (clock.now_ns() - began) / NS
-        if safe.verified or spent_s > patience_s:
-            return Deed(safe, attempts, spent_s)
-        if attempts == 1:
-            failed(safe)
+        try:
+            reach()
+        except LinkError as error:
+            safe = SafeState(False, "unknown", (str(error),), watched)
+        else:
+            safe = make_safe(
+                servo,
+                lambda: clock.sleep_until_ns(clock.now_ns() + _CYCLE_NS),
+                clock,
+                _CYCLE_NS,
+                brake=True,
+                hurry=give_up,
+                watched=watched,
+            )
+        deed = Deed(safe, attempts, (clock.now_ns() - began) / NS)
+        if safe.verified or deed.seconds > patience_s or give_up():
+            return deed
+        failed(deed)
         clock.sleep_until_ns(clock.now_ns() + _PAUSE_NS)
 
 
-def watch(descriptor: int, ward: Ward, wait: Callable[[int, float | None], bool]) -> Cause:
+def watch(
+    descriptor: int,
+    ward: Ward,
+    wait: Callable[[int, float | None], bool],
+    answer: Callable[[], None] = lambda: None,
+) -> Cause:
     """Wait until the drive must be stopped, or until the pipe is closed while the drive is off.
 
     Args:
         descriptor: The pipe.
         ward: Receives the input.
         wait: Waits for input on a descriptor for a number of seconds, or without a time limit if
-            None; returns whether there is input.
+            None; returns whether there is input, or the drive was asked for.
+        answer: Called after every input while armed.
     """
     while True:
-        if not wait(descriptor, ward.limit_s if ward.armed else None):
+        ready = wait(descriptor, ward.limit_s if ward.armed else None)
+        if ward.handed_over:
+            return Cause.HANDED_OVER
+        if not ready:
             return Cause.SILENT
         data = os.read(descriptor, _CHUNK)
         if not data:
-            return Cause.GONE if ward.armed else Cause.RELEASED
+            if not ward.armed:
+                return Cause.RELEASED
+            return Cause.LEFT if ward.left else Cause.GONE
         ward.hear(data)
+        if ward.armed:
+            answer()
 
 
-def _wait(descriptor: int, seconds: float | None) -> bool:
-    return bool(select.select([descriptor], [], [], seconds)[0])
+def _wait(wake: int, descriptor: int, seconds: float | None) -> bool:
+    return bool(select.select([descriptor, wake], [], [], seconds)[0])
 
 
 def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
     """Return a sentence on why the guardian acted, and on the final state of the drive."""
-    why = "is gone" if cause is Cause.GONE else f"did not run for {ward.limit_s:g} s"
+    why = {Cause.GONE: "is gone", Cause.LEFT: "could not take its power off"}.get(
+        cause, f"did not run for {ward.limit_s:g} s"
+    )
     return (
         f"guardian: the program that drove {ward.drive['name']} {why}; after "
         f"{deed.seconds:.2f} s {deed.safe.message}"
@@ -202,9 +254,19 @@ def report(deed: Deed, ward: Ward, cause: Cause) -> str:
 
 
 def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
-    """Return the drive behind an open port, given as a file descriptor."""
+    """Return the drive behind an open port, given as a file descriptor. If this port is gone, it is
+    opened again by its name.
+    """
     clock, told = RealClock(), ward.drive
-    link = EposSerialLink(clock, lambda: InheritedPort(port), told["name"])
+    inherited_port = [InheritedPort(port)]
+
+    def connect() -> BytePort:
+        if inherited_port:
+            return inherited_port.pop()
+        # The other program may still hold its lock of the port.
+        return PySerialPort(told["port"], told["baud"], exclusive=False)
+
+    link = EposSerialLink(clock, connect, told["name"])
     node = link.add_node(told["node"], Path(told["eds"]))
     scales = dict(told["scales"])
     for name, value in scales.items():
@@ -215,14 +277,21 @@ def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
 
 
 def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) -> Deed:
-    """Stop the drive, and print and store the report."""
-    name = ward.drive["name"]
-    deed = stop(
-        servo,
-        clock,
-        failed=lambda safe: screen.say(f"guardian of {name}: {safe.message}; still trying"),
-    )
-    screen.say(report(deed, ward, cause))
+    """Stop the drive, and print and store the report, also once a minute while this fails."""
+    told_s = -math.inf
+
+    def failed(deed: Deed) -> None:
+        nonlocal told_s
+        if deed.seconds - told_s >= _REMIND_S:
+            told_s = deed.seconds
+            screen.say(report(deed, ward, cause) + _TRYING)
+        screen.pump()
+
+    deed = stop(servo, clock, failed=failed, give_up=lambda: ward.handed_over)
+    words = report(deed, ward, cause)
+    if ward.handed_over and not deed.safe.verified:
+        words = f"guardian of {ward.drive['name']}: `rig off` has taken over"
+    screen.say(words)
     return deed
 
 
@@ -234,6 +303,14 @@ def main() -> int:
         # The guardian ignores stop signals; only the end of its input ends the process.
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     ward, screen = Ward(), Screen()
+    screen.share()
+    woken, wake = os.pipe()
+
+    def hand_over(number: int, frame: FrameType | None) -> None:
+        ward.handed_over = True
+        os.write(wake, b"\n")
+
+    signal.signal(HAND_OVER, hand_over)
     listening, speaking = sys.stdin.fileno(), sys.stdout.fileno()
     while not ward.drive:
         data = os.read(listening, _CHUNK)
@@ -246,19 +323,19 @@ def main() -> int:
     bench = inherited(lock)
     _speak(speaking, READY)
     while True:
-        cause = watch(listening, ward, _wait)
-        if cause is Cause.RELEASED:
+        cause = watch(listening, ward, partial(_wait, woken), partial(_speak, speaking, ALIVE))
+        if cause in (Cause.RELEASED, Cause.HANDED_OVER):
             return 0
         if cause is Cause.SILENT:
             _speak(speaking, TOOK_OVER)
         else:
             bench.note("the guardian of a program that died")
         deed = act(servo, clock, ward, cause, screen)
-        if cause is Cause.GONE:
+        if cause is not Cause.SILENT or ward.handed_over:
             if deed.safe.verified:
                 bench.release()
             screen.drain(_SHOW_S)
-            return 0 if deed.safe.verified else 1
+            return 0 if deed.safe.verified or ward.handed_over else 1
         ward.armed = False
         _speak(speaking, deed.safe.message.encode() + b"\n")
         screen.pump()

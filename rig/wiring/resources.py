@@ -26,13 +26,18 @@ def resources(bench: Bench) -> tuple[Resource, ...]:
     Symbolic links are resolved, so that all names of a device give one key. The key of an interface
     with a channel does not depend on the bench file.
     """
+    found = [*bus_resources(bench)]
+    if not bench.simulated and bench.bus and isinstance(bench.encoder, Amt21Section):
+        found.append(_port(bench.encoder.port))
+    return tuple(sorted({part.key: part for part in reversed(found)}.values()))
+
+
+def bus_resources(bench: Bench) -> tuple[Resource, ...]:
+    """Return those resources of a bench through which its drive is reached."""
     bus = bench.bus
     if bus is None or bench.simulated:
         return ()
-    found = [_port(bus.port)] if isinstance(bus, SerialBus) else _channel(bus)
-    if isinstance(bench.encoder, Amt21Section):
-        found.append(_port(bench.encoder.port))
-    return tuple(sorted({part.key: part for part in reversed(found)}.values()))
+    return (_port(bus.port),) if isinstance(bus, SerialBus) else tuple(_channel(bus))
 
 
 def _channel(bus: Bus) -> list[Resource]:

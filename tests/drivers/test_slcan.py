@@ -297,10 +297,12 @@ def test_an_adapter_that_is_pulled_out_is_a_link_error(adapter: Pty) -> None:
     link = slcan_link(adapter.path)
     link.open()
     adapter.hang_up()
+    with pytest.raises(LinkError, match=r"cannot receive frames: the adapter was unplugged"):
+        link.pump(lambda: False, 1.0)
     for _ in range(2):
-        with pytest.raises(LinkError, match=r"cannot receive frames: the adapter was unplugged"):
+        with pytest.raises(LinkError, match=r"cannot be opened: .*No such file"):
             link.pump(lambda: False, 1.0)
-        with pytest.raises(LinkError, match=r"cannot send a frame: .*Input/output error"):
+        with pytest.raises(LinkError, match=r"cannot be opened: .*No such file"):
             link.send(0x601, bytes(8))
     link.close()
     link.close()

@@ -11,6 +11,7 @@ the order was carried out:
 - ``hang KG``: hangs a mass on the lever.
 - ``unplug``: takes the drive's adapter away: EIO on a terminal, the end of a connection on a
   socket.
+- ``plug``: puts the adapter of a terminal back, under the same name.
 - ``garbage SEED``: sends the host program bytes that mean nothing, on the drive's line.
 """
 
@@ -21,11 +22,14 @@ import json
 import math
 import os
 import random
+import shutil
+import tempfile
 import time
 import weakref
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from drivers.clock import NS
@@ -120,6 +124,7 @@ class Served:
         self._machine = machine
         self._ports = Ports()
         self._names: list[str | int] = []
+        self._folder = Path(tempfile.mkdtemp(prefix="bench-"))
         self._heard_ns: deque[int] = deque(maxlen=100_000)
         self._slots = [_Slot(self._heard_ns), _Slot(self._heard_ns)]
         self._bench: SimulatedBench | SimulatedDbcBench | None = None
@@ -175,11 +180,21 @@ class Served:
             slot.station = station
         if stations and not self._whole:
             for name in self._names:
-                self._ports.unplug(name)
+                self._pull(Path(name))
             self._names = [
-                self._ports.open_pty(slot) for slot, _ in zip(self._slots, stations, strict=False)
+                self._plug(self._folder / f"port{n}", self._slots[n]) for n in range(len(stations))
             ]
         self._whole = True
+
+    def _plug(self, name: Path, slot: _Slot) -> str:
+        """Have a terminal under a name that stays the same, as one under /dev/serial/by-id does."""
+        name.symlink_to(self._ports.open_pty(slot))
+        return str(name)
+
+    def _pull(self, name: Path) -> None:
+        if name.is_symlink():
+            self._ports.unplug(os.readlink(name))
+            name.unlink()
 
     def _connected(self) -> _Slot:
         slot = _Slot(self._heard_ns)
@@ -227,6 +242,7 @@ class Served:
                     told = {"ns": time.monotonic_ns(), **self._obey(*line.decode().split())}
                     print(json.dumps(told), flush=True)
         self._ports.close()
+        shutil.rmtree(self._folder)
         self._bench.bus.shutdown()
 
     def _obey(self, order: str, *words: str) -> dict[str, Any]:
@@ -237,10 +253,18 @@ class Served:
             case "hang":
                 self._bench.machine.hang(float(words[0]))
             case "unplug":
-                self._ports.unplug(self._names[0])
+                if isinstance(self._names[0], int):
+                    self._ports.unplug(self._names[0])
+                else:
+                    self._pull(Path(self._names[0]))
                 self._whole = False
+            case "plug":
+                self._plug(Path(self._names[0]), self._slots[0])
+                self._whole = True
             case "garbage":
-                self._ports.babble(self._names[0], nonsense(self._transport, int(words[0])))
+                name = self._names[0]
+                port = name if isinstance(name, int) else os.readlink(name)
+                self._ports.babble(port, nonsense(self._transport, int(words[0])))
             case "state":
                 if isinstance(self._bench, SimulatedBench):
                     self._bench.drive.refresh()

@@ -158,6 +158,10 @@ class Bench:
         """Take the drive's adapter away; returns when, ns."""
         return int(self.ask("unplug")["ns"])
 
+    def plug(self) -> int:
+        """Put the drive's adapter back, under the same name; returns when, ns."""
+        return int(self.ask("plug")["ns"])
+
     def garbage(self, seed: int) -> int:
         """Send bytes that mean nothing; returns when, ns."""
         return int(self.ask(f"garbage {seed}")["ns"])

@@ -379,6 +379,11 @@ class Console:
                     found.append(int(entry))
         return found
 
+    def guardians(self) -> list[int]:
+        """Return the guardians of the command."""
+        words = b"\0rig.wiring.guardian\0"
+        return [p for p in self.family() if words in Path(f"/proc/{p}/cmdline").read_bytes()]
+
     def close(self) -> list[int]:
         """End everything; returns what had to be killed."""
         left = self.family()

@@ -1,19 +1,26 @@
-"""A run on the serial bench is suspended, sent Ctrl-Z, or loses its terminal's reader, at random
-moments.
+"""A run on the serial bench is suspended, sent Ctrl-Z, loses its terminal's reader, its adapter or
+its guardian, or is suspended together with its guardian, at random moments.
 
 `python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watchdog, so that
 power must be gone within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at
 once; SIGTSTP ends the run as Ctrl-C does. A terminal that is stalled (Ctrl-S, or one that nobody
 reads and that is full) changes nothing: the run is done, the drive is never under power without
 being spoken to for longer than that, and off within that time of the end of motion.
+
+An adapter that is out for 2 s must leave the drive off 1 s after it is back, by the guardian, and a
+guardian that is suspended within 0.65 s, by the run. Where both are suspended nobody is left: the
+operator uses `rig off` 1 s later, which has 4 s.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import queue
 import random
 import signal
+import subprocess
 import sys
 import tempfile
 import threading
@@ -25,9 +32,11 @@ from pathlib import Path
 from statistics import median
 
 from drivers.clock import NS
+from rig.wiring.guardian import REPORT_FILE
 
 from .benches import Account, Bench, bench_process
-from .console import START_KEY, STOP_KEY, Console
+from .console import RIG, ROOT, START_KEY, STOP_KEY, Console
+from .process_cases import ANSWER_S, BACK_S, LEFT_S, OUT_S, RIG_OFF_S
 
 OFF_S = 0.5
 LATEST_S = 1.9
@@ -43,7 +52,11 @@ stages:
   - {name: one, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 1.0,
      center_deg: 6, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.1}
 """
-KINDS = ("SIGSTOP", "SIGTSTP", "Ctrl-S", "terminal full")
+ADAPTER, GUARDIAN, BOTH = "adapter out 2 s", "guardian stopped", "both stopped"
+KINDS = ("SIGSTOP", "SIGTSTP", "Ctrl-S", "terminal full", ADAPTER, GUARDIAN, BOTH)
+SILENCES = ("Ctrl-S", "terminal full")
+LIMIT_S = {ADAPTER: OUT_S + BACK_S, GUARDIAN: ANSWER_S, BOTH: LEFT_S + RIG_OFF_S}
+"""From what happened to off; :data:`OFF_S` for every other kind."""
 _START_S = 60.0
 _END_S = 15.0
 _WATCHED_S = 1.0
@@ -105,12 +118,13 @@ def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tu
             console.pause(max(0.0, after_s - (time.monotonic_ns() - began) / NS))
         if began is None or console.ended:
             raise MissedError(console.text()[-300:])
-        ns = _happen(console, kind)
+        ns = _happen(bench, console, kind)
         phase = console.notices[-1]["phase"]
-        account, problems = _see(bench, console, kind, ns)
+        account, problems = _see(bench, console, kind, ns, file)
         problems += _broken(console, account, kind, ns)
-        off_s = account.off_after_s(ns) if kind.startswith("SIG") else _longest_silence_s(account)
-        if off_s is None or off_s > OFF_S:
+        silence = kind in SILENCES
+        off_s = _longest_silence_s(account) if silence else account.off_after_s(ns)
+        if off_s is None or off_s > LIMIT_S.get(kind, OFF_S):
             problems.append(
                 f"power without a running loop for {'ever' if off_s is None else f'{off_s:.3f} s'}"
             )
@@ -126,8 +140,17 @@ def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tu
         console.close()
 
 
-def _happen(console: Console, kind: str) -> int:
+def _happen(bench: Bench, console: Console, kind: str) -> int:
     ns = time.monotonic_ns()
+    if kind == ADAPTER:
+        return bench.unplug()
+    if kind in (GUARDIAN, BOTH):
+        guardians = console.guardians()
+        if not guardians:
+            raise MissedError("the drive had no guardian yet")
+        for pid in guardians:
+            os.kill(pid, signal.SIGSTOP)
+        return ns if kind == GUARDIAN else console.signal(signal.SIGSTOP)
     if kind in ("SIGSTOP", "SIGTSTP"):
         return console.signal(getattr(signal, kind))
     if kind == "Ctrl-S":
@@ -137,11 +160,15 @@ def _happen(console: Console, kind: str) -> int:
     return ns
 
 
-def _see(bench: Bench, console: Console, kind: str, ns: int) -> tuple[Account, list[str]]:
+def _see(
+    bench: Bench, console: Console, kind: str, ns: int, file: Path
+) -> tuple[Account, list[str]]:
     """Wait for what must come; returns what the bench has seen by then, and what is not as it must
     be.
     """
     problems: list[str] = []
+    if kind in (ADAPTER, GUARDIAN, BOTH):
+        return _left_to_others(bench, console, kind, ns, file)
     if kind == "SIGSTOP":
         console.pause(_WATCHED_S)
         account = bench.account()
@@ -165,10 +192,49 @@ def _see(bench: Bench, console: Console, kind: str, ns: int) -> tuple[Account, l
     return account, problems
 
 
+def _left_to_others(
+    bench: Bench, console: Console, kind: str, ns: int, file: Path
+) -> tuple[Account, list[str]]:
+    """See what comes of a lost adapter, and of a guardian that is suspended."""
+    problems: list[str] = []
+    powered = bench.account().on_at(ns)
+    if kind == ADAPTER:
+        console.pause(OUT_S - (time.monotonic_ns() - ns) / NS)
+        bench.plug()
+    if kind == BOTH:
+        console.pause(LEFT_S)
+        words = [sys.executable, *RIG, "off", str(file)]
+        env = os.environ | bench.env
+        done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, env=env)
+        if done.returncode or "read back" not in done.stdout:
+            problems.append(f"rig off ended with {done.returncode}: {done.stderr[-200:]}")
+    if not console.until(lambda: console.ended, _END_S):
+        problems.append("the run did not end")
+    report = file.parent / "run" / REPORT_FILE
+    if kind == ADAPTER and powered:
+        console.until(lambda: _verified(report), _WATCHED_S)
+        if not _verified(report) and bench.account().off_after_s(ns) not in (None, 0.0):
+            problems.append("the guardian has not written that it took the power off")
+    return bench.account(), problems
+
+
+def _verified(report: Path) -> bool:
+    try:
+        return json.loads(report.read_text())["safe"]["verified"] is True
+    except (OSError, ValueError):
+        return False
+
+
 def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]:
     """Return what is wrong with how it ended."""
     problems = []
-    right = {"SIGSTOP": (0, 4), "SIGTSTP": (3,)}.get(kind, (0,))
+    right = {
+        "SIGSTOP": (0, 4),
+        "SIGTSTP": (3,),
+        ADAPTER: (0, 4),
+        GUARDIAN: (0, 4),
+        BOTH: (-9,),
+    }.get(kind, (0,))
     over = any(
         notice["phase"] == "between stages" and notice["ns"] <= ns for notice in console.notices
     )
@@ -264,7 +330,7 @@ def distribution(moments: Sequence[Moment]) -> Iterator[str]:
         if not mine:
             continue
         powered = sorted(m.off_s for m in mine if m.powered and m.off_s is not None)
-        what = "off after" if kind.startswith("SIG") else "longest without a word under power"
+        what = "longest without a word under power" if kind in SILENCES else "off after"
         shares = ""
         if powered:
             at95 = powered[min(len(powered) - 1, round(0.95 * len(powered)))]
@@ -298,7 +364,7 @@ def main() -> int:
     todo: queue.Queue[Plan] = queue.Queue()
     plans = []
     for kind in options.kinds.split(","):
-        count = options.moments if kind.startswith("SIG") else options.moments // 2
+        count = options.moments // 2 if kind in SILENCES else options.moments
         plans += [draw(dice, kind) for _ in range(count)]
     dice.shuffle(plans)
     for plan in plans:

@@ -29,6 +29,18 @@ LINE_S = 0.6
 TOLD_S = 3.0
 """From what happened under power to the verdict on the terminal."""
 SUSPENDED_S = 2.0
+OUT_S = 2.0
+"""How long the adapter is out."""
+BACK_S = 1.0
+"""From the plug: the guardian tries five times a second; then the ramp, and the state read back."""
+ANSWER_S = 0.65
+"""A guardian that does not answer is noticed after 0.2 s; then as a stop."""
+LEFT_S = 1.0
+"""How long a drive that nobody can switch off is left, until the operator uses `rig off`."""
+RIG_OFF_S = 4.0
+"""From the start of `rig off`: the program starts, ends what is frozen, and stops the drive."""
+GONE_S = 1.0
+"""A deleted run folder is noticed within 1 s; then as a stop."""
 LOG_GAP_S = 0.2
 LIMITS = (
     "The power stage must be off for good within these times: "
@@ -38,7 +50,12 @@ LIMITS = (
     f"{CAN_WATCH_S:g} s after SIGKILL or a lost adapter on a CAN bus, by the drive's own watchdog; "
     f"{GUARD_DEADLINE_S:g} s after a suspension on the serial bench, and {CAN_WATCH_S:g} s on a "
     "CAN bus; "
-    f"{LINE_S:g} s after garbage that ends a run; {STORAGE_S:g} s after the disk is full. "
+    f"{LINE_S:g} s after garbage that ends a run; {STORAGE_S:g} s after the disk is full; "
+    f"{BACK_S:g} s after the adapter of the serial bench is back; {ANSWER_S:g} s after its "
+    f"guardian hangs; {STOP_S:g} s after a sleep of the computer; {GONE_S + STOP_S:g} s after the "
+    "run folder is deleted. A drive without a watchdog whose program and guardian are frozen or "
+    f"dead stays on: it is off {RIG_OFF_S:g} s after the start of `rig off`, and the run has said "
+    "so before its first prompt. "
     "If the drive had power, the terminal must show the verdict within another "
     f"{TOLD_S:g} s."
 )
@@ -123,6 +140,33 @@ def _adapter_gone(transport: str, phase: str) -> Must:
     return Must((4,), CAN_WATCH_S, verified=False, words=words)
 
 
+def _adapter_back(transport: str, phase: str) -> Must:
+    if phase not in (*CYCLING, "disable"):
+        return Must((0, 4), None, verified=None)
+    words = r"could NOT be verified[\s\S]*main supply"
+    if transport == "serial":
+        # The run ends before the adapter is back; the guardian speaks last.
+        words += r"[\s\S]*guardian: the program [\s\S]*could not take its power off[\s\S]*read back"
+        return Must((4,), OUT_S + BACK_S, verified=None, words=words)
+    return Must((4,), CAN_WATCH_S, verified=False, words=words)
+
+
+def _guardian_hangs(transport: str, phase: str) -> Must:
+    return Must((4,), ANSWER_S, words="did not answer")
+
+
+def _left_alone(transport: str, phase: str) -> Must:
+    return Must((-9,), LEFT_S + RIG_OFF_S, told=False, record=("running",))
+
+
+def _slept(transport: str, phase: str) -> Must:
+    return Must((4,), STOP_S, words="the computer slept for 5.0 s")
+
+
+def _deleted(transport: str, phase: str) -> Must:
+    return Must((4,), GONE_S + STOP_S, words="was deleted during the run")
+
+
 def _garbage(transport: str, phase: str) -> Must:
     return Must((0, 4), LINE_S, verified=None)
 
@@ -168,6 +212,8 @@ class Column:
     Attributes:
         must: Transport and phase to what must come of it.
         words: What it is, in a sentence of the page.
+        transports: Where it can happen.
+        phases: When it is tried.
         busy: Whether words on lateness then mean that the machine was too busy, rather than that it
             happened.
     """
@@ -175,8 +221,12 @@ class Column:
     must: Callable[[str, str], Must]
     words: str
     busy: bool = True
+    transports: tuple[str, ...] = ("serial", "slcan", "dbc", "socketcand")
+    phases: tuple[str, ...] = tuple(PHASES)
 
 
+ALONE = ("both frozen", "both killed")
+"""After these nobody is left who could switch off a drive without a watchdog, or say so."""
 COLUMNS: Mapping[str, Column] = {
     "adapter gone": Column(
         _adapter_gone,
@@ -215,6 +265,41 @@ COLUMNS: Mapping[str, Column] = {
     "suspended 2 s": Column(
         _suspended, "the process of the run gets SIGSTOP, and SIGCONT 2 s later", busy=False
     ),
+    "adapter out 2 s": Column(
+        _adapter_back,
+        "the drive's pseudo-terminal is closed as in *adapter gone*; 2 s later there is another "
+        "one under the same name, as under /dev/serial/by-id",
+        busy=False,
+        transports=("serial", "slcan", "dbc"),
+    ),
+    "guardian hangs": Column(
+        _guardian_hangs,
+        "the guardian gets SIGSTOP",
+        busy=False,
+        transports=("serial",),
+        phases=CYCLING,
+    ),
+    "both frozen": Column(
+        _left_alone,
+        "guardian and run get SIGSTOP at once; 1 s later the operator uses `rig off`",
+        busy=False,
+        transports=("serial",),
+        phases=CYCLING,
+    ),
+    "both killed": Column(
+        _left_alone,
+        "guardian and run get SIGKILL at once; 1 s later the operator uses `rig off`",
+        busy=False,
+        transports=("serial",),
+        phases=CYCLING,
+    ),
+    "computer asleep": Column(
+        _slept,
+        "the clock since boot jumps by 5 s in the process of the run, and the monotonic clock does "
+        "not, as after a sleep of the computer",
+        phases=CYCLING,
+    ),
+    "folder deleted": Column(_deleted, "the run folder is deleted", busy=False, phases=CYCLING),
 }
 
 START = "start"

@@ -62,7 +62,11 @@ class Scene:
     @property
     def guarded(self) -> bool:
         """Whether the guardian must take the power off, as the run cannot."""
-        return self.bench.transport == "serial" and self.column in ("SIGKILL", "suspended 2 s")
+        return self.bench.transport == "serial" and self.column in (
+            "SIGKILL",
+            "suspended 2 s",
+            "adapter out 2 s",
+        )
 
     @property
     def run(self) -> Path:
@@ -82,7 +86,7 @@ def problems(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[st
     if console.status not in must.statuses:
         right = " or ".join(map(str, must.statuses))
         yield f"exit status {console.status}, must be {right}: {last_words(console.text(ns))}"
-    if console.stops and scene.column != "suspended 2 s":
+    if console.stops and scene.column not in ("suspended 2 s", "both frozen"):
         yield f"it was stopped by signal {console.stops}, and stood"
     if "Traceback (most recent call last)" in text:
         yield f"a traceback: {last_words(text)}"
@@ -104,7 +108,7 @@ def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]
     off_s = account.off_after_s(ns)
     if off_s is None:
         yield "the drive is still energised"
-    elif scene.guarded and account.on_at(ns) and not _guardian(scene):
+    elif scene.guarded and account.on_at(ns) and not reported(scene):
         yield "the guardian has not written that it took the power off and read that back"
     elif must.off_s is not None and scene.console.status != 0 and off_s > must.off_s:
         yield f"off after {off_s:.3f} s, limit {must.off_s:g} s"
@@ -115,7 +119,7 @@ def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]
             yield f"off {late_s} s after the last stage"
 
 
-def _guardian(scene: Scene) -> bool:
+def reported(scene: Scene) -> bool:
     """Whether the guardian has written that the drive is off."""
     try:
         return json.loads((scene.run / REPORT_FILE).read_text())["safe"]["verified"] is True
@@ -156,6 +160,8 @@ def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
 def _recording(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
     """Recover a copy, and hold its end against the last that was on the wire before it happened."""
     (scene.disk / "filler").unlink(missing_ok=True)
+    if scene.column == "folder deleted":
+        return
     copy = scene.folder / "copy"
     try:
         shutil.copytree(scene.run, copy)
@@ -182,6 +188,8 @@ def _recording(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[
 def _record(scene: Scene, must: Must, account: Account) -> Iterator[str]:
     """Hold run.json against what happened."""
     status = scene.console.status
+    if scene.column == "folder deleted":
+        return
     try:
         record: dict[str, Any] = json.loads((scene.run / "run.json").read_text())
     except (OSError, ValueError) as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import resource
 import shutil
@@ -28,11 +29,15 @@ from drivers.clock import NS
 from rig.wiring.guardian import REPORT_FILE
 
 from .benches import TRANSPORTS, Account, Bench, bench_process
-from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams
+from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams, unwrapped
 from .process_cases import (
+    ALONE,
     ASKING,
+    BACK_S,
     COLUMNS,
     CYCLING,
+    LEFT_S,
+    OUT_S,
     PHASES,
     SECOND_STAGE,
     SEQUENCE,
@@ -41,7 +46,7 @@ from .process_cases import (
     SUSPENDED_S,
     Must,
 )
-from .process_checks import BUSY, VERDICT, MissedError, Scene, last_words, problems
+from .process_checks import BUSY, VERDICT, MissedError, Scene, last_words, problems, reported
 from .process_page import Cell, Cells, said, tables, write
 
 PATIENCE_S = 15.0
@@ -158,7 +163,52 @@ def befall(scene: Scene) -> int:
                 _spoil(scene.folder / "home")
         case "suspended 2 s":
             return console.signal(signal.SIGSTOP)
+        case "adapter out 2 s":
+            return scene.bench.unplug()
+        case "guardian hangs":
+            send(console, signal.SIGSTOP, alone=True)
+        case "both frozen":
+            send(console, signal.SIGSTOP)
+        case "both killed":
+            send(console, signal.SIGKILL)
+        case "computer asleep":
+            return console.signal(signal.SIGUSR2)
+        case "folder deleted":
+            shutil.rmtree(scene.run)
     return now
+
+
+def send(console: Console, number: signal.Signals, alone: bool = False) -> None:
+    """Send a signal to the guardian, and to its program unless it is alone.
+
+    Raises:
+        MissedError: There is no guardian.
+    """
+    guardians = console.guardians()
+    if not guardians:
+        raise MissedError("there is no guardian")
+    for pid in guardians:
+        os.kill(pid, number)
+    if not alone:
+        console.signal(number)
+
+
+def switch_off(scene: Scene) -> None:
+    """Use `rig off` as the operator does who finds that nobody is left."""
+    scene.console.pause(LEFT_S)
+    if not scene.bench.account().on:
+        scene.also.append("the drive is off although nobody was left to switch it off")
+    if not re.search("killed or frozen at once", unwrapped(scene.console.text())):
+        scene.also.append("the run did not say before that nothing protects then")
+    done = subprocess.run(
+        [sys.executable, *RIG, "off", str(scene.folder / "bench.yaml")],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | scene.bench.env,
+    )
+    if done.returncode or "read back" not in done.stdout:
+        scene.also.append(f"rig off: {done.returncode}: {last_words(done.stdout + done.stderr)}")
 
 
 def reach(scene: Scene) -> None:
@@ -208,6 +258,11 @@ def aftermath(scene: Scene, ns: int) -> None:
     if column == "suspended 2 s":
         time.sleep(max(0.0, SUSPENDED_S - (time.monotonic_ns() - ns) / NS))
         console.signal(signal.SIGCONT)
+    if column == "adapter out 2 s":
+        console.pause(max(0.0, OUT_S - (time.monotonic_ns() - ns) / NS))
+        scene.bench.plug()
+    if column in ALONE:
+        switch_off(scene)
     if column == "terminal stalled":
         _stalled(scene)
     console.hold = False
@@ -218,6 +273,9 @@ def aftermath(scene: Scene, ns: int) -> None:
     if column == "SIGKILL":
         report = scene.run / REPORT_FILE
         console.until(report.exists, 1.5 if scene.bench.transport == "serial" else 0.5)
+    if scene.guarded and column == "adapter out 2 s":
+        console.until(lambda: reported(scene) or not scene.bench.account().on, 2.0 * BACK_S)
+        console.until(lambda: reported(scene), 0.5)
     console.pause(0.3)
 
 
@@ -362,9 +420,12 @@ Wanted = Callable[[str, str, str], bool]
 def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
     """Do all cells of a transport, one after another."""
     cells: Cells = {}
-    todo = [(column, phase) for column in COLUMNS for phase in PHASES] + [
-        (start, START) for start in STARTS
-    ]
+    todo = [
+        (name, phase)
+        for name, column in COLUMNS.items()
+        for phase in column.phases
+        if transport in column.transports
+    ] + [(start, START) for start in STARTS]
     todo = [(column, phase) for column, phase in todo if wanted(column, transport, phase)]
     if not todo:
         return cells

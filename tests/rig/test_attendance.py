@@ -12,7 +12,7 @@ from rig.cli.entry import BAD_INPUT, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.attendance import require_attendance
+from rig.control.attendance import kept_awake, require_attendance
 from rig.planning.plan import Plan, make_plan
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
 
@@ -69,3 +69,35 @@ def test_weights_and_yes_on_a_real_bench_are_refused(
     assert status(arguments) == BAD_INPUT
     assert "--yes would answer the weight prompts" in capsys.readouterr().err
     assert not out.exists()
+
+
+INHIBIT = """#!/bin/sh
+[ -z "$REFUSED" ] || exit 1
+while [ "${1#--}" != "$1" ]; do shift; done
+exec "$@"
+"""
+
+
+@pytest.mark.parametrize(
+    ("installed", "refused", "why"),
+    [
+        (True, "", ""),
+        (True, "1", "systemd-inhibit is refused"),
+        (False, "", "systemd-inhibit is not installed"),
+    ],
+)
+def test_the_computer_is_kept_awake_where_the_system_permits_it(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    installed: bool,
+    refused: str,
+    why: str,
+) -> None:
+    if installed:
+        tool = tmp_path / "systemd-inhibit"
+        tool.write_text(INHIBIT)
+        tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin" if installed else str(tmp_path))
+    monkeypatch.setenv("REFUSED", refused)
+    with kept_awake("rig run") as reason:
+        assert reason == why

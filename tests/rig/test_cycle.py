@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.clock import SimulatedClock
+from drivers.clock import SimulatedClock, Suspension
 from drivers.interfaces import EncoderSample, PressureSample, RawFrame, ServoSample
 from drivers.lacks import Lacks
 from rig.common.errors import StorageError
@@ -112,14 +112,19 @@ class Part:
         self._bench.told.append((f"prepare {self._name}", cycle_s))
 
 
-def devices(bench: Bench, pacer: Any = None) -> Devices:
+def devices(bench: Bench, pacer: Any = None, suspension: Any = None) -> Devices:
     whole: Any = bench
     encoder: Any = Part(
         bench, "encoder", lambda: EncoderSample(4.5, bench.angle, bench.encoder_fresh)
     )
     pressure: Any = Part(bench, "pressure", lambda: PressureSample(3e5, bench.pressure_fresh))
     return Devices(
-        whole, whole, encoder, pacer=pacer, pressure=pressure if bench.has_pressure else None
+        whole,
+        whole,
+        encoder,
+        pacer=pacer,
+        pressure=pressure if bench.has_pressure else None,
+        suspension=suspension,
     )
 
 
@@ -129,9 +134,10 @@ def make(
     stop: StopButton | None = None,
     progress: Callable[[str, int, Sample], None] = lambda stage, cycles, sample: None,
     pacer: Any = None,
+    suspension: Any = None,
 ) -> Cycle:
-    recorder: Any = bench
-    return Cycle(limits, PERIOD_NS, devices(bench, pacer), recorder, stop or StopButton(), progress)
+    recorder, used = bench, devices(bench, pacer, suspension)
+    return Cycle(limits, PERIOD_NS, used, recorder, stop or StopButton(), progress)  # type: ignore[arg-type]
 
 
 def begun(bench: Bench, **options: Any) -> Cycle:
@@ -699,3 +705,61 @@ def test_devices_cannot_be_changed() -> None:
     found = devices(Bench())
     with pytest.raises(dataclasses.FrozenInstanceError):
         found.pacer = None  # type: ignore[misc]
+
+
+class Boot:
+    """The clock that counts the sleep of the computer."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.slept_ns = bench, 0
+        self.suspension = Suspension(self.now_ns, bench.clock.now_ns)
+
+    def now_ns(self) -> int:
+        return self.bench.clock.now_ns() + self.slept_ns
+
+
+def test_a_sleep_of_the_computer_ends_the_commands_before_the_next_one() -> None:
+    bench = Bench()
+    boot = Boot(bench)
+    cycle = begun(bench, suspension=boot.suspension)
+
+    def targets() -> Iterator[float]:
+        yield 0.1
+        boot.slept_ns += round(12.3e9)
+        bench.told.clear()
+        yield 0.1
+
+    with pytest.raises(TripError) as caught:
+        cycle.follow(targets(), 1, "stage")
+    trip = caught.value.trip
+    assert (trip.check, trip.value, trip.unit) == (Check.SLEEP, pytest.approx(12.3), "s")
+    assert "the computer slept for 12.3 s" in trip.message
+    # Nothing was exchanged after the sleep, so that no fault of the drive hides its cause.
+    assert [step for step in bench.told if step[0] == "exchange"] == []
+    # The braking goes on, and says nothing of it again.
+    boot.slept_ns += round(3e9)
+    cycle.watch()
+
+
+def test_a_sleep_between_two_stages_does_no_harm() -> None:
+    bench = Bench()
+    boot = Boot(bench)
+    cycle = begun(bench, suspension=boot.suspension)
+    boot.slept_ns += round(3600e9)
+    cycle.ask_reset()
+    cycle.begin(0.1)
+    cycle.follow([0.1] * 3, 1, "stage")
+
+
+def test_a_pause_between_two_clock_reads_is_no_sleep() -> None:
+    """The second read may come late; only a difference above the greatest so far is a sleep."""
+    delays = [0, 30_000_000, 0, 500_000_000, 0]
+    now = iter(range(0, 10_000_000_000, 1_000_000_000))
+    boot: list[int] = []
+
+    def boot_ns() -> int:
+        boot.append(next(now))
+        return boot[-1]
+
+    suspension = Suspension(boot_ns, lambda: boot[-1] + delays[len(boot) - 1])
+    assert [suspension.passed_ns() for _ in delays[1:]] == [0] * 4

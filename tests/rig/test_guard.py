@@ -22,7 +22,7 @@ from drivers.interfaces import ServoState
 from drivers.mock.power_state import State
 from drivers.units import ServoScales
 from rig.wiring.guard import Guard
-from rig.wiring.guardian import READY, TOOK_OVER
+from rig.wiring.guardian import ALIVE, READY, TOOK_OVER
 from rig.wiring.teardown import make_safe
 
 from ..drivers.serial_host import make_serial_host
@@ -48,17 +48,20 @@ class Guardian:
         self.returncode: int | None = None
         self.started: list[tuple[list[str], dict[str, Any]]] = []
         self.waited: list[float] = []
-        self.stubborn = False
+        self.stubborn = self.killed = False
         self.speaks.write(READY)
 
     def heard(self) -> bytes:
         return self.hears.read() or b""
 
-    def wait(self, timeout: float) -> int:
+    def wait(self, timeout: float = 0.0) -> int:
         self.waited.append(timeout)
         if self.stubborn:
             raise subprocess.TimeoutExpired("guardian", timeout)
         return 0
+
+    def kill(self) -> None:
+        self.killed, self.stubborn = True, False
 
 
 def fill(guardian: Guardian) -> None:
@@ -124,8 +127,9 @@ def guardian(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guardian]:
 class Port:
     """An open port, of which only the descriptor is wanted."""
 
-    def __init__(self, *arguments: object) -> None:
+    def __init__(self, *arguments: object, exclusive: bool) -> None:
         self.arguments = arguments
+        self.exclusive = exclusive
 
     def fileno(self) -> int:
         return 33
@@ -142,6 +146,11 @@ def guard(guardian: Guardian, time: Time, tmp_path: Path, monkeypatch: pytest.Mo
 def test_it_opens_the_port_of_the_bench(guard: Guard) -> None:
     port: Any = guard.open_port()
     assert port.arguments == ("/dev/some", 1_000_000)
+    assert port.exclusive
+    guard.arm(0.2)
+    # The guardian has the same open file, and with it the lock.
+    again: Any = guard.open_port()
+    assert not again.exclusive
 
 
 def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
@@ -179,6 +188,8 @@ def test_it_tells_the_drive_first_and_then_to_stand_by(
     assert json.loads(drive) == {
         "drive": {
             "name": NAME,
+            "port": "/dev/some",
+            "baud": 1_000_000,
             "node": 5,
             "eds": str(tmp_path / "drive.eds"),
             "scales": json.loads(json.dumps(dataclasses.asdict(SCALES))),
@@ -463,6 +474,73 @@ def test_a_guardian_that_ends_after_it_did_not_listen_is_reported_as_well(
         guard.feed()
     time.wait(0.1)
     guard.feed()
+
+
+def answered(guard: Guard, guardian: Guardian, time: Time, seconds: float) -> None:
+    """Feed for a time with a guardian that answers."""
+    for _ in range(round(seconds * 50)):
+        time.wait(0.02)
+        guard.feed()
+        if guardian.heard():
+            guardian.speaks.write(ALIVE)
+
+
+def unanswered(guard: Guard, time: Time) -> None:
+    """Feed for a second with a guardian that does not answer."""
+    for _ in range(50):
+        time.wait(0.02)
+        guard.feed()
+
+
+def test_a_guardian_that_hangs_ends_the_run_after_a_fifth_of_a_second(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    answered(guard, guardian, time, 1.0)
+    before_ns = time.now_ns
+    with pytest.raises(LinkError) as caught:
+        unanswered(guard, time)
+    assert 0.2e9 < time.now_ns - before_ns <= 0.26e9
+    assert str(caught.value).startswith(
+        f"the guardian of {NAME} did not answer for 0.22 s (limit 0.2 s), so that nothing would "
+    )
+    # It is reported once: the program takes the power off itself, and goes on feeding meanwhile.
+    guardian.heard()
+    unanswered(guard, time)
+    assert guardian.heard() == b"\n" * 50
+    # A guardian that answers again is missed again.
+    answered(guard, guardian, time, 0.5)
+    with pytest.raises(LinkError, match="did not answer"):
+        unanswered(guard, time)
+
+
+def test_a_pause_of_the_program_is_no_silence_of_the_guardian(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(10.0)
+    answered(guard, guardian, time, 0.2)
+    guard.feed()
+    guardian.speaks.write(ALIVE + ALIVE)
+    time.wait(5.0)
+    guard.feed()
+    answered(guard, guardian, time, 1.0)
+
+
+def test_a_guardian_that_hangs_does_not_keep_the_bench(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    guard.release()
+    guardian.stubborn = True
+    guard.close()
+    assert guardian.killed
+
+
+def test_what_is_left_to_the_guardian_is_told(guard: Guard, guardian: Guardian) -> None:
+    guard.arm(0.2)
+    guardian.heard()
+    guard.close()
+    assert guardian.heard() == b'{"left": true}\n'
 
 
 def test_a_guardian_that_does_not_start_keeps_the_drive_off(

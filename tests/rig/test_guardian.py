@@ -21,6 +21,7 @@ from drivers.interfaces import ServoState
 from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
+    ALIVE,
     READY,
     REPORT_FILE,
     SILENCE_S,
@@ -101,6 +102,7 @@ def heard(lines: list[bytes], ward: Ward, silent: bool = False) -> Cause:
         ([ARMED], Cause.GONE),
         ([ARMED, RELEASED], Cause.RELEASED),
         ([ARMED, RELEASED, ARMED], Cause.GONE),
+        ([ARMED, b'{"left": true}\n'], Cause.LEFT),
         ([ARMED, b'{"armed": fal'], Cause.GONE),
         ([ARMED, b"\xff\xfe\n", b"[1]\n", b'{"other": 1}\n'], Cause.GONE),
         ([b'{"armed": true'], Cause.RELEASED),
@@ -158,7 +160,14 @@ def test_without_a_limit_it_waits_a_fifth_of_a_second() -> None:
 def test_the_words_of_the_two_programs() -> None:
     """Both sides must be of one version: the guard waits for these bytes."""
     assert (READY, TOOK_OVER) == (b"ready\n", b"took over\n")
-    assert [cause.value for cause in Cause] == ["released", "gone", "silent"]
+    assert ALIVE == b"alive\n"
+    assert [cause.value for cause in Cause] == [
+        "released",
+        "gone",
+        "left",
+        "silent",
+        "handed over",
+    ]
 
 
 def test_the_guard_stands_by_before_power_and_until_it_is_verified_off(host: SerialHost) -> None:
@@ -252,7 +261,7 @@ class Stuck:
 
 def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
     servo: Any = Stuck()
-    failures: list[SafeState] = []
+    failures: list[Deed] = []
     deed = stop(servo, servo.clock, failed=failures.append)
     assert [told for told in servo.told if told[0] != "state"] == [
         ("quick stop", 0.0),
@@ -262,20 +271,44 @@ def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
     assert not failures
 
 
-def test_it_tries_five_times_a_second_for_a_minute_and_says_so_once() -> None:
+def test_it_tries_five_times_a_second_as_long_as_it_takes() -> None:
     servo: Any = Stuck(reachable=False)
-    failures: list[SafeState] = []
-    deed = stop(servo, servo.clock, failed=failures.append)
+    failures: list[Deed] = []
+
+    def failed(deed: Deed) -> None:
+        failures.append(deed)
+        if deed.seconds > 1000.0:
+            servo.reachable = True
+            servo.told.append(("disable", 1.0))
+
+    deed = stop(servo, servo.clock, failed=failed)
     tries = [seconds for verb, seconds in servo.told if verb == "quick stop"]
     assert tries[:3] == [0.0, 0.201, 0.402]
-    assert tries[-1] == 60.099
-    assert (deed.safe.verified, deed.safe.watched, deed.attempts, deed.seconds) == (
-        False,
-        False,
-        300,
-        60.1,
-    )
-    assert [failure.state for failure in failures] == ["unknown"]
+    assert (deed.safe.verified, deed.safe.watched) == (True, False)
+    assert deed.attempts == len(failures) + 1 == len(tries) > 4900
+    assert {failure.safe.state for failure in failures} == {"unknown"}
+
+
+def test_it_ends_after_an_attempt_when_the_drive_is_handed_over() -> None:
+    servo: Any = Stuck(reachable=False)
+    asked = iter([False, False, False, True])
+    deed = stop(servo, servo.clock, give_up=lambda: next(asked, True))
+    assert (deed.safe.verified, deed.attempts) == (False, 2)
+
+
+def test_a_link_that_cannot_be_opened_is_opened_again_and_again() -> None:
+    servo: Any = Stuck()
+    failures = [LinkError("no such port")] * 3
+
+    def reach() -> None:
+        if failures:
+            raise failures.pop()
+
+    servo.told.append(("disable", 1.0))
+    told: list[Deed] = []
+    deed = stop(servo, servo.clock, reach, failed=told.append)
+    assert (deed.safe.verified, deed.attempts) == (True, 4)
+    assert [failure.safe.problems for failure in told] == [("no such port",)] * 3
 
 
 def test_nobody_has_to_be_told_of_a_failure() -> None:

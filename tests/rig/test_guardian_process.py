@@ -26,6 +26,8 @@ SCALES = ServoScales(
 )
 DRIVE = {
     "name": "EPOS4 at /dev/some",
+    "port": "/dev/some",
+    "baud": 1_000_000,
     "node": 5,
     "eds": "/some/drive.eds",
     "scales": dataclasses.asdict(SCALES),
@@ -41,6 +43,7 @@ class Servo:
     def __init__(self, failures: int = 0) -> None:
         self.failures = failures
         self.stopped = 0
+        self.asked: Callable[[], None] = lambda: None
 
     prepared = False
 
@@ -49,6 +52,8 @@ class Servo:
 
     def quick_stop(self, *, at_once: bool = True) -> None:
         self.stopped += 1
+        if self.stopped == 7:
+            self.asked()
 
     def disable(self) -> None:
         pass
@@ -76,6 +81,7 @@ class Process:
     signals: list[tuple[int, object]]
     waits: list[float | None]
     silences: list[int]
+    asked: Callable[[], None] = lambda: None
 
     def told(self, *lines: dict[str, Any]) -> None:
         for line in lines:
@@ -105,6 +111,9 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
         def say(self, words: str) -> None:
             did.append(("screen", words))
 
+        def share(self) -> None:
+            pass
+
         def drain(self, patience_s: float) -> None:
             did.append(("drain", patience_s))
 
@@ -125,8 +134,9 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
         did.append(("drive", port, ward.drive))
         return made.servo, SimulatedClock()
 
-    def wait(descriptor: int, seconds: float | None) -> bool:
+    def wait(wake: int, descriptor: int, seconds: float | None) -> bool:
         made.waits.append(seconds)
+        made.asked()
         return len(made.waits) not in made.silences
 
     streams = SimpleNamespace(
@@ -153,7 +163,9 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
 def test_the_end_of_its_input_alone_ends_it(process: Process) -> None:
     assert process.ends() == 0
     names = ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU")
-    assert process.signals == [(getattr(signal, name), signal.SIG_IGN) for name in names]
+    ignored = [(getattr(signal, name), signal.SIG_IGN) for name in names]
+    assert process.signals[:-1] == ignored
+    assert process.signals[-1][0] is signal.SIGUSR1
     # The other program died before it could say anything.
     assert process.did == []
 
@@ -177,37 +189,66 @@ def test_it_waits_for_the_drive_to_be_named(
     assert process.did == STARTED
 
 
-@pytest.mark.parametrize(("failures", "status"), [(0, 0), (10_000, 1)])
-def test_it_stops_the_drive_of_a_program_that_died(
-    process: Process, failures: int, status: int
-) -> None:
-    process.servo.failures = failures
-    process.told({"drive": DRIVE}, {"armed": True})
-    assert process.ends() == status
-    assert process.servo.stopped == (300 if failures else 1)
-    assert process.did[:2] == STARTED
-    assert process.did[2] == ("lock", [7, 9], "the guardian of a program that died")
-    said = [step[1] for step in process.did[3:-1] if step[0] == "screen"]
-    # A drive that is verified off leaves the bench to others.
-    assert (("released",) in process.did) is (failures == 0)
-    if failures:
-        assert said.pop(0).startswith(
-            "guardian of EPOS4 at /dev/some: it could NOT be verified that the drive is"
-        )
-    assert len(said) == 1
-    assert said[0].startswith("guardian: the program that drove EPOS4 at /dev/some is gone; after ")
-    assert process.did[-1] == ("drain", 1.0)
-
-
-def test_the_first_failure_is_said_at_once_and_that_it_goes_on(process: Process) -> None:
-    process.servo.failures = 1
-    process.told({"drive": DRIVE}, {"armed": True})
+@pytest.mark.parametrize("left", [False, True])
+def test_it_stops_the_drive_of_a_program_that_died(process: Process, left: bool) -> None:
+    process.told({"drive": DRIVE}, {"armed": True}, *([{"left": True}] if left else []))
     assert process.ends() == 0
-    first, last = (words for what, *words in process.did if what == "screen")
-    assert first[0].endswith(
-        "may go on HOLDING UNDER POWER: switch the main supply off now; still trying"
+    assert process.servo.stopped == 1
+    assert process.did[:2] == STARTED
+    assert process.did[-4][:2] == ("lock", [7, 9])
+    # A drive that is verified off leaves the bench to others.
+    assert process.did[-2:] == [("released",), ("drain", 1.0)]
+    why = "could not take its power off" if left else "is gone"
+    assert process.did[-3][1] == (
+        f"guardian: the program that drove EPOS4 at /dev/some {why}; after 0.00 s {OFF}"
     )
-    assert last[0].endswith(OFF)
+
+
+def test_a_failure_is_said_at_once_and_every_minute(process: Process, tmp_path: Path) -> None:
+    process.servo.failures = 620
+    process.told({"drive": DRIVE}, {"armed": True, "folder": str(tmp_path)})
+    assert process.ends() == 0
+    *failed, last = [str(words[0]) for what, *words in process.did if what == "screen"]
+    assert len(failed) == 3
+    assert all("HOLDING UNDER POWER: switch the main supply off now" in words for words in failed)
+    assert all("`rig off` takes over" in words for words in failed)
+    assert last.endswith(OFF)
+    assert json.loads((tmp_path / guardian.REPORT_FILE).read_text())["safe"]["verified"] is True
+
+
+@pytest.mark.parametrize("trying", [False, True])
+def test_it_leaves_the_drive_to_who_asks_for_it(process: Process, trying: bool) -> None:
+    def ask() -> None:
+        [handler] = [does for number, does in process.signals if number == guardian.HAND_OVER]
+        handler(0, None)  # type: ignore[operator]
+
+    process.servo.failures = 10_000
+    process.told({"drive": DRIVE}, {"armed": True})
+    if trying:
+        process.servo.asked = ask
+        assert process.ends() == 0
+        assert process.servo.stopped == 7
+        assert ("released",) not in process.did
+        assert process.did[-2][1] == "guardian of EPOS4 at /dev/some: `rig off` has taken over"
+    else:
+        process.silences = [1]
+        process.asked = ask
+        assert guardian.main() == 0
+        assert process.servo.stopped == 0
+
+
+def test_it_answers_while_armed(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = [
+        json.dumps({"drive": DRIVE}).encode() + b"\n",
+        b"\n",
+        b'{"armed": true}\n',
+        b"\n",
+        b'{"armed": false}\n',
+        b"",
+    ]
+    monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
+    assert guardian.main() == 0
+    assert process.did == [*STARTED, *[("says", SPEAKING, b"alive\n")] * 2]
 
 
 def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
@@ -279,8 +320,13 @@ def test_the_drive_is_reached_through_the_port_that_is_open(
     linked_clock, connect, name = notes.made["EposSerialLink"]
     assert linked_clock is clock
     assert name == "EPOS4 at /dev/some"
-    connect()
     assert notes.made["InheritedPort"] == (33,)
+    connect()
+    opened: list[Any] = []
+    monkeypatch.setattr(guardian, "PySerialPort", lambda *a, **k: opened.append((a, k)))
+    # A port that is gone is opened by its name; the other program may still hold its lock.
+    connect()
+    assert opened == [(("/dev/some", 1_000_000), {"exclusive": False})]
     assert notes.made["node"] == (5, Path("/some/drive.eds"))
     node, link, scales = notes.made["Cia402Servo"]
     assert node == "the node"
@@ -298,9 +344,9 @@ def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> 
         return ([arguments[0][0]] if len(asked) == 1 else [], [], [])
 
     monkeypatch.setattr("rig.wiring.guardian.select.select", select)
-    assert guardian._wait(5, 0.25) is True
-    assert guardian._wait(5, None) is False
-    assert asked == [([5], [], [], 0.25), ([5], [], [], None)]
+    assert guardian._wait(7, 5, 0.25) is True
+    assert guardian._wait(7, 5, None) is False
+    assert asked == [([5, 7], [], [], 0.25), ([5, 7], [], [], None)]
 
 
 def test_it_speaks_to_a_program_that_is_gone_without_failing() -> None:

@@ -25,6 +25,7 @@ from rig.common.provenance import sha256_file
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
 from rig.config.sequence import Sequence
+from rig.config.serial_bus import GUARDED, NO_WATCHDOG
 from rig.control.cycle import Cycle
 from rig.control.operator import AutomaticOperator, OperatorStopError
 from rig.control.safety import Check
@@ -575,6 +576,18 @@ def test_the_limits_of_a_bench_without_a_watchdog_are_those_in_force() -> None:
     assert attached.bench is not None
     assert attached.bench.limits == load_bench("practical_serial").value.limits
     assert attached.problem == "sequence.yaml is not attached to the recording"
+
+
+@pytest.mark.parametrize("words", [NO_WATCHDOG, GUARDED, "this drive has no watchdog: x"])
+def test_a_run_that_was_warned_has_the_reduced_limits(words: str) -> None:
+    """The warnings of earlier versions begin with the same words."""
+    content = load_bench("practical").path.read_bytes()
+    run = json.dumps({"warnings": [words]}).encode()
+    warned = read_attachments({"bench.yaml": content, "run.json": run})
+    plain = read_attachments({"bench.yaml": content})
+    assert warned.bench is not None
+    assert plain.bench is not None
+    assert warned.bench.limits.torque_N_m < plain.bench.limits.torque_N_m
 
 
 @pytest.mark.parametrize("content", [b"\xff", b"a: [", b"bench: 2"])

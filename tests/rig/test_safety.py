@@ -317,6 +317,11 @@ WORDS = {
         "lateness of the control cycle",
         "close other programs on this computer, or lower cycle_Hz, then run again",
     ),
+    Check.SLEEP: (
+        "sleep of the computer",
+        "nothing watches the drive meanwhile: switch the sleep of this computer off (lid, idle "
+        "time, battery), then run again",
+    ),
     Check.STAGE_TIME: (
         "time under power in this stage",
         "find the cause of the delay, or raise time_limit_s of the stage",
@@ -332,6 +337,8 @@ def test_what_every_trip_says(kind: Check) -> None:
     found = f"{name} 7 V is beyond its limit 5 V"
     if kind is Check.DRIVE_STATE:
         found = "statusword 0007h is not OPERATION ENABLED"
+    elif kind is Check.SLEEP:
+        found = "the computer slept for 7.0 s"
     elif kind is Check.NOT_RESET:
         found = "the safety latch is open: its reset was not requested"
     assert Trip(kind, 7.0, 5.0, "V", 1.0).message == f"{found} at 1.000 s; {remedy}"

@@ -220,6 +220,20 @@ def test_long_lines_break_between_words_and_tables_stay(terminal: Terminal) -> N
     screen.close()
 
 
+def test_a_message_beside_another_program_begins_a_line_of_its_own(terminal: Terminal) -> None:
+    screen = on(terminal)
+    screen.share()
+    screen.say("guardian: off")
+    screen.say("more")
+    assert terminal.shown() == "\nguardian: off\n\nmore\n"
+    screen.close()
+    stream = io.StringIO()
+    piped = Screen(SimulatedClock(), io.StringIO(), stream)
+    piped.share()
+    piped.say("guardian: off")
+    assert stream.getvalue() == "guardian: off\n"
+
+
 def test_a_message_after_an_unanswered_prompt_begins_a_line_of_its_own(terminal: Terminal) -> None:
     screen = on(terminal)
     screen.ask("Mass: ")

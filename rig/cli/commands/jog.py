@@ -26,6 +26,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.bench_text import unprotected
 from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
@@ -83,6 +84,8 @@ def command(
         connected(stop, document, seed, realtime, purpose="rig jog") as devices,
     ):
         say_taken_over(devices.lock, screen)
+        for warning in unprotected(devices):
+            screen.say(warning)
         prompt = Prompt(screen, control=control)
         batches = [angles] if angles else _asked(prompt, stop, screen)
         for batch in batches:

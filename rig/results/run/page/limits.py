@@ -15,7 +15,7 @@ from rig.config.bench import Bench, in_force, without_watch
 from rig.config.configuration import Document, Schema, validated
 from rig.config.sequence import Sequence as StageSequence
 from rig.config.sequence import approach
-from rig.config.serial_bus import GUARDED, NO_WATCHDOG
+from rig.config.serial_bus import NO_WATCHDOG_AT_ALL
 from rig.planning.first_pass import PlannedPass
 from rig.planning.limits import Limits
 from rig.planning.plan import APPROACH_SPEED_SHARE, Plan, make_plan
@@ -72,7 +72,7 @@ def _unwatched(attachments: Mapping[str, bytes]) -> bool:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
     except (ValueError, AttributeError):
         return False
-    return NO_WATCHDOG in warned or GUARDED in warned
+    return any(str(words).startswith(NO_WATCHDOG_AT_ALL) for words in warned)
 
 
 def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema]) -> Document[Any]:

@@ -1,0 +1,325 @@
+"""`rig off`: who is ended and how, what comes of a drive that answers or does not, and a guardian
+whose adapter was unplugged and is back.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pty
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.clock import SimulatedClock
+from drivers.errors import LinkError
+from drivers.interfaces import ServoReadings, ServoState
+from drivers.mock.bench import simulated_bench
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.power_state import State
+from drivers.mock.wires.pty import RealTimeBench
+from rig.cli.entry import DEVICE_FAILED, DONE, status
+from rig.common import locks
+from rig.common.locks import hold_bench
+from rig.config.bench import Bench, load_bench
+from rig.config.configuration import Document
+from rig.control import off
+from rig.control.off import HANDOVER_S, PATIENCE_S, RELEASE_S, Processes, make_off
+from rig.wiring.guardian import HAND_OVER, MODULE, Deed, Ward, drive_on, stop
+from rig.wiring.resources import bus_resources
+
+from ..drivers.host import DRIVE_EDS, DRIVE_NODE, SCALES
+from .pty_bench import PtyBench, pty_bench
+from .test_one_owner import ANGLE, rig
+
+RUN, GUARDIAN = 101, 102
+
+
+class Servo:
+    """A drive that is off after the first order, unless it cannot be reached."""
+
+    prepared = False
+
+    def __init__(self) -> None:
+        self.reachable = True
+        self.told: list[str] = []
+
+    def _do(self, verb: str) -> None:
+        self.told.append(verb)
+        if not self.reachable:
+            raise LinkError("no answer")
+
+    def sent_state(self) -> ServoState | None:
+        return None
+
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        self._do("quick stop")
+
+    def disable(self) -> None:
+        self._do("disable")
+
+    def state(self) -> ServoState:
+        self._do("state")
+        return ServoState.SWITCH_ON_DISABLED
+
+    def readings(self) -> ServoReadings:
+        return ServoReadings()
+
+
+class Link:
+    """A link that opens, unless it is broken."""
+
+    has_watchdog = False
+
+    def __init__(self) -> None:
+        self.clock = SimulatedClock()
+        self.broken = False
+        self.opened = self.closed = 0
+
+    def open(self) -> None:
+        if self.broken:
+            raise LinkError("EPOS4 at /dev/some cannot be opened: no such file")
+        self.opened += 1
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Fakes(Processes):
+    """Processes on a bench, and what each does with a signal."""
+
+    def __init__(self) -> None:
+        self.here: dict[int, str] = {}
+        self.suspended: set[int] = set()
+        self.obeys: dict[int, set[signal.Signals]] = {}
+        self.sent: list[tuple[int, signal.Signals]] = []
+        self.after: Callable[[int], None] = lambda number: None
+
+    def add(self, number: int, command: str, *obeys: signal.Signals) -> None:
+        self.here[number], self.obeys[number] = command, {signal.SIGKILL, *obeys}
+
+    def using(self, files: Iterable[Path]) -> list[int]:
+        return sorted(self.here)
+
+    def command(self, number: int) -> str:
+        return self.here[number]
+
+    def frozen(self, number: int) -> bool:
+        return number in self.suspended
+
+    def send(self, number: int, what: signal.Signals) -> None:
+        self.sent.append((number, what))
+        if what in self.obeys[number]:
+            self.here.pop(number, None)
+            self.after(number)
+
+
+@dataclasses.dataclass
+class Desk:
+    """A real bench with fake devices, and what was said."""
+
+    document: Document[Bench]
+    servo: Servo
+    link: Link
+    processes: Fakes
+    said: list[str]
+
+    def off(self) -> off.Off:
+        return make_off(self.document, self.said.append, self.link.clock, self.processes)
+
+
+@pytest.fixture
+def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Desk:
+    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path / "locks")
+    document = load_bench("practical_serial")
+    bus = document.value.bus.model_copy(update={"port": "/dev/some"})  # type: ignore[union-attr]
+    value = document.value.model_copy(update={"bus": bus})
+    made = Desk(dataclasses.replace(document, value=value), Servo(), Link(), Fakes(), [])
+    monkeypatch.setattr(off, "bare_drive", lambda document: (made.link, made.servo))
+    return made
+
+
+def test_a_bench_that_nobody_uses_is_switched_off(desk: Desk) -> None:
+    done = desk.off()
+    assert (done.proved, done.users, done.attempts, desk.link.closed) == (True, (), 1, 1)
+    assert desk.servo.told[0] == "quick stop"
+    record = done.record()
+    assert (record["schema"], record["real"], record["proved"]) == ("loadrig.off/1", True, True)
+    assert record["safe"]["state"] == "switch on disabled"
+
+
+def test_a_program_is_asked_to_stop_and_then_the_drive_is_read(desk: Desk) -> None:
+    desk.processes.add(RUN, "rig run", signal.SIGTERM)
+    done = desk.off()
+    assert desk.processes.sent == [(RUN, signal.SIGTERM)]
+    assert [user.ended for user in done.users] == ["stopped"]
+    assert done.proved
+
+
+def test_a_program_that_does_not_leave_is_killed_before_anything_is_sent(desk: Desk) -> None:
+    desk.processes.add(RUN, "rig run")
+    desk.processes.after = lambda number: desk.servo.told.append("alone")
+    done = desk.off()
+    assert desk.processes.sent == [(RUN, signal.SIGTERM), (RUN, signal.SIGKILL)]
+    assert [user.ended for user in done.users] == ["killed"]
+    assert desk.servo.told[:2] == ["alone", "quick stop"]
+    assert RELEASE_S <= done.seconds < RELEASE_S + 1.0
+
+
+def test_a_suspended_program_and_its_guardian_are_not_waited_for(desk: Desk) -> None:
+    desk.processes.add(RUN, "rig run", signal.SIGTERM)
+    desk.processes.add(GUARDIAN, f"python -m {MODULE} 3", HAND_OVER)
+    desk.processes.suspended = {RUN, GUARDIAN}
+    done = desk.off()
+    assert desk.processes.sent == [(RUN, signal.SIGKILL), (GUARDIAN, signal.SIGKILL)]
+    assert [user.ended for user in done.users] == ["killed", "killed"]
+    assert done.proved
+    assert done.seconds < 0.5
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_a_guardian_hands_over_or_is_killed(desk: Desk, obeys: bool) -> None:
+    desk.processes.add(GUARDIAN, f"python -m {MODULE} 3", *([HAND_OVER] if obeys else []))
+    done = desk.off()
+    sent = [(GUARDIAN, HAND_OVER), *([] if obeys else [(GUARDIAN, signal.SIGKILL)])]
+    assert desk.processes.sent == sent
+    assert [user.ended for user in done.users] == ["handed over" if obeys else "killed"]
+    assert done.seconds < (0.5 if obeys else HANDOVER_S + 0.5)
+
+
+def test_a_guardian_that_ends_with_its_program_is_left_alone(desk: Desk) -> None:
+    desk.processes.add(RUN, "rig run", signal.SIGTERM)
+    desk.processes.add(GUARDIAN, f"python -m {MODULE} 3")
+    desk.processes.after = lambda number: desk.processes.here.clear()
+    desk.off()
+    assert desk.processes.sent == [(RUN, signal.SIGTERM)]
+
+
+def test_who_cannot_be_ended_does_not_keep_the_bench_from_being_made_safe(desk: Desk) -> None:
+    desk.processes.add(RUN, "rig run")
+    desk.processes.obeys[RUN] = set()
+    with hold_bench("other", bus_resources(desk.document.value), "rig run"):
+        done = desk.off()
+    assert [user.ended for user in done.users] == ["stays"]
+    assert done.proved
+    assert any("acts all the same" in words for words in desk.said)
+
+
+def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: Desk) -> None:
+    desk.servo.reachable = False
+    done = desk.off()
+    assert not done.proved
+    assert done.attempts > 10
+    assert PATIENCE_S < done.seconds < PATIENCE_S + 2.0
+    assert "main supply" in done.message
+    assert sum("trying" in words for words in desk.said) == 1
+
+
+def test_a_port_that_is_back_while_it_is_tried_is_used(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk.link.broken = True
+
+    def say(words: str) -> None:
+        desk.link.broken = desk.link.broken and "trying" not in words
+
+    done = make_off(desk.document, say, desk.link.clock, desk.processes)
+    assert (done.proved, done.attempts, desk.link.opened) == (True, 2, 1)
+
+
+def test_a_simulation_has_nothing_to_switch_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "off.json"
+    assert status(["off", "practical", "--json", str(file)]) == DONE
+    record = json.loads(file.read_text())
+    assert (record["proved"], record["real"], record["safe"]) == (True, False, None)
+    assert "simulation" in capsys.readouterr().out
+
+
+@pytest.fixture
+def wired(tmp_path: Path) -> Iterator[PtyBench]:
+    with pty_bench("serial", tmp_path) as bench:
+        yield bench
+
+
+def test_a_program_that_uses_the_bench_ends_as_if_it_were_stopped(
+    wired: PtyBench, tmp_path: Path
+) -> None:
+    file = tmp_path / "off.json"
+    with rig("jog", str(wired.path)) as first:
+        first.wait_for(ANGLE)
+        assert status(["off", str(wired.path), "--json", str(file)]) == DONE
+        assert first.end() == 3
+    record = json.loads(file.read_text())
+    assert [(user["command"], user["ended"]) for user in record["users"]] == [
+        ("rig jog", "stopped")
+    ]
+    assert record["safe"]["verified"] is True
+
+
+def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_path: Path) -> None:
+    file = tmp_path / "off.json"
+    with rig("jog", str(wired.path)) as first:
+        first.wait_for(ANGLE)
+        first.process.send_signal(signal.SIGSTOP)
+        processes = Processes()
+        while not processes.frozen(first.process.pid):
+            time.sleep(0.001)
+        assert "jog" in processes.command(first.process.pid)
+        assert status(["off", str(wired.path), "--json", str(file)]) == DONE
+        assert first.end() == -signal.SIGKILL
+    assert json.loads(file.read_text())["users"][0]["ended"] == "killed"
+
+
+def _once(document: Document[Bench], say: Callable[[str], None]) -> off.Off:
+    return make_off(document, say, patience_s=0.0)
+
+
+def test_a_bench_whose_port_is_missing_is_not_proved_off(
+    wired: PtyBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.cli.commands.off.make_off", _once)
+    file = tmp_path / "off.json"
+    text = wired.path.read_text().replace(wired.port, str(tmp_path / "gone"))
+    wired.path.write_text(text)
+    assert status(["off", str(wired.path), "--json", str(file)]) == DEVICE_FAILED
+    record = json.loads(file.read_text())
+    assert record["proved"] is False
+    assert "cannot be opened" in record["safe"]["problems"][0]
+
+
+def dead_terminal() -> int:
+    """Return the descriptor of a terminal whose adapter was unplugged."""
+    ours, theirs = pty.openpty()
+    os.close(ours)
+    return theirs
+
+
+def test_a_guardian_reaches_the_drive_again_when_the_adapter_is_back(tmp_path: Path) -> None:
+    bench = simulated_bench(Machine(), 0)
+    ports = RealTimeBench(bench.clock)
+    path = ports.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+    name = tmp_path / "by-id"
+    drive = {"name": "EPOS4", "port": str(name), "baud": 1_000_000, "node": DRIVE_NODE}
+    scales = {"eds": str(DRIVE_EDS), "scales": dataclasses.asdict(SCALES)}
+    servo, clock = drive_on(dead_terminal(), Ward({**drive, **scales}))
+    failed: list[Deed] = []
+
+    def plugged(deed: Deed) -> None:
+        failed.append(deed)
+        if len(failed) == 2:
+            name.symlink_to(path)
+
+    with ports:
+        deed = stop(servo, clock, failed=plugged)
+    assert (deed.safe.verified, deed.attempts) == (True, 3)
+    assert bench.drive.power_state is State.SWITCH_ON_DISABLED
+    # The time of a teardown, not that of a person who looks for the plug.
+    assert deed.seconds - failed[1].seconds < 1.0
+    bench.bus.shutdown()
