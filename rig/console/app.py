@@ -85,6 +85,7 @@ class Console:
                 Route("/", self._index, methods=["GET"]),
                 Route("/static/{name}", self._static, methods=["GET"]),
                 Route("/command", self._posted(self._command), methods=["POST"]),
+                Route("/off", self._posted(self._off), methods=["POST"]),
                 Route("/controls", self._posted(self._controls), methods=["POST"]),
                 Route("/dry-run", self._posted(self._dry_run), methods=["POST"]),
                 Route("/start", self._posted(self._start), methods=["POST"]),
@@ -160,22 +161,27 @@ class Console:
             page = self._hub.controls.page(page_key)
             if page is not None and self._hub.controls.replayed(page, number):
                 return _refused(409, "this command was already received")
-            self._commands += 1
-            self._calm.clear()
             try:
                 return _json(await act(page, message))
             except Refusal as error:
                 return _json({"words": str(error), **error.details}, 409)
             except StartError as error:
                 return _refused(409, str(error))
-            finally:
-                self._commands -= 1
-                if not self._commands:
-                    self._calm.set()
 
         return endpoint
 
     async def _command(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Send a command; meanwhile the messages to pages wait."""
+        self._commands += 1
+        self._calm.clear()
+        try:
+            return await self._sent(page, message)
+        finally:
+            self._commands -= 1
+            if not self._commands:
+                self._calm.set()
+
+    async def _sent(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         """Send a command to a run. The command `stop` needs neither the controls nor an open
         page, and without a run it is sent to every program in progress.
         """
@@ -207,6 +213,16 @@ class Console:
             )
             raise Refusal(words, unconfirmed=list(failed))
         return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
+
+    async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Make a bench safe, as `rig off` does; needs neither the controls nor an open page,
+        because it only takes power off.
+        """
+        bench = message.get("bench")
+        known = {str(run.about["bench_file"]) for run in self._hub.runs.values()}
+        if not isinstance(bench, str) or bench not in known | set(self._hub.starter.benches):
+            raise Refusal("this bench is unknown; choose a bench that the page lists")
+        return await self._hub.starter.off(bench)
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         page = _in_contact(page)

@@ -113,6 +113,7 @@ class Starter:
     choices: dict[str, list[str]] = field(init=False)
     _shown: dict[str, Shown] = field(default_factory=dict)
     _children: list[tuple[subprocess.Popen[bytes], Path]] = field(default_factory=list)
+    _offs: dict[str, asyncio.Task[dict[str, Any]]] = field(default_factory=dict)
     _resumed: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -225,6 +226,33 @@ class Starter:
         who = valid(operator).strip()[:_LONGEST_NAME]
         named = ["--operator", who] if who else []
         self._resumed[folder] = self._spawn(["resume", folder, "--console", *named])
+
+    async def off(self, bench: str) -> dict[str, Any]:
+        """Make a bench safe with ``rig off``; a second request waits for the first.
+
+        Returns:
+            ``words``, the output, and ``proved``, whether the drive is proved off.
+        """
+        task = self._offs.get(bench)
+        if task is None:
+            task = self._offs[bench] = asyncio.create_task(self._make_off(bench))
+            task.add_done_callback(lambda _: self._offs.pop(bench))
+        return await asyncio.shield(task)
+
+    async def _make_off(self, bench: str) -> dict[str, Any]:
+        child = await asyncio.create_subprocess_exec(
+            *self.command,
+            "off",
+            "--",
+            bench,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        output, _ = await child.communicate()
+        words = output.decode(errors="replace").strip()[-_SHOWN:]
+        return {"words": words, "proved": child.returncode == 0}
 
     def failures(self) -> list[str]:
         """Return the last output of started runs that have ended with invalid input or a crash."""

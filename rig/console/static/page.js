@@ -21,6 +21,7 @@ let endDue = null; // key of the run in progress whose end is to be told beside 
 let answered = null; // prompt that this page answered, until its answer is known to be refused
 let unconfirmed = null; // keys of the programs that have not confirmed STOP
 let lostMs = 0; // time without contact with the console
+let makingSafe = false;
 let starting = false; // whether a run was started and is not found yet
 
 const charts = new Charts(at("charts"), ask);
@@ -106,6 +107,7 @@ function takeState(changed, fresh) {
     say(words);
   }
   if (changed.choices) start.choices(changed.choices);
+  if (changed.choices || changed.about) showBenches();
   if (changed.runs || "own" in changed) showRuns();
   if (changed.scope) at("scope").textContent = changed.scope;
   showRun();
@@ -155,6 +157,14 @@ function showRuns() {
 function runWords(run) {
   const begun = run.begun ? `, ${run.begun.slice(11, 19)} UTC` : "";
   return `${run.name} on ${run.bench}${begun}${run.over ? ", ended" : ""}`;
+}
+
+// Benches that can be made safe: first the bench of the run that is shown.
+function showBenches() {
+  const select = at("safe-bench");
+  const { about, choices } = state;
+  const shown = about ? [new Option(`${about.bench}, of the run that is shown`, about.bench_file)] : [];
+  select.replaceChildren(...shown, ...(choices?.benches || []).map((name) => new Option(name, name)));
 }
 
 function showOthers() {
@@ -356,6 +366,7 @@ function showControls() {
   const again = moving.length > 0 && moving.every((each) => each.stopping);
   stop.classList.toggle("again", again);
   at("stop-label").textContent = again ? "STOP again: power off at once, without the ramp" : "STOP";
+  at("make-safe").disabled = stop.disabled || makingSafe;
   start.allow(mine);
   recorded.allow(may);
 }
@@ -444,6 +455,20 @@ at("resume").addEventListener("click", async (event) => {
     say(`Refused: ${answer.words}`);
     showControls();
   }
+});
+at("make-safe").addEventListener("click", async () => {
+  const bench = at("safe-bench");
+  const name = bench.selectedOptions[0].textContent;
+  makingSafe = true;
+  showControls();
+  alertOnce("off", "");
+  at("safe-words").textContent = `${name}: the power is being taken off; this takes up to half a minute.`;
+  const answer = await link.post("/off", { bench: bench.value });
+  makingSafe = false;
+  showControls();
+  const proved = answer.ok && answer.proved;
+  at("safe-words").textContent = answer.words;
+  alertOnce("off", proved ? "" : `${name} was NOT proved off. Switch the main supply off by hand. (${answer.words})`, true);
 });
 at("take").addEventListener("click", async () => {
   const answer = await link.post("/controls", {});

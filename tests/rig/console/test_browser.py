@@ -615,6 +615,25 @@ def test_a_page_that_shows_an_ended_run_stops_the_run_of_a_terminal(
     expect(page.locator("#outcome")).to_contain_text("Nothing was in progress")
 
 
+def test_a_bench_is_made_safe_or_an_alarm_says_that_it_is_not(opened: Callable[..., Page]) -> None:
+    page = opened()
+    page.click("#make-safe")
+    expect(page.locator("#safe-words")).to_contain_text("nothing to switch off")
+    expect(page.locator("#make-safe")).to_be_enabled()
+    assert not page.locator("#alerts .alarm").count()
+    page.route(
+        "**/off",
+        lambda route: route.fulfill(
+            json={"words": "the drive reports off, but 3.98 A", "proved": False}
+        ),
+    )
+    page.click("#make-safe")
+    alarm = page.locator("#alerts .alarm")
+    expect(alarm).to_contain_text("NOT proved off")
+    expect(alarm).to_contain_text("3.98 A")
+    require_accessible(page)
+
+
 def test_a_rejected_run_is_said_to_be_rejected(
     opened: Callable[..., Page], where: Place, console: Served
 ) -> None:

@@ -168,7 +168,7 @@ def test_a_command_of_another_site_is_refused(console: Served, origin: str | Non
 
 
 @pytest.mark.parametrize("authorization", [None, "", "Bearer", "Bearer wrong", "Basic {token}"])
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume", "/off"])
 def test_no_command_without_the_token(
     console: Served, path: str, authorization: str | None
 ) -> None:
@@ -178,7 +178,7 @@ def test_no_command_without_the_token(
     assert "read-only" in text
 
 
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume", "/off"])
 @pytest.mark.parametrize("method", ["GET", "HEAD", "PUT", "OPTIONS"])
 def test_nothing_is_commanded_by_another_method(console: Served, path: str, method: str) -> None:
     origin = f"http://127.0.0.1:{console.port}"
@@ -270,6 +270,14 @@ def test_the_controls_of_a_closed_page_go_to_the_only_other(
     assert not second.controls()["yours"]
     page.close()
     assert second.controls()["yours"]
+
+
+def test_only_known_benches_are_made_safe(console: Served) -> None:
+    content = {"page": "none", "number": 1}
+    for bench in ("/etc/passwd", "-h", ["practical"], None):
+        assert console.request("POST", "/off", {**content, "bench": bench})[0] == 409
+    status, text, _ = console.request("POST", "/off", {**content, "bench": "practical"})
+    assert (status, json.loads(text)["proved"]) == (200, True)
 
 
 def still_open(connections: list[socket.socket]) -> int:
