@@ -284,13 +284,13 @@ class Console:
             hello = await asyncio.wait_for(socket.receive_json(), HELLO_S)
             may = self._token.fits(str(hello.get("token", "")))
         except (WebSocketDisconnect, TimeoutError, ValueError, KeyError, AttributeError):
-            with suppress(RuntimeError):
+            with suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close(1008, "a page must send its token first")
             return
         finally:
             self._greeting -= 1
         if not self._hub.controls.room(may):
-            with suppress(RuntimeError):
+            with suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close(1013, "too many pages are open; close a page")
             return
         page = self._hub.controls.open()

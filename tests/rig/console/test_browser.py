@@ -58,6 +58,8 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 def where(console: Served) -> Iterator[Place]:
     """The place of the console; its runs end with the test."""
     yield console.place
+    # A test that failed may have left the console suspended.
+    console.process.send_signal(signal.SIGCONT)
     console.place.stop_all()
 
 
@@ -388,10 +390,12 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     expect(lost.locator("#contact")).to_have_text("NO CONTACT")
     expect(lost.locator("#alerts")).to_contain_text("The run continues without this page")
     # The values say how old they are.
-    expect(lost.locator("#chart-angle .chart-now")).to_contain_text(re.compile(r"^[3-9] s old: "))
+    expect(lost.locator("#chart-angle .chart-now")).to_contain_text(
+        re.compile(r"^(\d+ min )?\d+ s old: ")
+    )
     expect(lost.locator("#limits-when")).to_contain_text(re.compile(r"\d s old"))
-    expect(lost.locator("#drive")).to_contain_text(re.compile(r"was ENERGISED .*, \d+ s ago"))
-    expect(lost.locator("#headline")).to_contain_text(re.compile(r"ENERGISED, \d+ S AGO"))
+    expect(lost.locator("#drive")).to_contain_text(re.compile(r"was ENERGISED .*\d+ s ago"))
+    expect(lost.locator("#headline")).to_contain_text(re.compile(r"ENERGISED, .*\d+ S AGO"))
     expect(lost.locator("#stop")).to_be_enabled()
     shoot(lost, "no-contact")
     size = growth(where)
