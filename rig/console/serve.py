@@ -9,6 +9,7 @@ import uvicorn
 
 from rig.common.errors import InputError
 from rig.console.app import Console
+from rig.console.door import BACKLOG, bounded
 from rig.console.gate import Token
 from rig.console.hub import Hub
 from rig.console.starting import Starter
@@ -41,7 +42,8 @@ def serve(
             log_level="warning",
             access_log=False,
             ws="wsproto",
-            http="h11",
+            http=bounded(),
+            backlog=BACKLOG,
             loop="asyncio",
             timeout_graceful_shutdown=1,
             server_header=False,

@@ -50,11 +50,15 @@ class TripError(Exception):
     Args:
         trip: The limit that was violated.
         explanation: Cause of the trip, to be added to the message; empty if unknown.
+
+    Attributes:
+        event: The message without the remedy.
     """
 
     def __init__(self, trip: Trip, explanation: str = "") -> None:
         super().__init__(f"{trip.message}{explanation}")
         self.trip = trip
+        self.event = f"{trip.event}{explanation}"
 
 
 class Cycle:

@@ -96,7 +96,12 @@ class Trip:
     @property
     def message(self) -> str:
         """Message with value, limit, unit, time and remedy."""
-        return f"{self.found} at {self.time:.3f} s; {_REMEDY[self.check]}"
+        return f"{self.event}; {_REMEDY[self.check]}"
+
+    @property
+    def event(self) -> str:
+        """Message with value, limit, unit and time; the advice after a run has the remedy."""
+        return f"{self.found} at {self.time:.3f} s"
 
     @property
     def now(self) -> str:

@@ -142,7 +142,7 @@ class Sequencer:
                 self.phase = next_phase(self.phase, self._handlers.handle(self.phase))
         except TripError as trip:
             ending = Ending.FAILED if trip.trip.check in _FAILURES else Ending.TRIPPED
-            return ending, self._where(str(trip)), trip.trip, None
+            return ending, self._where(trip.event), trip.trip, None
         except WeightError as wrong:
             return Ending.TRIPPED, self._where(str(wrong)), None, None
         except OperatorStopError as stop:

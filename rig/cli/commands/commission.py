@@ -29,6 +29,7 @@ from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.config.packaged import packaged
 from rig.control.attendance import connected
+from rig.control.remote import stoppable
 from rig.fault_injection.scene import Scene
 from rig.results.commission import commission_document, commission_record, difference
 from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
@@ -206,10 +207,15 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
     folder = plan.folder
     screen = Screen()
     screen.silence()
-    with noting_folder(folder), closing(screen), StopButton(screen.say) as stop:
+    with (
+        noting_folder(folder),
+        closing(screen),
+        StopButton(screen.say) as stop,
+        stoppable(stop, screen, plan.document.value, "commissioning") as control,
+    ):
         interview: Interview = AutomaticInterview(screen, angle_deg)
         if not yes:
-            interview = TypedInterview(screen, Prompt(screen), stop, angle_deg)
+            interview = TypedInterview(screen, Prompt(screen, control=control), stop, angle_deg)
         with create_folder(folder, "rig commission"):
             result = commission(
                 plan.document,

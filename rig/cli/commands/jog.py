@@ -20,6 +20,7 @@ from rig.config.bench import Bench, load_bench
 from rig.control.attendance import connected
 from rig.control.jog import Jog, held_only_here, move, plan_jog
 from rig.control.progress import RunProgress
+from rig.control.remote import stoppable
 from rig.control.sequencer import Outcome
 from rig.planning.plan import bench_limits
 from rig.runs.run_record import Ending
@@ -86,12 +87,14 @@ def command(
     with (
         closing(screen),
         StopButton(screen.say) as stop,
+        stoppable(stop, screen, document.value, "jog") as control,
         connected(stop, document, seed, realtime, purpose="rig jog") as devices,
     ):
         say_taken_over(devices.lock, screen)
         for warning in unprotected(devices):
             screen.say(warning)
-        batches = [angles] if angles else _asked(Prompt(screen), stop, screen)
+        prompt = Prompt(screen, control=control)
+        batches = [angles] if angles else _asked(prompt, stop, screen)
         for batch in batches:
             try:
                 jog = plan_jog(document.value, batch, speed)
@@ -100,7 +103,7 @@ def command(
                 continue
             if not agreed and (words := held_only_here(jog, document.value, devices)) is not None:
                 screen.say(words)
-                agreed = _agreed(Prompt(screen), stop, screen, document.value.simulated)
+                agreed = _agreed(prompt, stop, screen, document.value.simulated)
                 if not agreed:
                     outcome = _unmoved(devices, document.value)
                     break

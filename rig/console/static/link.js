@@ -3,7 +3,7 @@
 const KEPT = "loadrig-token";
 const REPLY_MS = 4000;
 const LONG_MS = 200000;
-const LONG = ["/dry-run", "/compare", "/trend"];
+const LONG = ["/dry-run", "/compare", "/trend", "/off"];
 const RETRY_MS = 500;
 const SILENT_MS = 1500;
 
