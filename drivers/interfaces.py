@@ -102,6 +102,13 @@ class ServoReadings(NamedTuple):
     temperature_C: float = math.nan
 
 
+class ServoMotion(NamedTuple):
+    """Joint angle and joint speed that are read from a drive; NaN if unknown."""
+
+    angle_rad: float = math.nan
+    velocity_rad_s: float = math.nan
+
+
 class ServoSample(NamedTuple):
     """Sample of the drive in one cycle.
 
@@ -251,6 +258,23 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
             LinkError: The drive cannot be reached.
         """
         return ServoReadings()
+
+    def motion(self) -> ServoMotion:
+        """Read angle and speed by as few requests as possible, without preparing the drive.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        return ServoMotion(velocity_rad_s=self.readings().velocity_rad_s)
+
+    def promised_deceleration(self) -> float:
+        """Return the deceleration of the quick stop at the joint, rad/s^2, as last written, else as
+        read from the drive; NaN if unknown.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        return math.nan
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault; the drive must be in fault."""

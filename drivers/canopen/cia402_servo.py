@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
@@ -21,6 +22,7 @@ from drivers.interfaces import (
     LimitSteps,
     Link,
     ServoLimits,
+    ServoMotion,
     ServoReadings,
     ServoSample,
     ServoState,
@@ -85,6 +87,7 @@ class Cia402Servo(HomingServo):
         self._target = 0
         self._previous = 0
         self._staged_in = 0
+        self._deceleration = math.nan
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
@@ -154,6 +157,7 @@ class Cia402Servo(HomingServo):
             ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
+        self._deceleration = limits.quick_stop_deceleration_rad_s2
         for address, value in self._motion.settings(limits):
             servo_limits.store(self._channel, address, value)
         self._motion.take_limits(limits)
@@ -161,6 +165,22 @@ class Cia402Servo(HomingServo):
     def readings(self) -> ServoReadings:
         """Read each value of the drive by SDO; a value that the drive does not have is NaN."""
         return read_once(self._channel, self._scales, self._sent)
+
+    def motion(self) -> ServoMotion:
+        """Read position and, if the drive has it, speed by SDO."""
+        scales, speed = self._scales, math.nan
+        angle = scales.joint_angle_rad(self._channel.read(*objects.POSITION))
+        if self._channel.describes(*objects.SPEED_ACTUAL):
+            units = self._channel.read(*objects.SPEED_ACTUAL)
+            speed = units * scales.joint_speed_unit_rad_s * scales.sign
+        return ServoMotion(angle, speed)
+
+    def promised_deceleration(self) -> float:
+        """Return the deceleration of the quick stop (6085h) as last written, else as read."""
+        if math.isnan(self._deceleration) and servo_limits.QUICK_STOP_DECELERATION in self._held:
+            units = self._channel.read(*servo_limits.QUICK_STOP_DECELERATION)
+            self._deceleration = units * self._scales.joint_acceleration_unit_rad_s2
+        return self._deceleration
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""

@@ -30,6 +30,7 @@ class SafeState:
         unforeseen: Exceptions of the steps, except device errors, storage errors and Ctrl-C; they
             are defects of this program, and are raised again after the operator was informed of the
             state of the drive.
+        cut: Why the power was cut instead of a ramp; empty if it was not.
     """
 
     verified: bool
@@ -37,12 +38,14 @@ class SafeState:
     problems: tuple[str, ...] = ()
     watched: bool = True
     unforeseen: tuple[BaseException, ...] = field(default=(), repr=False, compare=False)
+    cut: str = ""
 
     @property
     def message(self) -> str:
         """One sentence for the operator."""
         if self.verified:
-            return f"the drive is de-energised (read back: {self.state})"
+            off = f"the drive is de-energised (read back: {self.state})"
+            return f"{self.cut}; {off}" if self.cut else off
         by_itself = (
             "its own watchdog takes the power off; switch the main supply off before "
             "approaching the bench"
@@ -133,6 +136,7 @@ def make_safe(
         problems=tuple(dict.fromkeys(steps.problems)),
         watched=watched,
         unforeseen=tuple(steps.unforeseen),
+        cut=steps.cut,
     )
 
 

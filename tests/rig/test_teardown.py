@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from drivers.clock import SimulatedClock
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import ServoLimits, ServoState
+from drivers.interfaces import ServoLimits, ServoMotion, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import (
     INSISTENT_ATTEMPTS,
@@ -82,6 +82,7 @@ class Servo:
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
+        self.moved = (0.0, 0.0)
         self.clock = Clock(self)
 
     def pass_time(self, ns: int) -> None:
@@ -119,6 +120,12 @@ class Servo:
     def state(self) -> ServoState:
         self._do("state")
         return self.power
+
+    def motion(self) -> ServoMotion:
+        return ServoMotion(*self.moved)
+
+    def promised_deceleration(self) -> float:
+        return 1.0
 
     def write_limits(self, limits: ServoLimits) -> None:
         self._do("write_limits")

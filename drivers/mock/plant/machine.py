@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import cmath
+import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ from drivers.mock.plant.record import (
     record_cycles,
 )
 
+Loop = Literal["position", "velocity", "phases"]
+LOOPS: Final[tuple[Loop, ...]] = get_args(Loop)
+"""The parts of a drive that may have the wrong sign, see :meth:`SimulatedMachine.reverse`."""
 _NOISE_BLOCK = 1 << 16
 _REFERENCE_MASS_KG = 30.6
 _NO_PATH = np.zeros(0)
@@ -94,6 +98,7 @@ class SimulatedMachine:
             any_size: Whether effects may have sizes outside the ranges of the catalogue.
         """
         self.constants = machine
+        self._cascade = machine.loops
         self.loop_ns = round(1e9 / machine.loops.rate_Hz)
         self._rng = rng
         self._noise = rng.standard_normal(_NOISE_BLOCK)
@@ -212,7 +217,26 @@ class SimulatedMachine:
 
     def control(self, position: bool, speed: bool) -> None:
         """Close or open the drive's position and speed loops before the joint moves."""
-        close_loops(self._d, self.constants.loops, position, speed)
+        close_loops(self._d, self._cascade, position, speed)
+
+    def reverse(self, loop: Loop) -> None:
+        """Give one loop of the drive the wrong sign, before the power is switched on.
+
+        The loop ``phases`` is the winding: with two phases swapped, each current gives the opposite
+        torque, while the loop of the current itself still works.
+        """
+        d, cascade = self._d, self._cascade
+        speed = -(cascade.velocity_gain_N_m_s_rad or 0.0) or None
+        if loop == "phases":
+            d[loops.TORQUE_PER_AMPERE] *= -1.0
+            d[loops.EMF_PER_SPEED] *= -1.0
+        # A current is a torque over the torque constant, whose sign the drive does not know.
+        if loop == "position" or speed is None:
+            cascade = dataclasses.replace(cascade, position_gain=-cascade.position_gain)
+        else:
+            cascade = dataclasses.replace(cascade, velocity_gain_N_m_s_rad=speed)
+        self._cascade = cascade
+        close_loops(d, cascade, position=True, speed=True)
 
     def spin(self, speed_rad_s: float) -> None:
         """Command a joint speed until the next command, without the position loop."""
@@ -251,7 +275,7 @@ class SimulatedMachine:
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
-        opened = take_over(s, self._d, self.constants.loops)
+        opened = take_over(s, self._d, self._cascade)
         if not opened and s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
             s[loops.TARGET_STEP] = 0.0
         s[loops.MODE] = loops.BRAKE
