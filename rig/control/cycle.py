@@ -160,10 +160,7 @@ class Cycle:
                 motion was commanded.
         """
         self.resume()
-        steps = self._servo.limit_steps()
-        self._runaway = Runaway(
-            self._servo.promised_deceleration(), 0.0 if steps is None else steps.angle_rad
-        )
+        self._runaway = Runaway(self._servo.promised_deceleration())
         self._powered_ns = self._next_ns
         self._time_limit_s = time_limit_s
         self._servo.set_target(target)

@@ -68,16 +68,16 @@ class Runaway:
     Args:
         deceleration_rad_s2: Deceleration that the drive promises; if it is NaN, a speed must double
             to count as a runaway.
-        count_rad: Resolution of the drive's angle at the joint, rad; 0 if unknown.
 
     Attributes:
         speed_rad_s: Speed in the sample that shows a runaway, rad/s.
         limit_rad_s: Greatest speed in this sample that would be none, rad/s.
     """
 
-    def __init__(self, deceleration_rad_s2: float, count_rad: float = 0.0) -> None:
+    def __init__(self, deceleration_rad_s2: float) -> None:
         self._deceleration = deceleration_rad_s2
-        self._counts = [count_rad, count_rad, 0.0]
+        # The resolution of each angle is the least change of it so far.
+        self._counts = [0.0, 0.0, 0.0]
         self._last: Seen | None = None
         self._step_s = self._target_rad_s = 0.0
         self._between = math.nan, math.nan
@@ -92,10 +92,11 @@ class Runaway:
         self._step_s = 0.0 if last is None else seen.time_s - last.time_s
         if last is None or self._step_s <= 0.0:
             return
-        step_s, joint = self._step_s, seen.joint_rad - last.joint_rad
-        if joint and math.isfinite(joint):
-            self._counts[2] = min(self._counts[2] or math.inf, abs(joint))
-        drive = seen.drive_rad - last.drive_rad
+        step_s = self._step_s
+        drive, joint = seen.drive_rad - last.drive_rad, seen.joint_rad - last.joint_rad
+        for at, moved in enumerate((drive, drive, joint)):
+            if moved and math.isfinite(moved):
+                self._counts[at] = min(self._counts[at] or math.inf, abs(moved))
         self._between = min(last.target_rad, seen.target_rad), max(last.target_rad, seen.target_rad)
         self._speeds.append((seen.speed_rad_s, drive / step_s, joint / step_s))
         if math.isfinite(moved := seen.target_rad - last.target_rad):
