@@ -188,7 +188,10 @@ def explained(setup: Setup, witness: MotionWitness) -> Iterator[None]:
         cause = witness.hint(too_fast) or next(iter(witness.prove().contradictions), None)
         if cause is None:
             raise
-        words = cause.words if cause.words in str(error) else f"{error}; {cause.words}"
+        named = cause.words in str(error)
+        if isinstance(error, TripError) and error.trip.check is Check.RUNAWAY:
+            named = True  # by a wrong ratio or sign of the joint encoder
+        words = cause.words if named else f"{error}; {cause.words}"
         raise WrongError(words, cause.changes) from error
     finally:
         setup.cycle.units = None

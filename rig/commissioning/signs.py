@@ -1,5 +1,5 @@
-"""The step that proves the signs of motor, motor encoder and the drive's own loops, at a torque that
-just moves the joint, before the drive holds a position.
+"""The step that proves the signs of motor, motor encoder and the drive's own loops, at a torque
+that just moves the joint, before the drive holds a position.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from rig.control.motion_witness import MotionWitness
 LEAST_SHARE: Final = 1.0 / 16.0
 """First limit of torque and current, as a share of the low limits of a commissioning."""
 GROWTH: Final = 1.25
-"""Ratio of a limit to the limit before. A joint that breaks away is accelerated by at most a quarter
-of its static friction, and by the difference of static and sliding friction.
+"""Ratio of a limit to the limit before. A joint that breaks away is accelerated by at most a
+quarter of its static friction, and by the difference of static and sliding friction.
 """
 COUNTS: Final = 4.0
 """Travel, in counts of the motor encoder, that is a motion."""
 DEAD_DEG: Final = 0.1
-"""Travel of the joint after which a motor encoder without motion counts as dead, deg."""
+"""Travel of the joint after which a motor encoder that shows none counts as dead, deg."""
 NOISE: Final = 2.0
 """Travel that is a motion, in units of the range of the angles while the joint rests."""
 _HELD: Final = frozenset({"current_A", "torque_N_m"})
@@ -51,7 +51,8 @@ class _Push:
         self._gear_ratio = setup.bench.machine.gear_ratio
         self._rest: list[tuple[float, float]] = []
         self._last = (math.nan, math.nan)
-        self._counts = [math.inf, math.inf]
+        steps = self._servo.limit_steps()
+        self._counts = [(0.0 if steps is None else steps.angle_rad) or math.inf, math.inf]
         self.side, self.moved, self.joint, self.current_A = side, 0, 0, 0.0
 
     def _look(self) -> tuple[float, float]:
@@ -86,8 +87,9 @@ class _Push:
     @property
     def ended(self) -> bool:
         """Whether the motor moves, or the joint without its motor encoder."""
+        dead = self._last[0] in [motor for motor, _ in self._rest]
         way = abs(self._last[1] - self._rest[-1][1])
-        return bool(self.moved) or (bool(self.joint) and way > math.radians(DEAD_DEG))
+        return bool(self.moved) or (dead and bool(self.joint) and way > math.radians(DEAD_DEG))
 
     def targets(self, course: list[float]) -> Iterator[float]:
         """Yield the targets until the joint moves."""
@@ -129,9 +131,9 @@ def signs(setup: Setup, step: StepRecord) -> None:
     nominal = setup.devices.nominal
     assert nominal is not None
     moved: dict[int, _Push] = {}
-    share = LEAST_SHARE
-    while len(moved) < 2 and share < GROWTH:
-        share = min(share, 1.0)
+    share = LEAST_SHARE / GROWTH
+    while len(moved) < 2 and share < 1.0:
+        share = min(share * GROWTH, 1.0) if held else 1.0
         for side in (1, -1):
             if side not in moved:
                 setup.cycle.units = witness = MotionWitness(servo, nominal)
@@ -139,8 +141,7 @@ def signs(setup: Setup, step: StepRecord) -> None:
                     push = _push(setup, side, share)
                 if push.ended:
                     moved[side] = push
-        share *= GROWTH if held else math.inf
-    step.measure("current limit that moves the joint", share / GROWTH * setup.wanted.current_A, "A")
+    step.measure("current limit that moves the joint", share * setup.wanted.current_A, "A")
     if len(moved) < 2:
         raise SkippedError(
             f"the joint does not move within {SMALL_DEG:g} deg at the low limit of the current: "

@@ -160,7 +160,10 @@ class Cycle:
                 motion was commanded.
         """
         self.resume()
-        self._runaway = Runaway(self._servo.promised_deceleration())
+        steps = self._servo.limit_steps()
+        self._runaway = Runaway(
+            self._servo.promised_deceleration(), 0.0 if steps is None else steps.angle_rad
+        )
         self._powered_ns = self._next_ns
         self._time_limit_s = time_limit_s
         self._servo.set_target(target)
@@ -263,9 +266,10 @@ class Cycle:
         with suppress(DeviceError):
             self._servo.disable()
         self._latch.open()
-        found = self._runaway
+        found, units = self._runaway, self.units
         raise TripError(
-            Trip(Check.RUNAWAY, found.speed_rad_s, found.limit_rad_s, "rad/s", sample.time)
+            Trip(Check.RUNAWAY, found.speed_rad_s, found.limit_rad_s, "rad/s", sample.time),
+            "" if units is None else units.explanation(),
         )
 
     def watch(self) -> ServoState | None:

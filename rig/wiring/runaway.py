@@ -68,19 +68,20 @@ class Runaway:
     Args:
         deceleration_rad_s2: Deceleration that the drive promises; if it is NaN, a speed must double
             to count as a runaway.
+        count_rad: Upper bound of the resolution of the drive's angle at the joint, rad; 0 if
+            unknown. The resolution of each angle is the least change of it so far.
 
     Attributes:
         speed_rad_s: Speed in the sample that shows a runaway, rad/s.
         limit_rad_s: Greatest speed in this sample that would be none, rad/s.
     """
 
-    def __init__(self, deceleration_rad_s2: float) -> None:
+    def __init__(self, deceleration_rad_s2: float, count_rad: float = 0.0) -> None:
         self._deceleration = deceleration_rad_s2
-        # The resolution of each angle is the least change of it so far.
-        self._counts = [0.0, 0.0, 0.0]
+        self._counts = [count_rad, count_rad, 0.0]
         self._last: Seen | None = None
-        self._step_s = self._target_rad_s = 0.0
-        self._between = math.nan, math.nan
+        self._step_s = self._target_rad_s = self._fastest_rad_s = 0.0
+        self._left = [math.inf] * 3
         self._speeds: deque[tuple[float, float, float]] = deque(maxlen=PAST)
         self._limits: tuple[float, ...] | None = None
         self._doubted: tuple[float, ...] = (0.0,) * 3
@@ -89,48 +90,50 @@ class Runaway:
     def see(self, seen: Seen) -> None:
         """Store a sample."""
         last, self._last = self._last, seen
-        self._step_s = 0.0 if last is None else seen.time_s - last.time_s
-        if last is None or self._step_s <= 0.0:
+        self._step_s = step_s = 0.0 if last is None else seen.time_s - last.time_s
+        if last is None or step_s <= 0.0:
             return
-        step_s = self._step_s
         drive, joint = seen.drive_rad - last.drive_rad, seen.joint_rad - last.joint_rad
         for at, moved in enumerate((drive, drive, joint)):
             if moved and math.isfinite(moved):
                 self._counts[at] = min(self._counts[at] or math.inf, abs(moved))
-        self._between = min(last.target_rad, seen.target_rad), max(last.target_rad, seen.target_rad)
-        self._speeds.append((seen.speed_rad_s, drive / step_s, joint / step_s))
-        if math.isfinite(moved := seen.target_rad - last.target_rad):
-            self._target_rad_s = max(self._target_rad_s, abs(moved) / step_s)
+        now = seen.speed_rad_s, drive / step_s, joint / step_s
+        self._speeds.append(now)
+        low = min(last.target_rad, seen.target_rad)
+        high = max(last.target_rad, seen.target_rad)
+        for at, angle in enumerate((seen.drive_rad, seen.drive_rad, seen.joint_rad)):
+            off = max(angle - high, 0.0) + min(angle - low, 0.0)
+            leaves = abs(off) > REACTION * self._counts[at] and now[at] * off > 0.0
+            self._left[at] = min(self._left[at], abs(now[at])) if leaves else math.inf
+        self._target_rad_s = abs(seen.target_rad - last.target_rad) / step_s
+        if self._target_rad_s > self._fastest_rad_s:
+            self._fastest_rad_s = self._target_rad_s
 
     def leaves(self) -> bool:
-        """Return whether the joint moves away from its target, and faster in the last sample than
-        in the sample before.
+        """Return whether the joint moves away from its target, is faster than when it left it, and
+        faster than the target by more than a load accelerates it.
         """
         self._doubted = (0.0,) * 3
-        return self._leaves(0.0)
+        return self._faster(self._target_rad_s)
 
     def escapes(self) -> bool:
-        """Return whether the joint also moves faster than its target has ever moved, by more than a
-        load accelerates it.
+        """Return what :meth:`leaves` returns, compared with the fastest motion of the target so
+        far; to be called in each sample.
         """
-        return self._leaves(self._target_rad_s + self._growth())
+        return self._faster(self._fastest_rad_s)
 
-    def _leaves(self, least_rad_s: float) -> bool:
-        if len(self._speeds) < 2 or self._last is None or self._step_s <= 0.0:
-            return False
-        seen, limits = self._last, [math.inf] * 3
-        low, high = self._between
-        angles = (seen.drive_rad, seen.drive_rad, seen.joint_rad)
-        now, before = self._speeds[-1], self._speeds[-2]
-        for at, angle in enumerate(angles):
-            off = max(angle - high, 0.0) + min(angle - low, 0.0)
-            if abs(off) > REACTION * self._counts[at] and now[at] * off > 0.0:
-                limits[at] = max(abs(before[at]), least_rad_s)
-        if all(map(math.isinf, limits)):
+    def _faster(self, target_rad_s: float) -> bool:
+        if all(map(math.isinf, self._left)):
             self._doubted = (0.0,) * 3
             return False
-        noise = self._noise(self._step_s)
-        return self._vote(tuple(map(sum, zip(limits, noise, strict=True))))
+        growth = REACTION * self._step_s * self._deceleration
+        least = target_rad_s + (target_rad_s if math.isnan(growth) else growth)
+        return self._vote(
+            tuple(
+                max(left, least) + noise
+                for left, noise in zip(self._left, self._noise(self._step_s), strict=True)
+            )
+        )
 
     def order(self, cycle_s: float) -> None:
         """Take the last sample as that of the order to brake, with samples every ``cycle_s``."""
@@ -152,11 +155,6 @@ class Runaway:
             self.order(self._step_s)
             return False
         return self._step_s > 0.0 and self._vote(self._limits)
-
-    def _growth(self) -> float:
-        """Return the growth of the speed until the drive executes an order, rad/s."""
-        growth = REACTION * self._step_s * self._deceleration
-        return self._target_rad_s if math.isnan(growth) else growth
 
     def _noise(self, step_s: float) -> list[float]:
         """Return the change of each speed between two samples that may be noise."""

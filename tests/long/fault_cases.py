@@ -91,12 +91,25 @@ NOT_RUNNING = Must(4, "not OPERATION ENABLED", BRAKE_S)
 NO_POWER = "prompt prepare enable"
 
 
+RUNS_AWAY = Must(1, "beyond its limit|8611h", LATENT_S)
+
+
 def _stopping(option: int) -> Case:
     rows = (fault("drive", "quick_stop_option", value=option), fault("operator", "stop"))
     within = {0: 0.05, 1: 0.35, 2: BRAKE_S, 5: STANDSTILL_S, 6: STANDSTILL_S}[option]
     return Case(rows, Must(3, "stopped by the operator", within))
 
 
+def _runs_away(sign: str) -> Case:
+    """A joint at rest under its friction does not show the wrong sign of a loop."""
+    return Case((fault("drive", sign),), RUNS_AWAY, at("hold disable", RIDES))
+
+
+SIGNS: Mapping[str, Case] = {
+    "speed loop of the wrong sign": _runs_away("velocity_sign"),
+    "position loop of the wrong sign": _runs_away("position_sign"),
+    "motor phases swapped": _runs_away("phases_swapped"),
+}
 CASES: Mapping[str, Case] = {
     "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prompt prepare disable", NO_ANSWER)),
     "the drive's frames lost, 40 of them": Case(
@@ -162,6 +175,7 @@ CASES: Mapping[str, Case] = {
         | at("prepare", Must(4, "did not report the NMT state OPERATIONAL|refuses", 0.0)),
     ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
+    **SIGNS,
     "mode refused": Case(
         (fault("drive", "mode_refused"),),
         RIDES,

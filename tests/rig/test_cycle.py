@@ -70,6 +70,9 @@ class Bench:
     def lacks(self, cycle_s: float) -> Lacks:
         return Lacks()
 
+    def limit_steps(self) -> None:
+        return None
+
     def promised_deceleration(self) -> float:
         return 1.0
 

@@ -33,7 +33,7 @@ class TrueMotion:
         return f"peak {self.peak_deg_s:.1f} deg/s, travel {self.travel_deg:.2f} deg"
 
 
-def watch_machines(monkeypatch: pytest.MonkeyPatch, loop: Loop | None) -> TrueMotion:
+def watch_machines(monkeypatch: pytest.MonkeyPatch, loop: Loop | None = None) -> TrueMotion:
     """Reverse a loop in every machine that is built from now on, and return its true motion."""
     found, build, advance = TrueMotion(), SimulatedMachine.__init__, SimulatedMachine.advance
 

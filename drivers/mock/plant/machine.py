@@ -74,6 +74,21 @@ class Truth(NamedTuple):
     contact_force_N: float
 
 
+@dataclasses.dataclass
+class Extremes:
+    """Greatest joint speed, rad/s, and least and greatest joint angle, rad."""
+
+    speed_rad_s: float
+    low_rad: float
+    high_rad: float
+
+    def take(self, truth: Truth) -> None:
+        """Take a state of the machine."""
+        self.speed_rad_s = max(self.speed_rad_s, abs(truth.velocity_rad_s))
+        self.low_rad = min(self.low_rad, truth.angle_rad)
+        self.high_rad = max(self.high_rad, truth.angle_rad)
+
+
 class SimulatedMachine:
     """Motor, gear, friction, lever with weights and the control loops of the drive, integrated with
     a constant step.
@@ -99,6 +114,7 @@ class SimulatedMachine:
         """
         self.constants = machine
         self._cascade = machine.loops
+        self._marked: Extremes | None = None
         self.loop_ns = round(1e9 / machine.loops.rate_Hz)
         self._rng = rng
         self._noise = rng.standard_normal(_NOISE_BLOCK)
@@ -220,23 +236,24 @@ class SimulatedMachine:
         close_loops(self._d, self._cascade, position, speed)
 
     def reverse(self, loop: Loop) -> None:
-        """Give one loop of the drive the wrong sign, before the power is switched on.
+        """Give one loop of the drive the wrong sign, or the right sign again.
 
         The loop ``phases`` is the winding: with two phases swapped, each current gives the opposite
         torque, while the loop of the current itself still works.
         """
         d, cascade = self._d, self._cascade
-        speed = -(cascade.velocity_gain_N_m_s_rad or 0.0) or None
+        gain = cascade.velocity_gain_N_m_s_rad
         if loop == "phases":
             d[loops.TORQUE_PER_AMPERE] *= -1.0
             d[loops.EMF_PER_SPEED] *= -1.0
-        # A current is a torque over the torque constant, whose sign the drive does not know.
-        if loop == "position" or speed is None:
-            cascade = dataclasses.replace(cascade, position_gain=-cascade.position_gain)
+        # The current command is a torque over the torque constant, whose sign the drive does not
+        # know; one gain has to change its sign with it.
+        if loop == "position" or gain is None:
+            d[loops.POSITION_GAIN] *= -1.0
+            self._cascade = dataclasses.replace(cascade, position_gain=-cascade.position_gain)
         else:
-            cascade = dataclasses.replace(cascade, velocity_gain_N_m_s_rad=speed)
-        self._cascade = cascade
-        close_loops(d, cascade, position=True, speed=True)
+            d[loops.VELOCITY_GAIN] *= -1.0
+            self._cascade = dataclasses.replace(cascade, velocity_gain_N_m_s_rad=-gain)
 
     def spin(self, speed_rad_s: float) -> None:
         """Command a joint speed until the next command, without the position loop."""
@@ -289,6 +306,14 @@ class SimulatedMachine:
             ValueError: ``duration_ns`` is not a whole number of loop periods.
         """
         self._advance(self._loops_in(duration_ns), _NO_PATH)
+        if self._marked is not None:
+            self._marked.take(self.truth())
+
+    def mark(self) -> Extremes:
+        """Return the extremes of the motion from now on, which further steps update."""
+        truth = self.truth()
+        self._marked = Extremes(abs(truth.velocity_rad_s), truth.angle_rad, truth.angle_rad)
+        return self._marked
 
     def _loops_in(self, duration_ns: int) -> int:
         count, rest = divmod(duration_ns, self.loop_ns)
