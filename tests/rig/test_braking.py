@@ -743,7 +743,7 @@ def test_a_drive_whose_ramp_goes_the_wrong_way_is_cut(loop: Any, prepared: bool)
     wire = Wire()
     host = wire.host
     host.bench.machine.reverse(loop)
-    judge = Runaway(host.servo.promised_deceleration())
+    judge = Runaway(host.servo.promised_deceleration(), host.servo.limit_steps().angle_rad)
 
     def watch() -> ServoState | None:
         if not prepared:

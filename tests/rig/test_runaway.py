@@ -86,7 +86,7 @@ def motion(
         angle += speed * CYCLE_S
         seen = round(angle / quantum) * quantum
         samples.append(Seen(n * CYCLE_S, speed, seen, seen, 0.0))
-    return Runaway(deceleration), samples
+    return Runaway(deceleration, COUNT), samples
 
 
 def grows(judge: Runaway, before: list[Seen], after: list[Seen]) -> bool:
@@ -165,13 +165,12 @@ def escapes(judge: Runaway, samples: list[Seen], targets: Iterable[float]) -> bo
 
 def test_only_a_joint_that_is_faster_than_its_target_and_leaves_it_escapes() -> None:
     speeds = [0.0, 0.02, 0.06, 0.12, 0.2, 0.3]
-    for way, found in ((-1.0, True), (1.0, False)):
-        judge, samples = motion(speeds)
-        ahead = [way * 0.01 * n for n in range(len(samples))]  # the joint moves up
-        assert escapes(judge, samples, ahead) is found or way > 0.0
-    # A joint that follows its target at once, and one that has left it and slows down.
+    # A joint that follows its target at once or follows it late, and one that has left it and
+    # slows down.
     judge, samples = motion(speeds)
     assert not escapes(judge, samples, [s.drive_rad for s in samples])
+    judge, samples = motion(speeds)
+    assert not escapes(judge, samples, [3.0 * s.drive_rad for s in samples])
     judge, samples = motion([0.3, 0.2, 0.12, 0.06, 0.02, 0.0])
     assert not escapes(judge, samples, [0.0] * len(samples))
     judge, samples = motion(speeds)
