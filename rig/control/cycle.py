@@ -239,7 +239,7 @@ class Cycle:
             units = self.units
             if units is not None:
                 units.take(sample, self._torque)
-            escapes = units is not None and sample.fresh and self._runaway.escapes()
+            escapes = sample.fresh and self._runaway.escapes()
             if escapes or (trip is not None and self._runaway.leaves()):
                 self._cut(sample)
             if trip is not None:

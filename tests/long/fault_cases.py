@@ -91,7 +91,8 @@ NOT_RUNNING = Must(4, "not OPERATION ENABLED", BRAKE_S)
 NO_POWER = "prompt prepare enable"
 
 
-RUNS_AWAY = Must(1, "beyond its limit|8611h", LATENT_S)
+RUNS_AWAY = Must(1, "runs away", LATENT_S)
+OUTRUN = Must(4, "8611h|0021h|not OPERATION ENABLED", BRAKE_S)
 
 
 def _stopping(option: int) -> Case:
@@ -100,15 +101,19 @@ def _stopping(option: int) -> Case:
     return Case(rows, Must(3, "stopped by the operator", within))
 
 
-def _runs_away(sign: str) -> Case:
-    """A joint at rest under its friction does not show the wrong sign of a loop."""
-    return Case((fault("drive", sign),), RUNS_AWAY, at("hold disable", RIDES))
-
-
 SIGNS: Mapping[str, Case] = {
-    "speed loop of the wrong sign": _runs_away("velocity_sign"),
-    "position loop of the wrong sign": _runs_away("position_sign"),
-    "motor phases swapped": _runs_away("phases_swapped"),
+    "speed loop of the wrong sign": Case(
+        (fault("drive", "velocity_sign"),), RUNS_AWAY, at("disable", RIDES)
+    ),
+    # A joint at rest shows no wrong sign; in motion the drive finds the following error first.
+    "position loop of the wrong sign": Case(
+        (fault("drive", "position_sign"),),
+        RUNS_AWAY,
+        at("excite ramp_out", OUTRUN) | at("hold disable", RIDES),
+    ),
+    "motor phases swapped": Case(
+        (fault("drive", "phases_swapped"),), RUNS_AWAY, at("disable", RIDES)
+    ),
 }
 CASES: Mapping[str, Case] = {
     "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prompt prepare disable", NO_ANSWER)),

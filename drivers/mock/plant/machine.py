@@ -294,7 +294,8 @@ class SimulatedMachine:
             return
         opened = take_over(s, self._d, self._cascade)
         if not opened and s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
-            s[loops.TARGET_STEP] = 0.0
+            # The last target is reached, and the ramp starts at the measured speed.
+            s[loops.TARGET_STEP] = s[loops.VELOCITY_ESTIMATE] * self._d[loops.LOOP_S]
         s[loops.MODE] = loops.BRAKE
         s[loops.OFFSET] = 0.0
         s[loops.BRAKE_STEP] = deceleration_rad_s2 * self._d[loops.LOOP_S]
