@@ -23,6 +23,7 @@ from drivers.interfaces import (
     Link,
     Measuring,
     ServoLimits,
+    ServoMotion,
     ServoReadings,
     ServoSample,
     ServoState,
@@ -97,6 +98,7 @@ class Cia402Servo(HomingServo):
         self._previous = 0
         self._staged_in = 0
         self._armed = False
+        self._deceleration = math.nan
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
@@ -179,6 +181,7 @@ class Cia402Servo(HomingServo):
             ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
+        self._deceleration = limits.quick_stop_deceleration_rad_s2
         for address, value in self._motion.settings(limits):
             if self._channel.describes(*address):
                 servo_limits.store_limit(self._channel, self._scales, address, value)
@@ -198,6 +201,22 @@ class Cia402Servo(HomingServo):
         step_A = math.nan if sent.current is None else sent.current_unit_A
         step_rad = abs(scales.joint_rad_per_count)
         return Measuring(step_rad, scales.gear_ratio, step_A, scales.rated_current_A)
+
+    def motion(self) -> ServoMotion:
+        """Read position and, if the drive has it, speed by SDO."""
+        scales, speed = self._scales, math.nan
+        angle = scales.joint_angle_rad(self._channel.read(*objects.POSITION))
+        if self._channel.describes(*objects.SPEED_ACTUAL):
+            units = self._channel.read(*objects.SPEED_ACTUAL)
+            speed = units * scales.joint_speed_unit_rad_s * scales.sign
+        return ServoMotion(angle, speed)
+
+    def promised_deceleration(self) -> float:
+        """Return the deceleration of the quick stop (6085h) as last written, else as read."""
+        if math.isnan(self._deceleration) and servo_limits.QUICK_STOP_DECELERATION in self._held:
+            units = self._channel.read(*servo_limits.QUICK_STOP_DECELERATION)
+            self._deceleration = units * self._scales.joint_acceleration_unit_rad_s2
+        return self._deceleration
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""

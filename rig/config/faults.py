@@ -108,6 +108,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("drive", "sdo_timeout"): Kind("SDO requests are not answered", counted=True),
     ("drive", "limits_refused"): Kind("the drive ignores written limits"),
     ("drive", "counter_stuck"): Kind("the life counters of the drive do not change"),
+    ("drive", "position_sign"): Kind("the position loop of the drive has the wrong sign"),
+    ("drive", "velocity_sign"): Kind("the speed loop of the drive has the wrong sign"),
+    ("drive", "phases_swapped"): Kind("two phases of the motor are swapped"),
     ("encoder", "bit"): Kind(
         "one bit of the position is inverted", "bit", 13, counted=True, integer=True
     ),

@@ -6,10 +6,10 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final, NoReturn, Protocol
 
 from drivers.clock import NS, Clock
-from drivers.errors import DriveFault
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import RawFrame, ServoState
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
@@ -19,7 +19,9 @@ from rig.control.safety import Check, Latch, Trip, check, check_stage_time
 from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
+from rig.wiring.braking import grown
 from rig.wiring.devices import Devices
+from rig.wiring.runaway import Runaway, RunawayError, Seen
 
 PROGRESS_CYCLES = 100
 FIRST_WITHIN_NS: Final = NS // 200
@@ -108,6 +110,7 @@ class Cycle:
         nominal = devices.nominal
         self.units = None if nominal is None else MotionWitness(devices.servo, nominal)
         self._latch = Latch()
+        self._runaway = Runaway(math.nan)
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
         self._paused_ns = self._paused_until_ns = 0
@@ -168,6 +171,10 @@ class Cycle:
                 motion was commanded.
         """
         self.resume()
+        steps = self._servo.limit_steps()
+        self._runaway = Runaway(
+            self._servo.promised_deceleration(), 0.0 if steps is None else steps.angle_rad
+        )
         self._powered_ns = self._next_ns
         self._time_limit_s = time_limit_s
         self._servo.set_target(target)
@@ -245,6 +252,9 @@ class Cycle:
             units = self.units
             if units is not None:
                 units.take(sample, self._torque)
+            escapes = sample.fresh and self._runaway.escapes()
+            if escapes or (trip is not None and self._runaway.leaves()):
+                self._cut(sample)
             if trip is not None:
                 trip = self._cause(trip)
                 of = (trip.check is Check.SPEED, trip.check is Check.TORQUE)
@@ -260,6 +270,22 @@ class Cycle:
         if compensate is not None:
             self._servo.set_torque_offset(0.0)
 
+    def _cut(self, sample: Sample) -> NoReturn:
+        """Switch the power off without a ramp, which would accelerate the joint further.
+
+        Raises:
+            TripError: The joint runs away.
+        """
+        # The teardown repeats a command that failed, and reads the state back.
+        with suppress(DeviceError):
+            self._servo.disable()
+        self._latch.open()
+        found, units = self._runaway, self.units
+        raise TripError(
+            Trip(Check.RUNAWAY, found.speed_rad_s, found.limit_rad_s, "rad/s", sample.time),
+            "" if units is None else units.explanation(),
+        )
+
     def watch(self) -> ServoState | None:
         """Run one cycle without a command and without a limit check, while the drive brakes. If the
         first such cycle is due later than :data:`FIRST_WITHIN_NS`, it starts at once: it brings the
@@ -269,10 +295,13 @@ class Cycle:
             The state that the drive sent in this cycle, or None.
 
         Raises:
+            RunawayError: The joint has become faster since the first such cycle.
             DeviceError: A device or the bus failed.
         """
-        now_ns = self._clock.now_ns()
-        late = self._next_ns - now_ns > FIRST_WITHIN_NS and self._watched != self.count
+        now_ns, first = self._clock.now_ns(), self._watched != self.count
+        if first:
+            self._runaway.order(self._period_ns / NS)
+        late = self._next_ns - now_ns > FIRST_WITHIN_NS and first
         self._watched = self.count + 1
         if late or now_ns > self._next_ns:
             # The time since the last cycle is a pause and does not count as lateness.
@@ -282,7 +311,10 @@ class Cycle:
             sample = self._exchange(self._target, 0, braking=True)
             if self.units is not None:
                 self.units.take_braking(sample, self._torque)
-        return self._servo.sent_state()
+        sent = self._servo.sent_state()
+        if (sent is None or sent.energised) and self._runaway.grows():
+            raise RunawayError(grown(self._runaway))
+        return sent
 
     def attend(self, limits: Limits) -> Sample:
         """Run one cycle without a command, while the drive moves by itself; return its sample.
@@ -387,6 +419,9 @@ class Cycle:
         )
         if fresh:
             self._fresh_ns = begin_ns
+            gear = self._limits.gear_ratio
+            motion = (servo.velocity_rad_s, servo.motor_angle_rad / gear, encoder.angle_rad)
+            self._runaway.see(Seen(sample.time, *motion, target))
         else:
             self._lost(servo.fresh, encoder.fresh)
         self._age_s = (begin_ns - self._fresh_ns) * 1e-9

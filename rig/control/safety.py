@@ -13,6 +13,7 @@ from enum import Enum
 
 from rig.common.sample import Sample
 from rig.planning.limits import GasLimits, Limits
+from rig.wiring.runaway import SIGNS
 
 RUNNING_MASK = 0x6F
 RUNNING = 0x27
@@ -28,6 +29,7 @@ class Check(Enum):
     DRIVE_STATE = "drive state"
     ANGLE = "joint angle"
     SPEED = "joint speed"
+    RUNAWAY = "speed of a joint that runs away from its target"
     CURRENT = "motor current"
     TORQUE = "joint torque"
     FOLLOWING_ERROR = "following error"
@@ -48,6 +50,7 @@ _REMEDY = {
     Check.DRIVE_STATE: "read the drive's error code (603Fh), remove its cause, then run again",
     Check.ANGLE: "reduce the amplitude or the centre, or check the encoder offset",
     Check.SPEED: "reduce amplitude or frequency, or check the drive gains for oscillation",
+    Check.RUNAWAY: f"the power was cut without a ramp: {SIGNS}",
     Check.CURRENT: "look for jamming or a weight above the plan, then run again",
     Check.TORQUE: "look for jamming or a weight above the plan, then run again",
     Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",

@@ -105,12 +105,30 @@ STUCK = Must(4, r"could NOT be verified.* A flow", verified=False, stays_on=True
 NO_POWER = "prompt prepare enable"
 
 
+RUNS_AWAY = Must(1, "runs away", LATENT_S)
+OUTRUN = Must(4, "8611h|0021h|not OPERATION ENABLED", BRAKE_S)
+
+
 def _stopping(option: int) -> Case:
     rows = (fault("drive", "quick_stop_option", value=option), fault("operator", "stop"))
     within = {0: 0.05, 1: 0.35, 2: BRAKE_S, 5: STANDSTILL_S, 6: STANDSTILL_S}[option]
     return Case(rows, Must(3, "stopped by the operator", within))
 
 
+SIGNS: Mapping[str, Case] = {
+    "speed loop of the wrong sign": Case(
+        (fault("drive", "velocity_sign"),), RUNS_AWAY, at("disable", RIDES)
+    ),
+    # A joint at rest shows no wrong sign; in motion the drive finds the following error first.
+    "position loop of the wrong sign": Case(
+        (fault("drive", "position_sign"),),
+        RUNS_AWAY,
+        at("excite ramp_out", OUTRUN) | at("hold disable", RIDES),
+    ),
+    "motor phases swapped": Case(
+        (fault("drive", "phases_swapped"),), RUNS_AWAY, at("disable", RIDES)
+    ),
+}
 CASES: Mapping[str, Case] = {
     "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prepare disable", NO_ANSWER)),
     "the drive's frames lost, 40 of them": Case(
@@ -184,6 +202,7 @@ CASES: Mapping[str, Case] = {
         | at("enable", Must(3, "stopped by the operator", stays_on=True)),
     ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
+    **SIGNS,
     "mode refused": Case(
         (fault("drive", "mode_refused"),),
         RIDES,

@@ -2,8 +2,9 @@
 
 As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
 the tables and writes them to docs/faults.md; with words given, it goes only through what holds one
-of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good,
-if no current flows in the simulated motor and the joint rests at the end.
+of them, and prints. With the word `stops` it only writes the table of the stops. Times are
+simulated; "off" is when the simulated power stage went off for good, if no current flows in the
+simulated motor and the joint rests at the end.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ SEQUENCE = "sequence: 1\nname: matrix\nstages:\n" + EMPTY
 LOG_GAP_S = 0.2
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
 BEGIN, END = "<!-- matrix: written by tests/long/fault_matrix.py -->", "<!-- end of matrix -->"
+STOPS_BEGIN = "<!-- stops: written by tests/long/fault_matrix.py -->"
+STOPS_END = "<!-- end of stops -->"
 
 
 TRANSPORTS: Mapping[str, Transport] = {
@@ -97,7 +100,14 @@ def run_rows(
     text = f"{code}" if rode else f"{code}, {off:.2f} s" if off is not None else f"{code}, ON"
     if not rode and not must.verified:
         text += "*"
+    if case_moves(rows):
+        text += f", {findings[-1]['peak_deg_s']:.0f} deg/s, {findings[-1]['travel_deg']:.1f} deg"
     return Cell(text + (" !!" if problems else ""), tuple(problems))
+
+
+def case_moves(rows: list[dict[str, Any]]) -> bool:
+    """Return whether a fault makes the joint run away, so that its motion is shown."""
+    return any(row["fault"] in ("velocity_sign", "position_sign", "phases_swapped") for row in rows)
 
 
 def _run(arguments: list[str]) -> int:
@@ -206,23 +216,78 @@ def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
     return lines, problems
 
 
+ENDS: Mapping[str, tuple[Mapping[str, Any], ...]] = {
+    "ramp: stop of the operator (605Ah = 2)": (fault("operator", "stop"),),
+    "ramp of the drive: drive fault": (fault("drive", "fault", value=0x31),),
+    "cut from motion: stop with 605Ah = 0": (
+        fault("drive", "quick_stop_option", value=0),
+        fault("operator", "stop"),
+    ),
+    "cut: speed loop of the wrong sign": (fault("drive", "velocity_sign"),),
+    "cut: position loop of the wrong sign": (fault("drive", "position_sign"),),
+    "cut: motor phases swapped": (fault("drive", "phases_swapped"),),
+    "watchdog: the host is silent": (fault("bus", "lost", frames={"device": "host"}, count=0),),
+}
+"""What ends a motion, and the faults that cause it."""
+
+
+def stops(folder: Path) -> list[str]:
+    """Return the table of the stops of each transport, from a motion of about 45 deg/s: the time
+    until the power is off, the true travel until the joint rests, and the true peak speed.
+    """
+    lines = [f"| stop | {' | '.join(TRANSPORTS)} |", "|---" * (len(TRANSPORTS) + 1) + "|"]
+    for name, rows in ENDS.items():
+        cells = [
+            stop_cell(transport, rows, folder / f"{line} {name[:8]} {n}")
+            for n, (line, transport) in enumerate(TRANSPORTS.items(), len(lines) * 10)
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        print(lines[-1], flush=True)
+    return lines
+
+
+def stop_cell(transport: Transport, rows: tuple[Mapping[str, Any], ...], folder: Path) -> str:
+    """Return time, travel and peak speed of one stop; empty if the bench has no such fault."""
+    folder.mkdir(parents=True)
+    (folder / "sequence.yaml").write_text(SEQUENCE)
+    timed = [{**row, "phase": "excite", "after_s": 0.25} for row in rows]
+    (folder / "faults.yaml").write_text(yaml.safe_dump({"faults": 1, "rows": timed}))
+    run = folder / "run"
+    arguments = ["run", str(folder / "sequence.yaml"), "--bench", transport.bench, "--yes"]
+    if _run([*arguments, "--out", str(run), "--faults", str(folder / "faults.yaml")]) == 2:
+        return ""
+    found = json.loads((run / "faults.json").read_text())["faults"][-1]
+    off = "stays on" if found["off_after_s"] is None else f"{found['off_after_s']:.3f} s"
+    return f"{off}, {found['travel_deg']:.2f} deg, {found['peak_deg_s']:.0f} deg/s"
+
+
 def main() -> int:
     """Run the matrix, print it and put it into the page; with words given, only print the rows that
     hold one.
     """
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
+        table = stops(Path(folder)) if words in ([], ["stops"]) else []
+        if words == ["stops"]:
+            _put(STOPS_BEGIN, STOPS_END, table)
+            return 0
         lines, problems = matrix(Path(folder), words or [""])
     for problem in problems:
         print(problem)
     if words:
         return 1 if problems else 0
-    text = PAGE.read_text()
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    PAGE.write_text(before + BEGIN + "\n\n" + "\n".join(lines) + "\n" + END + after)
+    _put(STOPS_BEGIN, STOPS_END, table)
+    _put(BEGIN, END, lines)
     cells = sum(len(t.cases) * len(PHASES) + len(t.states) for t in TRANSPORTS.values())
     print(f"{cells} cells on {len(TRANSPORTS)} transports, {len(problems)} problems")
     return 1 if problems else 0
+
+
+def _put(begin: str, end: str, lines: list[str]) -> None:
+    """Replace the part of the page between two marks."""
+    text = PAGE.read_text()
+    before, after = text.split(begin)[0], text.split(end)[1]
+    PAGE.write_text(before + begin + "\n\n" + "\n".join(lines) + "\n\n" + end + after)
 
 
 if __name__ == "__main__":

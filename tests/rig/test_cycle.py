@@ -70,6 +70,15 @@ class Bench:
     def lacks(self, cycle_s: float) -> Lacks:
         return Lacks()
 
+    def limit_steps(self) -> None:
+        return None
+
+    def promised_deceleration(self) -> float:
+        return 1.0
+
+    def disable(self) -> None:
+        self.told.append(("disable", None))
+
     def take_frames(self) -> list[RawFrame]:
         return [RawFrame(len(self.exchanged), 0x80, b"", True)]
 

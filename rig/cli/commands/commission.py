@@ -126,10 +126,11 @@ def command(
 ) -> int:
     """Go through BENCH with the operator before its first run, step by step and at low limits.
 
-    The steps are identity, readings, zero, limits, hold, watchdog, a small move, stop, and a larger
-    move. Each step states what will move and which devices are under power, asks for consent, and
-    shows the measured values. Take all weights off first, and keep a hand on the emergency stop.
-    After every step under power, the program takes the power off and reads the drive's state back.
+    The steps are identity, readings, zero, limits, signs, hold, watchdog, a small move, stop, and a
+    larger move. Each step states what will move and which devices are under power, asks for
+    consent, and shows the measured values. Take all weights off first, and keep a hand on the
+    emergency stop. After every step under power, the program takes the power off and reads the
+    drive's state back.
 
     If a value of the bench file is wrong (unit, sign, ratio, zero, torque constant), the step names
     the key and the right value; after the operator agrees, the steps begin again with this value.
@@ -256,8 +257,9 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
         InputError: An option is not permitted, or nobody attends a real bench.
     """
     if document.value.simulated:
-        if mistake is not None and document.value.servo.kind != "canopen":
-            raise InputError("--mistake: works with simulated drives of kind canopen only")
+        any_drive = mistake is None or MISTAKES[mistake].any_drive
+        if not any_drive and document.value.servo.kind != "canopen":
+            raise InputError(f"--mistake {mistake}: needs a simulated drive of kind canopen")
         return
     if yes:
         raise InputError(
@@ -292,10 +294,9 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
     """
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
-        spoil = MISTAKES[mistake or ""].spoil
-        if spoil is not None and isinstance(mock, SimulatedBench):
-            # Serial lines and their devices exist only after the host has opened the lines.
-            mock.clock.call_at(mock.clock.now_ns(), lambda: spoil(mock, Scene(mock).sensor))
+        chosen = MISTAKES[mistake or ""]
+        # Serial lines and their devices exist only after the host has opened the lines.
+        mock.clock.call_at(mock.clock.now_ns(), lambda: chosen.build_into(mock, Scene(mock).sensor))
         return mock.clock
 
     @contextmanager

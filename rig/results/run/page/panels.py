@@ -102,7 +102,7 @@ PANELS: tuple[Panel, ...] = (
         "deg/s",
         DEG,
         {"velocity": "speed"},
-        (Check.SPEED,),
+        (Check.SPEED, Check.RUNAWAY),
         lambda limits: limits.speed,
         symmetric=True,
     ),
