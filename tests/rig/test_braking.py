@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -668,7 +669,7 @@ def test_a_bus_that_is_sent_to_but_not_read_carries_the_order_at_once() -> None:
     bus = wire.host.bench.bus
 
     def collect(timeout_s: float) -> list[Any]:
-        raise OSError(5, "gone")
+        raise OSError(errno.ENOBUFS, "no room")
 
     bus.collect = collect  # type: ignore[method-assign]
     assert not wire.safe().verified

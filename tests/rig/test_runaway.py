@@ -48,7 +48,12 @@ def moved(command: str, bench: str, folder: Path) -> int:
 @pytest.mark.parametrize(("command", "bench"), MOST)
 @pytest.mark.parametrize("loop", LOOPS)
 def test_a_motion_that_runs_away_is_cut(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop, command: str, bench: str
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    loop: Loop,
+    command: str,
+    bench: str,
 ) -> None:
     found = watch_machines(monkeypatch, loop)
     assert moved(command, bench, tmp_path) == 1
@@ -57,7 +62,7 @@ def test_a_motion_that_runs_away_is_cut(
     assert found.travel_deg < travel_deg, found
     record = tmp_path / ("jog.json" if command == "jog" else "run/run.json")
     message = json.loads(record.read_text())["message"]
-    assert "two swapped motor phases" in message
+    assert "two swapped motor phases" in capsys.readouterr().err
     assert "read back: switch on disabled" in message
 
 
