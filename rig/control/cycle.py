@@ -24,6 +24,10 @@ from rig.wiring.devices import Devices
 from rig.wiring.runaway import Runaway, RunawayError, Seen
 
 PROGRESS_CYCLES = 100
+FAR_SHARE: Final = 0.5
+"""Distance from the target at which a joint that moves away ever faster runs away, as a share of
+the limit of the following error; beyond the limit some drives start a ramp that no order ends.
+"""
 FIRST_WITHIN_NS: Final = NS // 200
 """Longest wait for the first cycle of the braking, ns."""
 
@@ -252,7 +256,8 @@ class Cycle:
             units = self.units
             if units is not None:
                 units.take(sample, self._torque)
-            escapes = sample.fresh and self._runaway.escapes()
+            far = FAR_SHARE * limits.following_error
+            escapes = sample.fresh and self._runaway.escapes(far)
             if escapes or (trip is not None and self._runaway.leaves()):
                 self._cut(sample)
             if trip is not None:

@@ -82,6 +82,7 @@ class Runaway:
         self._last: Seen | None = None
         self._step_s = self._target_rad_s = self._fastest_rad_s = 0.0
         self._left = [math.inf] * 3
+        self._off = [0.0] * 3
         self._speeds: deque[tuple[float, float, float]] = deque(maxlen=PAST)
         self._limits: tuple[float, ...] | None = None
         self._doubted: tuple[float, ...] = (0.0,) * 3
@@ -105,6 +106,7 @@ class Runaway:
             off = max(angle - high, 0.0) + min(angle - low, 0.0)
             leaves = abs(off) > REACTION * self._counts[at] and now[at] * off > 0.0
             self._left[at] = min(self._left[at], abs(now[at])) if leaves else math.inf
+            self._off[at] = abs(off)
         self._target_rad_s = abs(seen.target_rad - last.target_rad) / step_s
         if self._target_rad_s > self._fastest_rad_s:
             self._fastest_rad_s = self._target_rad_s
@@ -116,13 +118,14 @@ class Runaway:
         self._doubted = (0.0,) * 3
         return self._faster(self._target_rad_s)
 
-    def escapes(self) -> bool:
+    def escapes(self, far_rad: float = math.inf) -> bool:
         """Return what :meth:`leaves` returns, compared with the fastest motion of the target so
-        far; to be called in each sample.
+        far; to be called in each sample. Of a joint that is farther than ``far_rad`` from its
+        target, the speed is compared only with that at which it left the target.
         """
-        return self._faster(self._fastest_rad_s)
+        return self._faster(self._fastest_rad_s, far_rad)
 
-    def _faster(self, target_rad_s: float) -> bool:
+    def _faster(self, target_rad_s: float, far_rad: float = math.inf) -> bool:
         if all(map(math.isinf, self._left)):
             self._doubted = (0.0,) * 3
             return False
@@ -130,8 +133,10 @@ class Runaway:
         least = target_rad_s + (target_rad_s if math.isnan(growth) else growth)
         return self._vote(
             tuple(
-                max(left, least) + noise
-                for left, noise in zip(self._left, self._noise(self._step_s), strict=True)
+                max(left, 0.0 if off > far_rad else least) + noise
+                for left, off, noise in zip(
+                    self._left, self._off, self._noise(self._step_s), strict=True
+                )
             )
         )
 

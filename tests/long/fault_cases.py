@@ -106,7 +106,6 @@ NO_POWER = "prompt prepare enable"
 
 
 RUNS_AWAY = Must(1, "runs away", LATENT_S)
-OUTRUN = Must(4, "8611h|0021h|not OPERATION ENABLED", BRAKE_S)
 
 
 def _stopping(option: int) -> Case:
@@ -119,11 +118,9 @@ SIGNS: Mapping[str, Case] = {
     "speed loop of the wrong sign": Case(
         (fault("drive", "velocity_sign"),), RUNS_AWAY, at("disable", RIDES)
     ),
-    # A joint at rest shows no wrong sign; in motion the drive finds the following error first.
+    # A joint at rest does not show it.
     "position loop of the wrong sign": Case(
-        (fault("drive", "position_sign"),),
-        RUNS_AWAY,
-        at("excite ramp_out", OUTRUN) | at("hold disable", RIDES),
+        (fault("drive", "position_sign"),), RUNS_AWAY, at("hold disable", RIDES)
     ),
     "motor phases swapped": Case(
         (fault("drive", "phases_swapped"),), RUNS_AWAY, at("disable", RIDES)

@@ -11,11 +11,8 @@ from .fault_cases import (
     FOUND_LATER,
     NO_POWER,
     NOT_RUNNING,
-    OUTRUN,
     REFUSED,
     RIDES,
-    RUNS_AWAY,
-    SIGNS,
     STALE,
     Case,
     Must,
@@ -40,11 +37,6 @@ _OTHERWISE: Mapping[str, Case] = {
         NOT_RUNNING,
         at("prompt prepare enable", Must(4, "7320h", 0.0))
         | at("disable", Must(0, "read back: fault", BRAKE_S)),
-    ),
-    "position loop of the wrong sign": Case(
-        SIGNS["position loop of the wrong sign"].rows,
-        RUNS_AWAY,
-        at("ramp_out", OUTRUN) | at("hold disable", RIDES),
     ),
     "drive restarts": Case(
         (fault("drive", "restart"),),
