@@ -69,7 +69,8 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
             self._expiry.cancel()
 
         def _expire(self) -> None:
-            if self.cycle is None:
+            # None until the head of the first request is complete.
+            if getattr(self, "cycle", None) is None:
                 self.transport.abort()
 
     return Bounded
