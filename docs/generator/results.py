@@ -81,6 +81,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.wiring.teardown:SafeState.record",
     ),
     "rig jog --json": ("rig.cli.commands.jog:_record", "rig.wiring.teardown:SafeState.record"),
+    "rig off --json": ("rig.control.off:Off.record", "rig.wiring.teardown:SafeState.record"),
     "rig run --faults: faults.json": (),
     "rig effects --json": (
         "rig.results.effects:effects_record",
