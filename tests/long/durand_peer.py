@@ -19,6 +19,7 @@ import math
 import os
 import pty
 import re
+import resource
 import select
 import signal
 import subprocess
@@ -125,7 +126,7 @@ class UdpWire:
     interface = "udp_multicast"
 
     def __init__(self) -> None:
-        self.channel = "239.74.163.2"
+        self.channel = f"239.74.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFF}"
         self._bus = can.Bus(interface=self.interface, channel=self.channel, hop_limit=0)
 
     def put(self, identifier: int, data: bytes) -> None:
@@ -239,10 +240,14 @@ def next_state(state: str, word: int, rising: int) -> str:
     return "run" if word & 0x08 else "on"
 
 
-def hurry() -> None:
-    """Run this process before all others, where this is allowed: both sides are in real time."""
-    with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+def hurry(priority: int) -> None:
+    """Run this process before all others, where this is allowed, because both sides are in real
+    time; the drive, as a device of its own, runs before the commands.
+    """
+    with suppress(OSError, ValueError):
+        if priority == 1:
+            resource.setrlimit(resource.RLIMIT_RTPRIO, (2, 2))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
 
 
 def serve(case: Case, folder: Path, wire: UdpWire | SlcanWire) -> None:
@@ -666,7 +671,7 @@ def main() -> int:
     parser.add_argument("--serve")
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
-    hurry()
+    hurry(1 if chosen.serve is None else 2)
     if chosen.wire == "udp" and ALONE not in os.environ:
         stay_alone()
     if chosen.serve is not None:
