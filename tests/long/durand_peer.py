@@ -19,7 +19,6 @@ import math
 import os
 import pty
 import re
-import resource
 import select
 import signal
 import subprocess
@@ -244,9 +243,7 @@ def hurry(priority: int) -> None:
     """Run this process before all others, where this is allowed, because both sides are in real
     time; the drive, as a device of its own, runs before the commands.
     """
-    with suppress(OSError, ValueError):
-        if priority == 1:
-            resource.setrlimit(resource.RLIMIT_RTPRIO, (2, 2))
+    with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
 
 
@@ -545,6 +542,7 @@ def at_terminal(words: list[str], folder: Path, limit_s: float = 240.0) -> tuple
     pid, terminal = pty.fork()
     if not pid:
         os.chdir(folder)
+        hurry(1)
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "dumb", "COLUMNS": "200"}
         command = [sys.executable, "-c", "from rig.cli.entry import main; main()", *words]
         os.execve(sys.executable, command, environment)
@@ -671,7 +669,7 @@ def main() -> int:
     parser.add_argument("--serve")
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
-    hurry(1 if chosen.serve is None else 2)
+    hurry(2)
     if chosen.wire == "udp" and ALONE not in os.environ:
         stay_alone()
     if chosen.serve is not None:
