@@ -125,7 +125,7 @@ class UdpWire:
     interface = "udp_multicast"
 
     def __init__(self) -> None:
-        self.channel = "239.74.163.2"
+        self.channel = f"239.74.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFF}"
         self._bus = can.Bus(interface=self.interface, channel=self.channel, hop_limit=0)
 
     def put(self, identifier: int, data: bytes) -> None:
@@ -239,10 +239,12 @@ def next_state(state: str, word: int, rising: int) -> str:
     return "run" if word & 0x08 else "on"
 
 
-def hurry() -> None:
-    """Run this process before all others, where this is allowed: both sides are in real time."""
+def hurry(priority: int) -> None:
+    """Run this process before all others, where this is allowed, because both sides are in real
+    time; the drive, as a device of its own, runs before the commands.
+    """
     with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
 
 
 def serve(case: Case, folder: Path, wire: UdpWire | SlcanWire) -> None:
@@ -540,6 +542,7 @@ def at_terminal(words: list[str], folder: Path, limit_s: float = 240.0) -> tuple
     pid, terminal = pty.fork()
     if not pid:
         os.chdir(folder)
+        hurry(1)
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "dumb", "COLUMNS": "200"}
         command = [sys.executable, "-c", "from rig.cli.entry import main; main()", *words]
         os.execve(sys.executable, command, environment)
@@ -666,7 +669,7 @@ def main() -> int:
     parser.add_argument("--serve")
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
-    hurry()
+    hurry(2)
     if chosen.wire == "udp" and ALONE not in os.environ:
         stay_alone()
     if chosen.serve is not None:
