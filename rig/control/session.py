@@ -190,8 +190,8 @@ def execute(
         outcome = _close(recorder, outcome)
         part.seconds = (wall.now_ns() - began_ns) / NS
         _finish(record, part, outcome)
-        outcome = _save(folder, outcome)
         folder.release()
+        outcome = _save(folder, outcome)
     assert outcome is not None
     return folder, outcome
 
@@ -246,7 +246,6 @@ def _start_recording(
         part.state, part.message = Ending.FAILED.value, message
         with suppress(StorageError):
             folder.ended(Ending.FAILED.value, message, de_energised=True)
-        folder.release()
         if recorder is not None:
             with suppress(StorageError):
                 recorder.close()

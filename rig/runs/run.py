@@ -92,22 +92,15 @@ class RunFolder:
             StorageError: The file cannot be written; the previous version is kept.
         """
         try:
-            self._write()
+            write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
         except OSError as error:
-            # The reserve makes room for the state of a run that ended because the disk is full.
-            try:
-                (self.path / RESERVE_FILE).unlink()
-                self._write()
-            except OSError:
-                raise StorageError(
-                    f"{RUN_FILE} cannot be written ({error.strerror or error}); {remedy(error)}"
-                ) from error
-
-    def _write(self) -> None:
-        write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+            raise StorageError(
+                f"{RUN_FILE} cannot be written ({error.strerror or error}); {remedy(error)}"
+            ) from error
 
     def reserve(self) -> None:
-        """Occupy the space for later versions of ``run.json``, until :meth:`release`.
+        """Occupy the space for the last version of ``run.json``, until :meth:`ended`, so that the
+        state of a run that ended because the disk is full can be stored.
 
         Raises:
             StorageError: The disk has no space for it.
@@ -126,6 +119,7 @@ class RunFolder:
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
         """Write how the run ended as soon as the ending is known."""
+        self.release()
         record = self.record
         record.state, record.message, record.de_energised = state, message, de_energised
         record.stage_ended(state)

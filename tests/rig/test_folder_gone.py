@@ -109,9 +109,12 @@ def test_the_space_for_the_whole_run_is_checked_before(
         require_space(Path("a/b/c"), 1e6)
 
 
-def test_the_state_of_a_run_that_filled_the_disk_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("first", ["recording", "run.json"])
+def test_the_state_of_a_run_that_filled_the_disk_is_kept(
+    first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The disk is full from some time on, and nothing can be written until space is given back."""
-    write, sample = run_module.write_json, Recorder.sample
+    write, sample, event = run_module.write_json, Recorder.sample, Recorder.event
 
     def full_disk() -> bool:
         return Path("full").exists() and Path("out", RESERVE_FILE).exists()
@@ -127,8 +130,16 @@ def test_the_state_of_a_run_that_filled_the_disk_is_kept(monkeypatch: pytest.Mon
             raise StorageError("the recording cannot be written")
         sample(self, time_ns, *rest)
 
+    def filled(self: Recorder, time_ns: int, name: str, **details: Any) -> None:
+        event(self, time_ns, name, **details)
+        if name == "segment":
+            Path("full").touch()
+
     monkeypatch.setattr(run_module, "write_json", limited)
-    monkeypatch.setattr(Recorder, "sample", filling)
+    if first == "recording":
+        monkeypatch.setattr(Recorder, "sample", filling)
+    else:
+        monkeypatch.setattr(Recorder, "event", filled)
     assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 4
     record = read_record(Path("out"))
     assert (record.state, record.de_energised) == ("failed", True)
