@@ -162,12 +162,19 @@ def brake(
     return state
 
 
+SOFT: Final = (
+    "look for gains of the drive that are too low, and for a load that it cannot hold; if there "
+    "are none, "
+)
+"""Remedy for a joint that became faster on its way to its target."""
+
+
 def grown(runaway: Runaway) -> str:
     """Return a sentence on a joint that became faster after the order to brake."""
     now, most = math.degrees(runaway.speed_rad_s), math.degrees(runaway.limit_rad_s)
     return (
         f"after the order to brake the joint speed grew to {now:.3g} deg/s, limit {most:.3g} "
-        f"deg/s, so the power was cut instead of a ramp: {SIGNS}"
+        f"deg/s, so the power was cut instead of a ramp: {'' if runaway.leaving else SOFT}{SIGNS}"
     )
 
 

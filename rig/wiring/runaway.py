@@ -118,6 +118,11 @@ class Runaway:
         self._doubted = (0.0,) * 3
         return self._faster(self._target_rad_s)
 
+    @property
+    def leaving(self) -> bool:
+        """Whether the joint moves away from its target in the last sample."""
+        return not all(map(math.isinf, self._left))
+
     def escapes(self, far_rad: float = math.inf) -> bool:
         """Return what :meth:`leaves` returns, compared with the fastest motion of the target so
         far; to be called in each sample. Of a joint that is farther than ``far_rad`` from its
@@ -126,7 +131,7 @@ class Runaway:
         return self._faster(self._fastest_rad_s, far_rad)
 
     def _faster(self, target_rad_s: float, far_rad: float = math.inf) -> bool:
-        if all(map(math.isinf, self._left)):
+        if not self.leaving:
             self._doubted = (0.0,) * 3
             return False
         growth = REACTION * self._step_s * self._deceleration

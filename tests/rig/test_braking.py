@@ -22,14 +22,16 @@ from drivers.mock.power_state import State as State402
 from rig.wiring.braking import (
     BRAKING_TIMEOUT_S,
     REACTION_S,
+    SOFT,
     TRANSITIONS,
     UNHEARD_S,
     Event,
     State,
     brake,
+    grown,
     next_state,
 )
-from rig.wiring.runaway import Runaway, RunawayError, Seen
+from rig.wiring.runaway import SIGNS, Runaway, RunawayError, Seen
 from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
 from tests.drivers.dbc_host import DbcHost, make_dbc_host
@@ -770,3 +772,15 @@ def test_a_drive_whose_ramp_goes_the_wrong_way_is_cut(loop: Any, prepared: bool)
     assert wire.entered[-1] is State402.SWITCH_ON_DISABLED
     assert wire.off_s < (0.02 if prepared else 0.03)
     assert abs(wire.off_rad_s) < (3.0 if prepared else 7.0)
+
+
+@pytest.mark.parametrize(("target", "soft"), [(1.0, True), (0.0, False)])
+def test_a_joint_that_is_pulled_to_its_target_is_not_said_to_leave_it(
+    target: float, soft: bool
+) -> None:
+    judge = Runaway(1.0, 1e-5)
+    for n, speed in enumerate([0.0, 0.1, 0.2, 0.3]):
+        judge.see(Seen(n * 0.001, speed, 0.001 * speed * n, 0.001 * speed * n, target))
+    assert judge.leaving is not soft
+    assert (SOFT in grown(judge)) is soft
+    assert SIGNS in grown(judge)
