@@ -102,6 +102,23 @@ class ServoReadings(NamedTuple):
     temperature_C: float = math.nan
 
 
+class Measuring(NamedTuple):
+    """How finely a drive measures; a value that is not known, or not reported, is NaN.
+
+    Attributes:
+        joint_step_rad: Joint angle of one unit of the position.
+        gear_ratio: Motor turns per joint turn.
+        current_step_A: Current of one unit of the current; NaN if the drive reports no current.
+        rated_current_A: Rated current, or the current limit of a drive whose rated current is not
+            known.
+    """
+
+    joint_step_rad: float = math.nan
+    gear_ratio: float = 1.0
+    current_step_A: float = math.nan
+    rated_current_A: float = math.nan
+
+
 class ServoSample(NamedTuple):
     """Sample of the drive in one cycle.
 
@@ -252,6 +269,18 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """
         return ServoReadings()
 
+    def glance(self) -> ServoReadings:
+        """Read only the angle of the motor and the current, by read requests; other values are NaN.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        return self.readings()
+
+    def measuring(self) -> Measuring:
+        """Return how finely the drive measures. Nothing is sent."""
+        return Measuring()
+
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault; the drive must be in fault."""
         return DriveFault(
@@ -341,6 +370,10 @@ class Encoder(Recognised, ABC):
         Raises:
             LinkError: The encoder cannot be reached.
         """
+        return math.nan
+
+    def step_rad(self) -> float:
+        """Return the joint angle of one count; NaN if it is not known. Nothing is sent."""
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:

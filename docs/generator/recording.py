@@ -13,8 +13,9 @@ from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_AT
 
 EVENTS: Mapping[str, tuple[str, str]] = {
     "prompt": (
-        "stage, index, weight_kg",
-        "The operator is asked for the load of a stage; the drive is off.",
+        "stage, index, weight_kg, current_A, motion_rad_s",
+        "The operator is asked for the load of a stage; the drive is off, by its state, motor "
+        "current and joint speed.",
     ),
     "answer": (
         "stage, weight_kg",
@@ -37,7 +38,10 @@ EVENTS: Mapping[str, tuple[str, str]] = {
         "number, and the segment as in `run.json`",
         "An excitation begins; its samples carry the number.",
     ),
-    "stage end": ("stage", "The drive is off again, and its state was read back."),
+    "stage end": (
+        "stage, current_A, motion_rad_s",
+        "The drive is off again, by its state, motor current and joint speed.",
+    ),
     "repeat": ("stage", "The operator asked for the stage once more."),
     "paused": ("stage", "The run waits between stages; the drive is off."),
     "go on": ("stage", "The operator ended the pause."),

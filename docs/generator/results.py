@@ -67,6 +67,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",
+        "rig.wiring.off:Proof.record",
         "rig.config.calibration:calibration_records",
     ),
     "rig run --dry-run --json": (
@@ -79,7 +80,8 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.commissioning.record:StepRecord.record",
         "rig.wiring.teardown:SafeState.record",
     ),
-    "rig jog --json": ("rig.cli.commands.jog:_record",),
+    "rig jog --json": ("rig.cli.commands.jog:_record", "rig.wiring.teardown:SafeState.record"),
+    "rig off --json": ("rig.control.off:Off.record", "rig.wiring.teardown:SafeState.record"),
     "rig run --faults: faults.json": (),
     "rig effects --json": (
         "rig.results.effects:effects_record",

@@ -165,6 +165,10 @@ class Amt21Encoder(Encoder):
             return math.nan
         return self._angle(nearest(value, COUNTS_PER_TURN, self._scales.middle))
 
+    def step_rad(self) -> float:
+        """Return the joint angle of one of the 16384 counts."""
+        return abs(self._scales.rad_per_count)
+
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield an error if the answers of the encoder at rest do not agree.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
@@ -11,7 +12,7 @@ from drivers.canopen import cia402, cia402_checks, cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
 from drivers.canopen.cia402_homing import HomingServo
-from drivers.canopen.cia402_values import CyclicValues, read_once
+from drivers.canopen.cia402_values import CyclicValues, glance, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
 from drivers.clock import NS
@@ -20,6 +21,7 @@ from drivers.interfaces import (
     Identity,
     LimitSteps,
     Link,
+    Measuring,
     ServoLimits,
     ServoReadings,
     ServoSample,
@@ -161,6 +163,17 @@ class Cia402Servo(HomingServo):
     def readings(self) -> ServoReadings:
         """Read each value of the drive by SDO; a value that the drive does not have is NaN."""
         return read_once(self._channel, self._scales, self._sent)
+
+    def glance(self) -> ServoReadings:
+        """Read position and current, by request."""
+        return glance(self._channel, self._scales, self._sent)
+
+    def measuring(self) -> Measuring:
+        """Return the units of position and current, and the rated current."""
+        scales, sent = self._scales, self._sent
+        step_A = math.nan if sent.current is None else sent.current_unit_A
+        step_rad = abs(scales.joint_rad_per_count)
+        return Measuring(step_rad, scales.gear_ratio, step_A, scales.rated_current_A)
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""

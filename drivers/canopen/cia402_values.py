@@ -136,22 +136,26 @@ def read_once(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> Ser
     """Read each value of a drive outside the control cycle; a value that the drive does not have is
     NaN.
     """
-    counts, speed, current, supply, temperature = (
+    speed, supply, temperature = (
         _read_or_nan(channel, address)
-        for address in (
-            objects.POSITION,
-            objects.SPEED_ACTUAL,
-            sent.current,
-            scales.supply_object,
-            scales.temperature_object,
-        )
+        for address in (objects.SPEED_ACTUAL, scales.supply_object, scales.temperature_object)
     )
+    return glance(channel, scales, sent)._replace(
+        velocity_rad_s=speed * scales.joint_speed_unit_rad_s * scales.sign,
+        supply_voltage_V=supply * scales.supply_unit_V,
+        temperature_C=temperature * scales.temperature_unit_C,
+    )
+
+
+def glance(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> ServoReadings:
+    """Read position and current outside the control cycle; a value that the drive does not have is
+    NaN.
+    """
+    counts = _read_or_nan(channel, objects.POSITION)
+    current = _read_or_nan(channel, sent.current)
     return ServoReadings(
         counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-        speed * scales.joint_speed_unit_rad_s * scales.sign,
-        current * sent.current_unit_A * scales.sign * scales.current_sign,
-        supply * scales.supply_unit_V,
-        temperature * scales.temperature_unit_C,
+        current_A=current * sent.current_unit_A * scales.sign * scales.current_sign,
     )
 
 

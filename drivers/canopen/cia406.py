@@ -80,6 +80,10 @@ class Cia406Encoder(Encoder):
         yield from refusal(self._channel.require_fit, *VENDOR, 0)
         yield from refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
+    def step_rad(self) -> float:
+        """Return the joint angle of one count."""
+        return abs(self._scales.rad_per_count)
+
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield an error for a resolution that differs from the bench file, alarms, and each
         missing object.

@@ -19,6 +19,7 @@ from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateErr
 from drivers.interfaces import (
     Identity,
     LimitSteps,
+    Measuring,
     Servo,
     ServoLimits,
     ServoReadings,
@@ -164,6 +165,28 @@ class DbcServo(Servo):
         return ServoReadings(
             angle, velocity / gear, effort / self._effort_per_A, supply, temperature
         )
+
+    def glance(self) -> ServoReadings:
+        """Wait for the next frames with position and current."""
+        position, effort = self._feedback.unasked("position", self._effort)
+        angle = position + self._drive.offset_rad * self._drive.gear_ratio
+        return ServoReadings(angle, current_A=effort / self._effort_per_A)
+
+    def measuring(self) -> Measuring:
+        """Return the steps of the signals of position and current; the rated current is not known,
+        and the current limit of the bench file or of the last report stands in for it.
+        """
+        inputs, gear = self._wiring.inputs, self._drive.gear_ratio
+        step_rad, effort = (
+            0.0
+            if inputs[name].signal.real
+            else abs(inputs[name].gain)
+            if name in inputs
+            else math.nan
+            for name in ("position", self._effort)
+        )
+        limit_A = self._drive.held.current_A
+        return Measuring(step_rad / gear, gear, effort / self._effort_per_A, limit_A)
 
     def fault(self) -> DriveFault:
         """Return the fault that the drive reports."""

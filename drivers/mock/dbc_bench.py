@@ -25,6 +25,7 @@ class SimulatedDbcBench:
     machine: SimulatedMachine
     drive: DbcDrive
     encoder: SimulatedEncoder
+    sampler: Sampler
 
 
 def simulated_dbc_bench(
@@ -55,4 +56,4 @@ def simulated_dbc_bench(
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
     drive.boot()
     encoder.boot()
-    return SimulatedDbcBench(clock, bus, plant, drive, encoder)
+    return SimulatedDbcBench(clock, bus, plant, drive, encoder, sampler)

@@ -36,6 +36,14 @@ STATUS: Mapping[Ending, int] = {
 }
 
 
+def status_of(outcome: Outcome) -> int:
+    """Return the exit status of a run or jog; 4 if the drive was not proved off, unless the program
+    itself broke down.
+    """
+    status = STATUS[outcome.ending]
+    return status if outcome.safe.verified or status == CRASHED else DEVICE_FAILED
+
+
 def conclude(
     folder: RunFolder,
     outcome: Outcome,
@@ -68,7 +76,7 @@ def conclude(
     if outcome.error is not None:
         note_drive(outcome.error, outcome.safe.message)
         raise outcome.error
-    status = BAD_VERDICT if wrong else STATUS[outcome.ending]
+    status = BAD_VERDICT if wrong else status_of(outcome)
     if (
         status == DONE
         and screen.trouble is not None

@@ -24,6 +24,7 @@ from rig.runs.recorder import Recorder
 from rig.terminal.stop_button import StopButton
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
+from rig.wiring.off import OffProof
 from rig.wiring.teardown import SafeState, give_back, make_safe
 
 FASTEST_DEG_S: Final = 12.0
@@ -80,8 +81,8 @@ class Setup:
         limits: Limits in force.
         cycle: The control cycle.
         own: Limits stored in the drive before the commissioning; None until the limits are read.
-        safe: State in which the drive was left after it was last energised, or None if the drive
-            was never energised.
+        safe: State in which the drive was left after it was last energised, or in which it was
+            found if it was not off at the start; else None.
         steps: Records of the steps so far.
         home: The requested homing, or None.
         true_deg: True joint angle as given by the operator, or None if unknown.
@@ -120,6 +121,11 @@ class Setup:
     def homing_offer(self) -> HomingOffer:
         """The homing that the drive supports; the drive is asked once."""
         return self.devices.servo.homing_offer()
+
+    @cached_property
+    def off(self) -> OffProof:
+        """Proves that the drive is off."""
+        return self.devices.off_proof(bench_limits(self.bench))
 
     @property
     def homes_in_place(self) -> bool:
@@ -228,6 +234,7 @@ class Setup:
                 hurry=self.stop.hurry(),
                 watched=self.devices.link.has_watchdog,
                 insistent=not self.devices.link.has_watchdog,
+                off=self.off,
             )
             cycle.end()
         self.recorder.event(cycle.now_ns, "power off", step=what, state=self.safe.state)

@@ -14,6 +14,7 @@ from rig.control.readings import reading_findings, take_readings
 from rig.wiring.bench_text import watcher
 from rig.wiring.drive_limits import compare, show
 from rig.wiring.preflight import device_findings
+from rig.wiring.teardown import observed
 
 ZERO_TOLERANCE_DEG: Final = 0.1
 """Greatest difference, deg, of a reading from the true angle that needs no correction."""
@@ -54,6 +55,10 @@ def readings(setup: Setup, step: StepRecord) -> None:
         step.measure(name, value, unit)
     step.measure("state of the drive", taken.state)
     step.measure("watched by", watcher(devices).words)
+    proof = setup.off.prove()
+    if not proof.off:
+        setup.safe = observed(proof)
+        raise WrongError(setup.safe.message)
     found = list(device_findings(devices, setup.wanted, bench.cycle_s))
     # The next step checks the angles.
     found += [

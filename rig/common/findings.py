@@ -17,6 +17,7 @@ class Cause(Enum):
     SIMULATION = "simulated drive"
     CALIBRATION = "calibration"
     STATE = "state of the drive"
+    OFF = "a drive that is not proved off"
     DRIVE = "settings of the drive"
     ENCODER = "joint encoder"
     PRESSURE = "pressure transmitter"

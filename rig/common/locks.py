@@ -384,7 +384,7 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
 
 def _off(place: _Place) -> str:
     """Return the command that makes a bench safe although it is locked."""
-    return "; `rig off BENCH` makes the bench safe all the same" if place.shared else ""
+    return "; `rig off BENCH` ends it and makes the bench safe" if place.shared else ""
 
 
 def _left_words(place: _Place, left: bytes) -> str:

@@ -100,6 +100,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("drive", "fault"): Kind("the drive goes into fault by itself", "code", 0x7320, integer=True),
     ("drive", "restart"): Kind("the drive restarts, as after a short failure of its supply"),
     ("drive", "quick_stop_option"): Kind("605Ah has another value", "605Ah", 2, integer=True),
+    ("drive", "stuck"): Kind(
+        "the power stage is defective: once on, it stays on although the drive reports off"
+    ),
     ("drive", "mode_refused"): Kind("the drive accepts 6060h, but 6061h stays 0"),
     ("drive", "sdo_abort"): Kind("SDO requests are refused", counted=True),
     ("drive", "sdo_timeout"): Kind("SDO requests are not answered", counted=True),

@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from rig.common.errors import InputError
-from rig.common.findings import Finding, refusals, verdict, warnings
+from rig.common.findings import Cause, Finding, refusals, verdict, warnings
 from rig.common.provenance import sha256_file, utc_now, versions
 from rig.common.tables import table
 from rig.config.bench import Bench
@@ -23,6 +23,7 @@ from rig.planning.plan import bench_limits, servo_limits
 from rig.wiring.bench_text import Watcher, watcher
 from rig.wiring.connect import device_files
 from rig.wiring.devices import Devices
+from rig.wiring.off import BEFORE_PROMPT, HANDS_OFF
 from rig.wiring.preflight import bench_findings, device_findings
 
 SCHEMA = "loadrig.check/1"
@@ -69,6 +70,9 @@ def examine(
     limits = bench_limits(bench)
     wanted = servo_limits(limits, bench)
     readings = take_readings(devices, bench.machine.gear_ratio)
+    proof = devices.off_proof(limits).prove()
+    if proof.state is None or (not proof.off and not proof.state.energised):
+        found = [*found, Finding(Cause.OFF, f"{BEFORE_PROMPT}: {proof.doubt}; {HANDS_OFF}")]
     found = [
         *found,
         *device_findings(devices, wanted, bench.cycle_s),
@@ -88,6 +92,7 @@ def examine(
         "bench_file": str(document.path),
         "real": not bench.simulated,
         "state": readings.state,
+        "off": proof.record(),
         "readings": readings.record(),
         "good": not refusals(found),
         "verdict": verdict(found),

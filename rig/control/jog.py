@@ -21,6 +21,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import only_here, require_within_own, require_written
+from rig.wiring.off import OffProof
 from rig.wiring.steps import words_of
 from rig.wiring.teardown import attempt_all, give_back, make_safe
 
@@ -117,7 +118,8 @@ def move(
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
     servo = devices.servo
     own: list[ServoLimits] = []
-    ending, words, error = _moves(jog, bench, devices, cycle, stop, reset_fault, own)
+    off = devices.off_proof(bench_limits(bench))
+    ending, words, error = _moves(jog, bench, devices, cycle, stop, reset_fault, own, off)
     safe = make_safe(
         servo,
         cycle.watch,
@@ -127,6 +129,7 @@ def move(
         hurry=stop.hurry(),
         watched=devices.link.has_watchdog,
         insistent=not devices.link.has_watchdog,
+        off=off,
     )
     if ending is Ending.DONE and not safe.verified:
         ending = Ending.FAILED
@@ -150,6 +153,7 @@ def _moves(
     stop: StopButton,
     reset_fault: bool,
     own: list[ServoLimits],
+    off: OffProof,
 ) -> tuple[Ending, str, BaseException | None]:
     """Make the moves; return how they ended.
 
@@ -160,6 +164,7 @@ def _moves(
         stop.check()
         if reset_fault and servo.state() is ServoState.FAULT:
             servo.reset_fault()
+        off.require("before the jog")
         devices.prepare(bench.cycle_s)
         held, unheld = servo.read_limits(), servo.lacks(bench.cycle_s).limits
         require_within_own(wanted, held, servo.limit_steps(), servo.limit_places, unheld)

@@ -1,4 +1,5 @@
-"""Makes a bench safe, whoever uses it and whatever has died: quick stop, power off, read back.
+"""Makes a bench safe, whoever uses it and whatever has died: quick stop, power off, proof that the
+drive is off.
 
 A program that uses the bench is asked to stop by SIGTERM, which every command takes as its stop
 button. A program that is frozen, or that does not leave the bench within :data:`RELEASE_S`, is
@@ -25,8 +26,10 @@ from rig.common.locks import Lock, hold_bench, lock_files
 from rig.common.provenance import sha256_file, utc_now, versions
 from rig.config.bench import Bench
 from rig.config.configuration import Document
+from rig.planning.plan import bench_limits
 from rig.wiring.connect import NO_BUS, bare_drive
 from rig.wiring.guardian import HAND_OVER, MODULE, stop
+from rig.wiring.off import OffProof
 from rig.wiring.resources import bus_resources
 from rig.wiring.teardown import SafeState
 
@@ -167,7 +170,7 @@ def make_off(
     processes: Processes | None = None,
     patience_s: float = PATIENCE_S,
 ) -> Off:
-    """Make a bench safe: end the programs that use it, stop the drive, and read its state back.
+    """Make a bench safe: end the programs that use it, stop the drive, and prove that it is off.
 
     The function raises no error because of a device: a drive that cannot be reached is a result. It
     takes up to the sum of the times of this module, and may be called from any thread.
@@ -189,9 +192,10 @@ def make_off(
     if bench.simulated:
         return Off(bench.name, document.path, True, None, (), 0, 0.0)
     link, servo = bare_drive(document)
+    limits = bench_limits(bench)
     others = _Others(bench, say, clock, processes or Processes())
     with others.ended() as users:
-        say(f"{bench.name}: quick stop, power off, reading the state back")
+        say(f"{bench.name}: quick stop, power off, proof that the drive is off")
         try:
             deed = stop(
                 servo,
@@ -199,6 +203,7 @@ def make_off(
                 link.open,
                 watched=link.has_watchdog,
                 patience_s=patience_s,
+                off=OffProof(servo, link.clock, None, limits.speed, limits.current),
                 failed=lambda deed: (
                     say(f"{bench.name}: {deed.safe.message}; trying for {patience_s:g} s")
                     if deed.attempts == 1

@@ -24,7 +24,8 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.weighing.scale import Scale, measured_level
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
-from rig.wiring.preflight import energised, require_ready
+from rig.wiring.off import BEFORE_PROMPT
+from rig.wiring.preflight import require_ready
 
 
 class WeightError(Exception):
@@ -67,6 +68,7 @@ class PhaseHandlers:
 
     Attributes:
         cycle: The control cycle, with its counters.
+        off: Proves that the drive is off.
         own_limits: The limits that were stored in the drive before the run; None until the limits
             are read.
     """
@@ -91,6 +93,7 @@ class PhaseHandlers:
         self.cycle = Cycle(
             plan.limits, plan.cycle_ns, devices, recorder, console.stop, console.progress
         )
+        self.off = devices.off_proof(plan.limits)
         self._handlers: Mapping[Phase, Callable[[], Event]] = {
             Phase.LOAD: self._load,
             Phase.PREPARE: self._prepare,
@@ -133,8 +136,7 @@ class PhaseHandlers:
 
     def _load(self) -> Event:
         devices, stage = self._devices, self._plan.stages[self._stage_index]
-        if (error := energised(devices.servo.state())) is not None:
-            raise error
+        seen = self.off.require(BEFORE_PROMPT).seen
         if devices.hang is None and self.own_limits is None:
             # The devices are checked before a person hangs a weight, so that no weight is hung
             # for a run that does not start.
@@ -148,6 +150,7 @@ class PhaseHandlers:
             stage=stage.name,
             index=self._stage_index,
             weight_kg=stage.weight_kg,
+            **seen,
         )
         hot = stage.stage == "hot_fire"
         if hot:
@@ -320,8 +323,9 @@ class PhaseHandlers:
         if self.stage.stage == "hot_fire" and self._devices.hang is not None:
             self._devices.hang(0.0)
         self._recorder.frames(self.cycle.now_ns, self._devices.link.take_frames())
-        self._recorder.event(self.cycle.now_ns, "stage end", stage=self.stage.name)
         self._journal.stage_finished(self._stage_index)
+        seen = self.off.require("at the end of the stage").seen
+        self._recorder.event(self.cycle.now_ns, "stage end", stage=self.stage.name, **seen)
         self._repeat = 0
         return Event.DONE
 

@@ -100,6 +100,7 @@ class Sequencer:
             hurry=self._stop.hurry(),
             watched=self._devices.link.has_watchdog,
             insistent=not self._devices.link.has_watchdog,
+            off=self._handlers.off,
         )
         units = self._cycle.units
         words = [message]

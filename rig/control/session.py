@@ -254,7 +254,7 @@ def _start_recording(
 def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
     """Add a recording to the record of a run."""
     record.state, record.message, record.trip, record.de_energised = "running", "", None, None
-    record.drive_state = None
+    record.drive_state = record.drive = None
     part = PartRecord(
         file=part_file(len(record.parts) + 1),
         created=utc_now().isoformat(timespec="seconds"),
@@ -384,6 +384,7 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
     part.state, part.message = record.state, record.message
     record.stage_ended(record.state)
     record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
+    record.drive = outcome.safe.record()
     if outcome.trip is not None:
         trip = outcome.trip
         value = trip.value if math.isfinite(trip.value) else None

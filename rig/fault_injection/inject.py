@@ -53,7 +53,8 @@ class Finding:
     Attributes:
         row: Number of the fault in the schedule, from 1.
         applied_s: Bench time of the fault, or None if it was never triggered.
-        off_after_s: Time from the fault to the final de-energised state; None while energised.
+        off_after_s: Time from the fault to the final de-energised state; None while energised, or
+            if current flows or the joint moves in the simulated machine at the end.
         as_expected: Whether the reaction was as expected; None without an expectation.
     """
 
@@ -162,8 +163,10 @@ class FaultInjector:
             OSError: The findings cannot be written.
         """
         clock = self._scene.clock
-        if self._off_ns is None:
+        if self._off_ns is None or self._scene.live:
             clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))
+            if self._scene.live:
+                self._off_ns = None
         findings = [
             self._judge(number, row, status, message) for number, row in enumerate(self._rows)
         ]

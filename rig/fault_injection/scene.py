@@ -17,6 +17,7 @@ from rig.config.bench import Bench
 from rig.config.dbc import DbcServoSection
 from rig.config.faults import COUNTED_FRAMES, FaultRow, Frames
 from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.wiring.off import REST_RAD_S
 
 _CANOPEN_DRIVE: Final = frozenset({"emcy", "sdo_abort", "sdo_timeout"})
 _DBC_DRIVE: Final = frozenset({"limits_refused", "counter_stuck"})
@@ -108,6 +109,13 @@ class Scene:
             drive.entered.append(
                 lambda state: told(state.name.lower(), state in power_state.POWERED)
             )
+
+    @property
+    def live(self) -> bool:
+        """Whether current flows in the motor or the joint moves, whatever the drive reports."""
+        self.bench.sampler.advance(self.clock.now_ns())
+        truth = self.machine.truth()
+        return truth.current_A != 0.0 or abs(truth.velocity_rad_s) > REST_RAD_S
 
     def apply(self, row: FaultRow) -> None:
         """Execute a fault."""
@@ -233,6 +241,7 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("drive", "quick_stop_option"): lambda s, r: s.canopen_drive.objects.values.update(
         {0x605A00: _whole(r)}
     ),
+    ("drive", "stuck"): lambda s, _: setattr(s.machine, "stuck", True),
     ("drive", "mode_refused"): lambda s, _: s.refuse_mode(),
     ("drive", "sdo_abort"): lambda s, r: s.wire.refuse_sdo(s.canopen_drive.node_id, r.count),
     ("drive", "sdo_timeout"): lambda s, r: s.wire.lose(

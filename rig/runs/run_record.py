@@ -178,9 +178,10 @@ class RunRecord:
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
         message: How the run ended, as text.
         trip: The limit that was violated: check, value, limit, unit, time.
-        de_energised: Whether the drive was read back as de-energised.
+        de_energised: Whether state, current and motion showed at the end that the drive is off.
         drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
             unknown.
+        drive: How the drive was left: state, current, motion, and why it was not proved off.
         cycles: Control cycles.
         overruns: Cycles that started late.
         stale: Cycles whose answer was incomplete.
@@ -211,6 +212,7 @@ class RunRecord:
     trip: Mapping[str, Any] | None = None
     de_energised: bool | None = None
     drive_state: str | None = None
+    drive: dict[str, Any] | None = None
     cycles: int = 0
     overruns: int = 0
     stale: int = 0

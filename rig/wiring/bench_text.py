@@ -72,5 +72,5 @@ def watcher(devices: Devices) -> Watcher:
 
 def unprotected(devices: Devices) -> list[str]:
     """Return what nothing protects on a connected bench, for the operator before a run."""
-    told = watcher(devices).warnings
+    told = [] if devices.link.has_watchdog else watcher(devices).warnings
     return [*told, sleep_words(devices.awake)] if told and devices.awake else told

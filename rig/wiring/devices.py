@@ -9,7 +9,9 @@ from drivers.clock import Clock, Suspension
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from rig.common.locks import Lock
 from rig.common.phase import Phase
+from rig.planning.limits import Limits
 from rig.wiring.guard import Guard
+from rig.wiring.off import OffProof
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,11 @@ class Devices:
     nominal: Nominal | None = None
     suspension: Suspension | None = None
     awake: str = ""
+
+    def off_proof(self, limits: Limits) -> OffProof:
+        """Return an observer that proves that the drive of a bench with these limits is off."""
+        clock = self.link.clock
+        return OffProof(self.servo, clock, self.encoder, limits.speed, limits.current)
 
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its process data; nothing is energised.

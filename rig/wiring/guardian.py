@@ -47,6 +47,7 @@ from drivers.serial_port import BytePort, InheritedPort, PySerialPort
 from drivers.units import ServoScales
 from rig.common.locks import inherited
 from rig.terminal.screen import Screen
+from rig.wiring.off import OffProof
 from rig.wiring.teardown import SafeState, make_safe
 
 SCHEMA: Final = "loadrig.guardian/1"
@@ -145,8 +146,9 @@ def stop(
     patience_s: float = math.inf,
     failed: Callable[[Deed], None] = lambda deed: None,
     give_up: Callable[[], bool] = lambda: False,
+    off: OffProof | None = None,
 ) -> Deed:
-    """Brake, take the power off and read the state back; repeat until the state is verified, the
+    """Brake, take the power off and prove that the drive is off; repeat until this is proved, the
     time is over, or the drive is handed over.
 
     Args:
@@ -157,6 +159,8 @@ def stop(
         patience_s: Time for all attempts, s.
         failed: Called after every failed attempt but the last.
         give_up: Whether to end after the present attempt.
+        off: Observer of the drive for all attempts; None for a new one in each, so that a drive is
+            found off that was defective and then lost its main supply.
     """
     began = clock.now_ns()
     attempts = 0
@@ -175,6 +179,7 @@ def stop(
                 brake=True,
                 hurry=give_up,
                 watched=watched,
+                off=off,
             )
         deed = Deed(safe, attempts, (clock.now_ns() - began) / NS)
         if safe.verified or deed.seconds > patience_s or give_up():

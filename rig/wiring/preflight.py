@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from datetime import date
 
-from drivers.errors import ConfigurationError, DeviceError, StateError
+from drivers.errors import ConfigurationError, DeviceError
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.errors import InputError
 from rig.common.findings import Cause, Finding, refusals, warnings
@@ -21,6 +21,7 @@ from rig.wiring.connect import NO_BUS
 from rig.wiring.device_files import device_file_findings
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own
+from rig.wiring.off import BEFORE_PROMPT, energised_doubt
 from rig.wiring.plausibility import implausible
 
 RESET_HINT = "; remove the cause of the fault, then clear the fault with --reset-fault"
@@ -85,8 +86,8 @@ def device_findings(
     """
     servo = devices.servo
     state = servo.state()
-    if (error := energised(state)) is not None:
-        yield Finding(Cause.STATE, str(error))
+    if state.energised:
+        yield Finding(Cause.STATE, f"{BEFORE_PROMPT}: {energised_doubt(state)}")
     elif state is ServoState.FAULT and not reset_fault:
         yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
     settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
@@ -131,15 +132,6 @@ def require_ready(
     if problems := refusals(found):
         raise ConfigurationError("; ".join(problems))
     return warnings(found)
-
-
-def energised(state: ServoState) -> StateError | None:
-    """Return why the drive's state forbids the weight prompt, or None if the drive is off."""
-    if not state.energised:
-        return None
-    return StateError(
-        f"the drive is in {state.value!r} before the weight prompt; it must be de-energised"
-    )
 
 
 def _refused(cause: Cause, errors: Iterable[DeviceError]) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Takes the power off at every end of a run, and reports whether the drive was verified off."""
+"""Takes the power off at every end of a run, and reports whether the drive was proved off."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 from drivers.clock import NS, Clock
 from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.wiring.braking import brake as brake_with_ramp
+from rig.wiring.off import HANDS_OFF, PATIENCE_S, OffProof, Proof, seen_words
 from rig.wiring.steps import Steps
 
 DISABLE_ATTEMPTS = 2
@@ -20,16 +21,20 @@ MOST_REPEATED = 50
 
 @dataclass(frozen=True)
 class SafeState:
-    """Final state of the drive, and whether the state was verified.
+    """Final state of the drive, and whether it was proved to be off.
 
     Attributes:
-        verified: Whether 6041h was read and shows a de-energised state.
+        verified: Whether state, current and motion show that the drive is off.
         state: Name of the state, or ``unknown``.
         problems: Errors during the teardown.
         watched: Whether the drive de-energises itself when it is no longer commanded.
         unforeseen: Exceptions of the steps, except device errors, storage errors and Ctrl-C; they
             are defects of this program, and are raised again after the operator was informed of the
             state of the drive.
+        current_A: Motor current at the end, A; None if it was not reported or not read.
+        motion_rad_s: Speed of the joint at the end, rad/s; None if no angle was read.
+        doubt: Why the drive does not count as off; empty if it does, or if its state is unknown or
+            energised.
     """
 
     verified: bool
@@ -37,12 +42,19 @@ class SafeState:
     problems: tuple[str, ...] = ()
     watched: bool = True
     unforeseen: tuple[BaseException, ...] = field(default=(), repr=False, compare=False)
+    current_A: float | None = None
+    motion_rad_s: float | None = None
+    doubt: str = ""
 
     @property
     def message(self) -> str:
         """One sentence for the operator."""
         if self.verified:
-            return f"the drive is de-energised (read back: {self.state})"
+            seen = seen_words(self.current_A, self.motion_rad_s)
+            return f"the drive is de-energised (read back: {self.state}){seen}"
+        if self.doubt:
+            words = "; ".join((self.doubt, *self.problems))
+            return f"it could NOT be verified that the drive is de-energised: {words}; {HANDS_OFF}"
         by_itself = (
             "its own watchdog takes the power off; switch the main supply off before "
             "approaching the bench"
@@ -64,6 +76,9 @@ class SafeState:
             "state": self.state,
             "problems": list(self.problems),
             "watched": self.watched,
+            "current_A": self.current_A,
+            "motion_rad_s": self.motion_rad_s,
+            "doubt": self.doubt,
         }
 
 
@@ -90,12 +105,13 @@ def make_safe(
     hurry: Callable[[], bool],
     watched: bool = True,
     insistent: bool = False,
+    off: OffProof | None = None,
 ) -> SafeState:
-    """Brake if ``brake``, take the power off and read the state back. The function never raises an
+    """Brake if ``brake``, take the power off and prove that it is off. The function never raises an
     error.
 
     Each step has its own time-out and is carried out even if earlier steps raised errors. If the
-    state cannot be read or shows power, the program tries again to take the power off.
+    drive is not proved off, the program tries again to take the power off.
 
     Args:
         servo: The drive.
@@ -110,6 +126,7 @@ def make_safe(
         watched: Whether the drive de-energises itself when it is no longer commanded.
         insistent: Whether to make more attempts to take the power off, with cycles after each
             command without answer: the process data of these cycles repeat the command.
+        off: Observer of the drive; None to observe the motor alone, without the limits of a bench.
 
     Returns:
         The final state of the drive; unexpected exceptions are in ``unforeseen``.
@@ -117,22 +134,39 @@ def make_safe(
     steps = Steps()
     if brake:
         brake_with_ramp(servo, watch, clock, cycle_ns, hurry, steps, watched)
-    state = None if brake else steps.state(servo)
+    off = off or OffProof(servo, clock)
+    state, proof = None if brake else steps.state(servo), None
+    patience_s = PATIENCE_S
     for _ in range(INSISTENT_ATTEMPTS if insistent else DISABLE_ATTEMPTS):
         known = len(steps.problems)
-        if state is not ServoState.SWITCH_ON_DISABLED:
+        if state is not ServoState.SWITCH_ON_DISABLED or proof is not None:
             steps.attempt(servo.disable)
         if insistent and len(steps.problems) > known:
             steps.attempt(lambda: _repeat(steps, watch, clock))
         state = steps.state(servo)
-        if state is not None and not state.energised:
+        if state is None or state.energised:
+            continue
+        proof = off.prove(steps, patience_s)
+        patience_s = 0.0
+        if proof.off:
             break
+    if proof is None or state is None or state.energised:
+        proof = Proof(state, doubt="its state could not be read")
+    return observed(proof, steps, watched)
+
+
+def observed(proof: Proof, steps: Steps | None = None, watched: bool = True) -> SafeState:
+    """Return what was observed as the final state of the drive, with the errors of the steps."""
+    state, steps = proof.state, steps or Steps()
     return SafeState(
-        verified=state is not None and not state.energised,
+        verified=proof.off,
         state="unknown" if state is None else state.value,
         problems=tuple(dict.fromkeys(steps.problems)),
         watched=watched,
         unforeseen=tuple(steps.unforeseen),
+        current_A=proof.current_A,
+        motion_rad_s=proof.motion_rad_s,
+        doubt="" if state is None or state.energised else proof.doubt,
     )
 
 

@@ -44,8 +44,8 @@ class Must:
     """The reaction asked for: exit status, words of the run, and for what is not ridden out the
     time to power off.
 
-    ``verified`` is whether the host can still read 6041h; ``stays_on`` is for a drive that nobody
-    stops.
+    ``verified`` is whether the host can prove the drive off by state, current and motion;
+    ``stays_on`` is for a drive that nobody stops.
     """
 
     exit_status: int
@@ -88,6 +88,7 @@ FOUND = Must(1, "encoder against drive", BRAKE_S)
 MOTION = {"device": "drive", "function": "motion"}
 STALE = Must(4, "sample age", BRAKE_S)
 NOT_RUNNING = Must(4, "not OPERATION ENABLED", BRAKE_S)
+STUCK = Must(4, r"could NOT be verified.* A flow", verified=False, stays_on=True)
 NO_POWER = "prompt prepare enable"
 
 
@@ -98,7 +99,7 @@ def _stopping(option: int) -> Case:
 
 
 CASES: Mapping[str, Case] = {
-    "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prompt prepare disable", NO_ANSWER)),
+    "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prepare disable", NO_ANSWER)),
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),
         Must(4, "sample age", WATCH_S),
@@ -161,6 +162,14 @@ CASES: Mapping[str, Case] = {
         at("prompt disable", RIDES)
         | at("prepare", Must(4, "did not report the NMT state OPERATIONAL|refuses", 0.0)),
     ),
+    "power stage stuck": Case((fault("drive", "stuck"),), STUCK),
+    "power stage stuck, then Ctrl-C": Case(
+        (fault("drive", "stuck"), fault("operator", "stop")),
+        STUCK,
+        # A power stage that is on, but holds a joint without current, cannot be seen.
+        at("prompt prepare", Must(3, "stopped by the operator", 0.0))
+        | at("enable", Must(3, "stopped by the operator", stays_on=True)),
+    ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
     "mode refused": Case(
         (fault("drive", "mode_refused"),),
@@ -170,12 +179,13 @@ CASES: Mapping[str, Case] = {
     "SDO abort": Case(
         (fault("drive", "sdo_abort"),),
         Must(4, "refuses", LATENT_S),
-        at("prompt prepare enable disable", REFUSED),
+        # Before the prompt, a value that is refused once is read again.
+        at("prompt", RIDES) | at("prepare enable disable", REFUSED),
     ),
     "SDO time-out": Case(
         (fault("drive", "sdo_timeout"),),
         Must(4, "no SDO response", LATENT_S),
-        at("prompt prepare enable disable", NO_ANSWER),
+        at("prompt", RIDES) | at("prepare enable disable", NO_ANSWER),
     ),
     "encoder bit": Case(
         (fault("encoder", "bit"),), FOUND, at("prompt prepare enable disable", RIDES)

@@ -39,7 +39,7 @@ DBC: Mapping[str, Case] = {
     "one frame lost": _but("one frame lost", at("prompt prepare disable", RIDES)),
     "the drive's frames lost, 40 of them": _but(
         "the drive's frames lost, 40 of them",
-        at("prompt prepare disable", replace(_LOST, verified=True)) | at("enable", RIDES),
+        at("prepare enable disable", replace(_LOST, verified=True)) | at("prompt", RIDES),
     ),
     "cable pulled": _but(
         "cable pulled",
@@ -47,9 +47,7 @@ DBC: Mapping[str, Case] = {
         | at("enable", replace(_LOST, words="sent no heartbeat")),
     ),
     "10 frames repeated": CASES["10 frames repeated"],
-    "a frame 3 ms late": _but(
-        "a frame 3 ms late", at("enable", Must(4, "not OPERATION ENABLED", BRAKE_S))
-    ),
+    "a frame 3 ms late": CASES["a frame 3 ms late"],
     "the drive's positions 20 ms late, 60 of them": CASES[
         "the drive's positions 20 ms late, 60 of them"
     ],
@@ -60,15 +58,15 @@ DBC: Mapping[str, Case] = {
     "checksum wrong, 40 times": Case(
         (fault("bus", "flipped", frames=MOTION, value=29, count=40),),
         STALE,
-        at("prompt prepare", _MUTE)
-        | at("enable", RIDES)
+        at("prepare enable", _MUTE)
+        | at("prompt", RIDES)
         | at("disable", replace(_MUTE, within_s=BRAKE_S)),
     ),
     "speed with a bit wrong (no checksum)": Case(
         (fault("bus", "flipped", frames={"device": "drive", "function": "speed"}, value=6),), RIDES
     ),
     "process data cut short": CASES["process data cut short"],
-    "bus-off": _but("bus-off", at("prompt prepare", _LOST)),
+    "bus-off": _but("bus-off", at("prompt prepare enable", _LOST)),
     "error frames": CASES["error frames"],
     "host silent": Case(
         (fault("bus", "lost", frames={"device": "host"}, count=0),),
@@ -85,7 +83,7 @@ DBC: Mapping[str, Case] = {
     "drive silent": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=0),),
         replace(STALE, within_s=WATCH_S, verified=False),
-        at("prompt prepare disable", _LOST) | at("enable", replace(_NO_ENABLE, verified=False)),
+        at("prompt prepare enable disable", _LOST),
     ),
     "drive's status frame silent": Case(
         (fault("bus", "lost", frames={"device": "drive", "function": "heartbeat"}, count=0),),
@@ -115,6 +113,7 @@ DBC: Mapping[str, Case] = {
         at("prompt prepare disable", RIDES)
         | at("enable", Must(4, "no longer reports the limits", SILENCE_S)),
     ),
+    **{name: case for name, case in CASES.items() if "stuck" in name},
     "order to run refused": Case(
         (fault("drive", "mode_refused"),), RIDES, at(NO_POWER, _NO_ENABLE)
     ),

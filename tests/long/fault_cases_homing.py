@@ -56,7 +56,7 @@ class HomingCase:
         words: Words of the message.
         later: Whether it comes after the start.
         within_s: Longest time from the fault until the drive is off; None without a limit.
-        verified: Whether the host can still read 6041h.
+        verified: Whether the host can still prove the drive off.
         exit_status: Of the command.
         methods: Homing methods of which this is a fault.
         options: More options of the command.
@@ -111,11 +111,12 @@ CASES: Final[Mapping[str, HomingCase]] = {
     ),
     "cable lost": HomingCase(
         _cable, "sample age|no SDO|no correct answer", within_s=WATCH_S, verified=False,
-        needs_watchdog=True,
+        exit_status=4, needs_watchdog=True,
     ),
     "host's frames lost": HomingCase(
         lambda bench, _: WireFaults(bench.bus, bench.clock).lose(lambda _id, host: host, 0),
-        "sample age|8130h|no SDO", within_s=WATCH_S, verified=False, needs_watchdog=True,
+        "sample age|8130h|no SDO", within_s=WATCH_S, verified=False, exit_status=4,
+        needs_watchdog=True,
     ),
     "encoder frozen": HomingCase(
         lambda _, sensor: sensor_faults.freeze(sensor),

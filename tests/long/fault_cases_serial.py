@@ -28,6 +28,8 @@ _DEAF = Must(4, "no correct answer.*could NOT be verified", 0.0, verified=False)
 _HEARD = Must(4, "no correct answer.*read back", 0.0)
 _INSISTENT_S = 10.0
 """Five attempts to take the power off, on a line that returns after the first of them."""
+_FOUND_AFTER_PROMPT = replace(FOUND_LATER, within_s=0.8)
+"""The proof that the drive is off, before the prompt, takes longer over a serial line."""
 _LATE = Must(4, "lateness of the control cycle", BRAKE_S)
 _OTHERWISE: Mapping[str, Case] = {
     "drive fault": Case(
@@ -50,6 +52,11 @@ _OTHERWISE: Mapping[str, Case] = {
         (fault("host", "clock_step", value=1.0),), _LATE, at("prompt prepare enable disable", RIDES)
     ),
     "clock steps 1 s back": Case((fault("host", "clock_step", value=-1.0),), RIDES),
+    "encoder frozen": Case(
+        (fault("encoder", "frozen"),),
+        FOUND_LATER,
+        at("prompt", _FOUND_AFTER_PROMPT) | at("hold disable", RIDES),
+    ),
     "60 kg instead of none": Case(
         (fault("operator", "wrong_weight", value=60.0),),
         Must(1, "beyond its limit", 0.7),
@@ -93,9 +100,7 @@ _LINE: Mapping[str, Case] = {
     "10 answers repeated": Case(
         (fault("line", "repeated", **_ANSWERS, count=10),), RIDES, _DOUBLED
     ),
-    "a request refused": Case(
-        (fault("line", "refused"),), RIDES, at("prompt prepare disable", REFUSED)
-    ),
+    "a request refused": Case((fault("line", "refused"),), RIDES, at("prepare disable", REFUSED)),
     "drive's line cut for 0.5 s": Case(
         (fault("line", "cut", value=0.5),), replace(STALE, within_s=0.6), at(_IDLE, RIDES)
     ),
@@ -125,12 +130,16 @@ _ENCODER_LINE: Mapping[str, Case] = {
     # angle.
     "encoder bit": Case((fault("encoder", "bit"),), RIDES),
     "encoder jump": Case(
-        (fault("encoder", "jump"),), STALE, at("prompt prepare", FOUND_LATER) | at("disable", RIDES)
+        (fault("encoder", "jump"),),
+        STALE,
+        at("prompt", _FOUND_AFTER_PROMPT) | at("prepare", FOUND_LATER) | at("disable", RIDES),
     ),
     "encoder reversed": Case(
         (fault("encoder", "reversed"),),
         FOUND_LATER,
-        at("excite ramp_out hold", STALE) | at("disable", RIDES),
+        at("prompt", _FOUND_AFTER_PROMPT)
+        | at("excite ramp_out hold", STALE)
+        | at("disable", RIDES),
     ),
 }
 

@@ -2,7 +2,8 @@
 
 As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
 the tables and writes them to docs/faults.md; with words given, it goes only through what holds one
-of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good.
+of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good,
+if no current flows in the simulated motor and the joint rests at the end.
 """
 
 from __future__ import annotations

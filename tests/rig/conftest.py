@@ -19,9 +19,11 @@ from drivers.interfaces import (
     EncoderSample,
     Identity,
     Link,
+    Measuring,
     RawFrame,
     Servo,
     ServoLimits,
+    ServoReadings,
     ServoSample,
     ServoState,
 )
@@ -52,11 +54,13 @@ class FakeBench(Link, Servo, Encoder):
     Attributes:
         faults: (verb, n) to an action called when that verb is called for the n-th time, from 1.
         overrides: Replaces fields of the servo sample.
+        leak_A: Current that flows while the drive reports off.
     """
 
     clock: SimulatedClock = field(default_factory=SimulatedClock)
     faults: dict[tuple[str, int], Callable[[], None]] = field(default_factory=dict)
     overrides: dict[str, Any] = field(default_factory=dict)
+    leak_A: float = 0.0
     angle_error: float = 0.0
     drive_state: ServoState = ServoState.SWITCH_ON_DISABLED
     calls: Counter[str] = field(default_factory=Counter)
@@ -162,6 +166,13 @@ class FakeBench(Link, Servo, Encoder):
         values.update((k, v) for k, v in self.overrides.items() if k in values)
         return ServoSample(**values)
 
+    def glance(self) -> ServoReadings:
+        self.clock.sleep_until_ns(self.clock.now_ns() + 1_000_000)
+        return ServoReadings(self.joint * GEAR, current_A=self.leak_A)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, GEAR, 0.015, 15.0)
+
     def hang(self, mass_kg: float) -> None:
         assert not self.drive_state.energised
         self.order.append("hang")
@@ -182,6 +193,9 @@ class FakeEncoder(Encoder):
 
     def prepare(self, cycle_s: float) -> None:
         self.bench._call("encoder.prepare")
+
+    def reading(self) -> float:
+        return self.bench.joint + self.bench.angle_error
 
     def sample(self) -> EncoderSample:
         bench = self.bench

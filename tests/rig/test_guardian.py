@@ -17,7 +17,7 @@ import pytest
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import ServoState
+from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
@@ -214,7 +214,7 @@ def test_it_brakes_and_verifies(host: SerialHost) -> None:
     deed = stop(host.servo, host.bench.clock)
     assert entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
     assert (deed.safe.verified, deed.attempts) == (True, 1)
-    assert deed.seconds < 0.1
+    assert deed.seconds < 0.2
     assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
 
 
@@ -250,6 +250,13 @@ class Stuck:
     def disable(self) -> None:
         self._do("disable")
 
+    def glance(self) -> ServoReadings:
+        self.clock.sleep_until_ns(self.clock.now_ns() + NS // 1000)
+        return ServoReadings(0.0, current_A=0.0)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, 100.0, 0.015, 15.0)
+
     def state(self) -> ServoState:
         self._do("state")
         return (
@@ -267,7 +274,8 @@ def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
         ("quick stop", 0.0),
         ("disable", 1.0),
     ]
-    assert (deed.safe.verified, deed.attempts, deed.seconds) == (True, 1, 1.0)
+    assert (deed.safe.verified, deed.attempts) == (True, 1)
+    assert 1.0 <= deed.seconds < 1.1
     assert not failures
 
 
@@ -345,6 +353,9 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
             "state": "switch on disabled",
             "problems": ["it"],
             "watched": False,
+            "current_A": None,
+            "motion_rad_s": None,
+            "doubt": "",
         },
         "attempts": 3,
         "seconds": 0.0512,

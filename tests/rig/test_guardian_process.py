@@ -18,7 +18,7 @@ import pytest
 import rig.wiring.guardian as guardian
 from drivers.clock import RealClock, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import ServoState
+from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.units import ServoScales
 
 SCALES = ServoScales(
@@ -34,7 +34,7 @@ DRIVE = {
 }
 SPEAKING = 4711
 """The descriptor of its output; nothing is written there."""
-OFF = "the drive is de-energised (read back: switch on disabled)"
+OFF = "the drive is de-energised (read back: switch on disabled), 0.00 A, joint at rest"
 
 
 class Servo:
@@ -57,6 +57,12 @@ class Servo:
 
     def disable(self) -> None:
         pass
+
+    def glance(self) -> ServoReadings:
+        return ServoReadings(0.0, current_A=0.0)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
     def state(self) -> ServoState:
         if self.stopped <= self.failures:
@@ -200,7 +206,7 @@ def test_it_stops_the_drive_of_a_program_that_died(process: Process, left: bool)
     assert process.did[-2:] == [("released",), ("drain", 1.0)]
     why = "could not take its power off" if left else "is gone"
     assert process.did[-3][1] == (
-        f"guardian: the program that drove EPOS4 at /dev/some {why}; after 0.00 s {OFF}"
+        f"guardian: the program that drove EPOS4 at /dev/some {why}; after 0.05 s {OFF}"
     )
 
 
@@ -262,7 +268,7 @@ def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
         (
             "screen",
             f"guardian: the program that drove EPOS4 at /dev/some did not run for 0.3 s; after "
-            f"0.00 s {OFF}",
+            f"0.05 s {OFF}",
         ),
         ("says", SPEAKING, OFF.encode() + b"\n"),
         ("pump",),

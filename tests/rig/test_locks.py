@@ -122,6 +122,7 @@ def test_the_second_program_is_told_who_the_first_is(kind: str, tmp_path: Path) 
             rf"{subject} is in use by `rig run` \(process {first.pid}, user \w+\) since "
             rf"\d\d:\d\d:\d\d UTC, "
             r"(just now|\d+ s ago); wait for it to end, or stop it"
+            + ("; `rig off BENCH` ends it and makes the bench safe" if kind == "bench" else "")
         )
         assert refused.match(f"^{words}$")
         first.tell("release", "released")

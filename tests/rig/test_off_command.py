@@ -17,7 +17,7 @@ import pytest
 
 from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import ServoReadings, ServoState
+from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
@@ -47,6 +47,7 @@ class Servo:
 
     def __init__(self) -> None:
         self.reachable = True
+        self.leak_A = 0.0
         self.told: list[str] = []
 
     def _do(self, verb: str) -> None:
@@ -67,8 +68,11 @@ class Servo:
         self._do("state")
         return ServoState.SWITCH_ON_DISABLED
 
-    def readings(self) -> ServoReadings:
-        return ServoReadings()
+    def glance(self) -> ServoReadings:
+        return ServoReadings(0.0, current_A=self.leak_A)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
 
 class Link:
@@ -218,6 +222,14 @@ def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: De
     assert PATIENCE_S < done.seconds < PATIENCE_S + 2.0
     assert "main supply" in done.message
     assert sum("trying" in words for words in desk.said) == 1
+
+
+def test_a_drive_that_says_off_while_current_flows_is_not_proved_off(desk: Desk) -> None:
+    desk.servo.leak_A = 3.98
+    done = desk.off()
+    assert not done.proved
+    assert done.record()["safe"]["current_A"] == pytest.approx(3.98)
+    assert "main supply" in done.message
 
 
 def test_a_port_that_is_back_while_it_is_tried_is_used(

@@ -307,7 +307,7 @@ def test_a_drive_under_power_is_refused_in_the_words_of_the_run() -> None:
         assert list(device_findings(devices, wanted, bench.cycle_s)) == []
     assert (
         finding.text
-        == "the drive is in 'operation enabled' before the weight prompt; it must be de-energised"
+        == "before the weight prompt: the drive is in 'operation enabled'; it must be de-energised"
     )
     assert finding.cause is Cause.STATE
 

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.clock import SimulatedClock
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import ServoLimits, ServoState
+from drivers.interfaces import Measuring, ServoLimits, ServoReadings, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import (
     INSISTENT_ATTEMPTS,
@@ -30,6 +30,7 @@ OFF, ON, BRAKING = (
     ServoState.OPERATION_ENABLED,
     ServoState.QUICK_STOP_ACTIVE,
 )
+SEEN_OFF = SafeState(True, "switch on disabled", current_A=0.0, motion_rad_s=0.0)
 LIMITS = ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, None, 2, 10.0)
 
 
@@ -82,6 +83,7 @@ class Servo:
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
+        self.current = self.angle = 0.0
         self.clock = Clock(self)
 
     def pass_time(self, ns: int) -> None:
@@ -120,6 +122,14 @@ class Servo:
         self._do("state")
         return self.power
 
+    def glance(self) -> ServoReadings:
+        self._do("glance")
+        self.pass_time(NS // 1000)
+        return ServoReadings(self.angle, current_A=self.current)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, 100.0, 0.015, 15.0)
+
     def write_limits(self, limits: ServoLimits) -> None:
         self._do("write_limits")
 
@@ -137,11 +147,14 @@ def safe(servo: Any, brake: bool = True, insistent: bool = False) -> SafeState:
 
 
 STEPS = ("quick_stop", "watch", "disable", "state")
+PROOF = ("state", "disable", "glance", "now_ns", "sleep")
+"""Verbs without which nothing is proved."""
 IN_BRAKING = ("hurry", "now_ns", "sleep")
+VERBS = (*STEPS, *IN_BRAKING, "glance")
 
 
 @given(
-    step=st.sampled_from((*STEPS, *IN_BRAKING)),
+    step=st.sampled_from(VERBS),
     make=st.sampled_from(EXCEPTIONS),
     brake=st.booleans(),
     insistent=st.booleans(),
@@ -163,7 +176,7 @@ def test_whatever_one_step_raises_every_later_step_runs(
         assert not found.verified
         assert servo.order.count("disable") == (INSISTENT_ATTEMPTS if insistent else 2)
     else:
-        assert found.verified
+        assert found.verified is (step not in PROOF)
     assert found.problems or (step in ("quick_stop", "watch", *IN_BRAKING) and not brake)
 
 
@@ -177,7 +190,11 @@ def test_a_defect_of_hurry_is_told_and_does_not_end_the_ramp(prepared: bool) -> 
     assert servo.order.count("watch") > 90
 
 
-@given(raising=st.dictionaries(st.sampled_from((*STEPS, *IN_BRAKING)), st.sampled_from(EXCEPTIONS)))
+@given(
+    raising=st.dictionaries(
+        st.sampled_from((*STEPS, *IN_BRAKING, "glance")), st.sampled_from(EXCEPTIONS)
+    )
+)
 def test_whatever_several_steps_raise_each_is_tried(
     raising: dict[str, Callable[[], BaseException]],
 ) -> None:
@@ -186,7 +203,7 @@ def test_whatever_several_steps_raise_each_is_tried(
     order = [verb for verb in servo.order if verb in ("quick_stop", "disable")]
     assert set(order[: order.index("disable")]) == {"quick_stop"}
     assert servo.order[-1] == "state"
-    assert found.verified is (not {"disable", "state"} & set(raising))
+    assert found.verified is (not set(PROOF) & set(raising))
 
 
 def test_only_what_nobody_foresaw_is_handed_on() -> None:
@@ -219,13 +236,17 @@ def test_an_orderly_end_does_not_touch_a_drive_that_is_off() -> None:
     servo = Servo({})
     servo.power = OFF
     assert safe(servo, brake=False).verified
-    assert servo.order == ["state", "state"]
+    assert set(servo.order) == {"state", "glance"}
 
 
 def test_an_orderly_end_takes_the_power_off_where_it_is_on() -> None:
     servo = Servo({})
-    assert safe(servo, brake=False) == SafeState(True, "switch on disabled")
-    assert servo.order == ["state", "disable", "state"]
+    assert safe(servo, brake=False) == SEEN_OFF
+    assert [verb for verb in servo.order if verb != "glance"] == [
+        "state",
+        "disable",
+        *2 * ["state"],
+    ]
 
 
 def test_a_drive_that_stays_on_is_told_twice_and_said_to_be_on() -> None:
@@ -279,7 +300,19 @@ UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unk
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (SafeState(True, "fault"), "the drive is de-energised (read back: fault)"),
+        (
+            SafeState(True, "fault", current_A=-0.004, motion_rad_s=0.0),
+            "the drive is de-energised (read back: fault), 0.00 A, joint at rest",
+        ),
+        (
+            SafeState(True, "fault", motion_rad_s=0.0),
+            "the drive is de-energised (read back: fault), current not reported, joint at rest",
+        ),
+        (
+            SafeState(False, "switch on disabled", (), True, (), 3.98, 0.0, "3.98 A flow"),
+            "it could NOT be verified that the drive is de-energised: 3.98 A flow; do not touch "
+            "the weights or the joint; switch the main supply off, and wait until the joint rests",
+        ),
         (
             SafeState(False, "unknown", ("gone", "full"), watched=False),
             UNVERIFIED + "it has no watchdog and may go on HOLDING UNDER POWER: switch the main "
@@ -297,8 +330,16 @@ def test_how_the_drive_was_left_in_words(found: SafeState, words: str) -> None:
 
 
 def test_the_record_holds_no_exceptions() -> None:
-    found = SafeState(True, "off", ("p",), True, (ValueError(),))
-    assert found.record() == {"verified": True, "state": "off", "problems": ["p"], "watched": True}
+    found = SafeState(False, "off", ("p",), True, (ValueError(),), 3.98, 0.5, "it flows")
+    assert found.record() == {
+        "verified": False,
+        "state": "off",
+        "problems": ["p"],
+        "watched": True,
+        "current_A": 3.98,
+        "motion_rad_s": 0.5,
+        "doubt": "it flows",
+    }
 
 
 def test_how_the_drive_was_left_is_a_plain_value() -> None:

@@ -81,7 +81,10 @@ class SimulatedMachine:
     Attributes:
         motor_count_rad: Joint angle of one count of the motor encoder, rad.
         joint_count_rad: Joint angle of one count of the joint encoder, rad.
+        stuck: Whether the power stage is defective and stays on, whatever it is told.
     """
+
+    stuck = False
 
     def __init__(
         self, machine: constants.Machine, rng: np.random.Generator, any_size: bool = False
@@ -206,9 +209,14 @@ class SimulatedMachine:
             self._x[extra.TIME] = 0.0
             self._x[extra.RECORDING] += 1.0
             self._load()
-        elif not on:
+        elif not on and not self.stuck:
             s[loops.MODE] = loops.OFF
             s[loops.OFFSET] = 0.0
+
+    @property
+    def powered(self) -> bool:
+        """Whether the power stage is on."""
+        return bool(self._s[loops.MODE] != loops.OFF)
 
     def control(self, position: bool, speed: bool) -> None:
         """Close or open the drive's position and speed loops before the joint moves."""

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
-from rig.cli.entry import BAD_VERDICT, DONE
+from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED, DONE
+from rig.common.findings import Cause
 from rig.common.places import require_file, write_asked
 from rig.config.bench import load_bench
 from rig.control.check import describe, examine, require_connectable
@@ -28,7 +29,8 @@ def command(bench: str, seed: int, json_file: Path | None) -> int:
     The exit status is 1 if `rig run` would refuse to start on this bench; the reasons are printed:
     a limit looser than the drive's own limit, units that differ between file and device, an overdue
     calibration, implausible constants, a drive that is energised or in fault, or a reading beyond
-    its limit. If the connection to the bench fails, the exit status is 2 or 4.
+    its limit. If the drive reports off, but current flows or the joint moves, the exit status is 4.
+    If the connection to the bench fails, the exit status is 2 or 4.
 
     \b
     Example:
@@ -44,4 +46,6 @@ def command(bench: str, seed: int, json_file: Path | None) -> int:
         watching = watcher(devices)
     click.echo(describe(findings, readings, watching))
     write_asked(json_file, findings)
+    if Cause.OFF.value in findings["causes"]:
+        return DEVICE_FAILED
     return DONE if findings["good"] else BAD_VERDICT

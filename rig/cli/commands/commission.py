@@ -241,7 +241,7 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
 def _status(result: Commissioning) -> int:
     """Return the exit status; a requested homing that was not done is a bad verdict."""
     if result.safe is not None and not result.safe.verified:
-        return STATUS[result.ending] or DEVICE_FAILED
+        return DEVICE_FAILED
     if result.ending is Ending.DONE and result.not_homed:
         click.echo(f"rig commission: {result.not_homed}", err=True)
         return BAD_VERDICT

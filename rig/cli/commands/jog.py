@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
-from rig.cli.aftermath import STATUS
+from rig.cli.aftermath import status_of
 from rig.cli.crash import note_drive
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
@@ -22,6 +22,7 @@ from rig.control.jog import Jog, held_only_here, move, plan_jog
 from rig.control.progress import RunProgress
 from rig.control.remote import stoppable
 from rig.control.sequencer import Outcome
+from rig.planning.plan import bench_limits
 from rig.runs.run_record import Ending
 from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
@@ -30,7 +31,7 @@ from rig.wiring.bench_text import unprotected
 from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
-from rig.wiring.teardown import SafeState
+from rig.wiring.teardown import observed
 
 SCHEMA = "loadrig.jog/1"
 
@@ -98,7 +99,7 @@ def command(
                 screen.say(words)
                 agreed = _agreed(prompt, stop, screen, document.value.simulated)
                 if not agreed:
-                    outcome = _unmoved(devices)
+                    outcome = _unmoved(devices, document.value)
                     break
             outcome = _move(document.value, jog, devices, stop, screen, reset_fault)
             if outcome.ending is not Ending.DONE:
@@ -107,7 +108,7 @@ def command(
     if outcome is not None and outcome.error is not None:
         note_drive(outcome.error, outcome.safe.message)
         raise outcome.error
-    return DONE if outcome is None else STATUS[outcome.ending]
+    return DONE if outcome is None else status_of(outcome)
 
 
 def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[float, ...]]:
@@ -155,10 +156,9 @@ def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -
     return answer.lower() in ("y", "yes")
 
 
-def _unmoved(devices: Devices) -> Outcome:
-    """Return the outcome of a jog that was not confirmed; nothing was sent."""
-    state = devices.servo.state()
-    safe = SafeState(not state.energised, state.value)
+def _unmoved(devices: Devices, bench: Bench) -> Outcome:
+    """Return the outcome of a jog that was not confirmed; nothing was commanded."""
+    safe = observed(devices.off_proof(bench_limits(bench)).prove())
     return Outcome(Ending.STOPPED, "not confirmed; nothing was moved", safe)
 
 
@@ -186,4 +186,5 @@ def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:
         "state": "done" if outcome is None else outcome.ending.value,
         "message": "no angle was given" if outcome is None else outcome.message,
         "de_energised": None if outcome is None else outcome.safe.verified,
+        "drive": None if outcome is None else outcome.safe.record(),
     }

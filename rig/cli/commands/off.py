@@ -20,8 +20,8 @@ from rig.wiring.bench_text import bench_line
 @click.argument("bench")
 @shared.record_file("Also write the result to this file.")
 def command(bench: str, json_file: Path | None) -> int:
-    """Make BENCH safe, whoever uses it and whatever has died: brake, take the power off, and read
-    back that the drive is off.
+    """Make BENCH safe, whoever uses it and whatever has died: brake, take the power off, and prove
+    by state, current and motion that the drive is off.
 
     A program that uses the bench is asked to stop. If it does not leave the bench within 5 s, or is
     suspended, it is killed; `rig recover` repairs its recording. A guardian that is still trying to

@@ -11,7 +11,7 @@ import click
 
 from rig.cli import options as shared
 from rig.cli.accepting import accept_at_the_end, given_acceptance, limits_before
-from rig.cli.aftermath import STATUS, conclude
+from rig.cli.aftermath import conclude, status_of
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.locks import OWNER_FILE
@@ -220,7 +220,7 @@ def _carry_out(
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
     if injector is not None:
-        click.echo(describe_findings(injector.conclude(STATUS[outcome.ending], outcome.message)))
+        click.echo(describe_findings(injector.conclude(status_of(outcome), outcome.message)))
     if status != DONE:
         return status
     return accept_at_the_end(path, options.junit_file)

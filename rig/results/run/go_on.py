@@ -11,8 +11,8 @@ from rig.runs.run_record import Ending, RunRecord
 from rig.wiring.preflight import RESET_HINT
 
 NOT_READ_BACK = (
-    "the state of the drive was not read back: switch the main supply off, or make sure that the "
-    "drive is off"
+    "it was not verified that the drive is off: switch the main supply off, and do not touch the "
+    "weights or the joint before it rests"
 )
 NEW_RUN = (
     "if a remedy changes the bench or sequence file, start a new run: a run can continue only "

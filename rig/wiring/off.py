@@ -1,0 +1,324 @@
+"""Proves that a drive is off: by its state, its current and the motion of the joint.
+
+The statusword alone proves nothing: a drive whose power stage is stuck obeys the controlword, and
+current goes on flowing. A drive counts as off if over :data:`WINDOW_S` its state is de-energised,
+its current stays at the zero of its sensor, and the joint rests. A joint that still coasts, and a
+current that still decays, are waited for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from statistics import fmean
+from typing import Any, Final
+
+from drivers.clock import NS, Clock
+from drivers.errors import StateError
+from drivers.interfaces import Encoder, Servo, ServoState
+from rig.wiring.steps import Steps
+
+WINDOW_S: Final = 0.05
+"""Shortest time, s, over which current and motion are observed."""
+LEAST_READINGS: Final = 8
+"""Smallest number of readings of a window."""
+PATIENCE_S: Final = 2.0
+"""Longest time, s, for which a joint may coast after the power went off."""
+DECAY_WINDOWS: Final = 3
+"""Number of windows after which no current may flow in a motor at rest; the current of a winding
+decays with L/R, which is milliseconds.
+"""
+REQUEST_INTERVAL_NS: Final = NS // 200
+"""Time between two readings by request, ns."""
+OFFSET_SHARE: Final = 0.02
+"""Greatest zero error of a current sensor, in units of the rated current."""
+DRIFT_SHARE: Final = 0.005
+"""Greatest change of this error during a session, in units of the rated current."""
+REST_SHARE: Final = 0.005
+"""Greatest speed of a joint at rest, in units of the speed limit of the bench."""
+REST_RAD_S: Final = 0.01
+"""Greatest speed of a joint at rest, rad/s, if no speed limit is known."""
+STEPS: Final = 2.0
+"""Units by which a reading at rest may change."""
+_FAILURES: Final = 3
+BEFORE_PROMPT: Final = "before the weight prompt"
+HANDS_OFF: Final = (
+    "do not touch the weights or the joint; switch the main supply off, and wait until the joint "
+    "rests"
+)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What was seen of a drive that should be off.
+
+    Attributes:
+        state: State that the drive reports; None if it could not be read.
+        current_A: Motor current, A: the mean of the window, or the rms value if this is larger
+            because the current alternates; None if the drive reports none.
+        motion_rad_s: Speed of the joint in the window, by the encoder that moved faster; None if no
+            encoder gave an angle.
+        doubt: Why the drive does not count as off; empty if it is off.
+    """
+
+    state: ServoState | None
+    current_A: float | None = None
+    motion_rad_s: float | None = None
+    doubt: str = ""
+
+    @property
+    def off(self) -> bool:
+        """Whether state, current and motion show that the drive is off."""
+        return not self.doubt
+
+    @property
+    def seen(self) -> dict[str, float | None]:
+        """Current and motion, for the record of an event."""
+        return {"current_A": self.current_A, "motion_rad_s": self.motion_rad_s}
+
+    def record(self) -> dict[str, Any]:
+        """Return the record for a result file."""
+        return {
+            "off": self.off,
+            "state": "unknown" if self.state is None else self.state.value,
+            "current_A": self.current_A,
+            "motion_rad_s": self.motion_rad_s,
+            "doubt": self.doubt,
+        }
+
+
+def energised_doubt(state: ServoState) -> str:
+    """Return why a drive in an energised state is not off."""
+    return f"the drive is in {state.value!r}; it must be de-energised"
+
+
+def seen_words(current_A: float | None, motion_rad_s: float | None) -> str:
+    """Return current and motion of a drive that is off as words that end a sentence; empty if
+    neither was observed.
+    """
+    if motion_rad_s is None:
+        return ""
+    current = "current not reported" if current_A is None else f"{abs(current_A):.2f} A"
+    return f", {current}, joint at rest"
+
+
+@dataclass
+class _Window:
+    """Readings of one window: currents, A; times, s, and angles, rad, of motor and joint; errors of
+    the encoder.
+    """
+
+    currents: list[float] = field(default_factory=list)
+    motor: list[tuple[float, float]] = field(default_factory=list)
+    joint: list[tuple[float, float]] = field(default_factory=list)
+    encoder: Steps = field(default_factory=Steps)
+
+
+class OffProof:
+    """Observes one drive; learns the zero of its current sensor from the first proof.
+
+    Args:
+        servo: The drive.
+        clock: Clock of the link.
+        encoder: The joint encoder, or None to observe the motor alone.
+        speed_limit_rad_s: Speed limit of the bench, at the joint; NaN if it is not known.
+        current_limit_A: Current limit of the bench, for a drive whose rated current is not known.
+
+    Attributes:
+        zero_A: Reading of the current sensor without current, or None before the first proof.
+    """
+
+    def __init__(
+        self,
+        servo: Servo,
+        clock: Clock,
+        encoder: Encoder | None = None,
+        speed_limit_rad_s: float = math.nan,
+        current_limit_A: float = math.nan,
+    ) -> None:
+        self._servo, self._encoder, self._clock = servo, encoder, clock
+        self._speed_limit, self._current_limit = speed_limit_rad_s, current_limit_A
+        self.zero_A: float | None = None
+        self._noise_A = 0.0
+        self._flowed = ""
+
+    def prove(self, steps: Steps | None = None, patience_s: float = PATIENCE_S) -> Proof:
+        """Observe the drive by requests until it is proved off, or until the patience ends. Nothing
+        is commanded, and no error is raised.
+
+        After current has flowed in a joint at rest although the drive reported off, no later proof
+        succeeds: a position loop that goes on working may need little current at times.
+
+        Args:
+            steps: Stores the errors of the reads.
+            patience_s: Longest time for which the joint may coast, s.
+        """
+        steps = steps or Steps()
+        found = [Proof(None, doubt="nothing could be read")]
+        steps.attempt(lambda: self._observe(found, steps, patience_s))
+        return found[-1]
+
+    def require(self, when: str) -> Proof:
+        """Prove that the drive is off; ``when`` begins the message, as "before the weight prompt".
+
+        Raises:
+            StateError: The drive is not proved off.
+            KeyboardInterrupt: The operator interrupted the reads.
+        """
+        steps = Steps()
+        proof = self.prove(steps)
+        if steps.interrupted:
+            raise KeyboardInterrupt
+        for defect in steps.unforeseen:
+            raise defect
+        if not proof.off:
+            problems = "; ".join(dict.fromkeys((proof.doubt, *steps.problems)))
+            raise StateError(f"{when}: {problems}")
+        return proof
+
+    def _observe(self, found: list[Proof], steps: Steps, patience_s: float) -> None:
+        deadline_ns = self._clock.now_ns() + round(patience_s * NS)
+        flowing = 0
+        while True:
+            window = self._window(steps)
+            proof = self._judge(steps.state(self._servo), window)
+            found.append(proof)
+            if proof.off:
+                self._learn(window)
+                return
+            state, motion = proof.state, proof.motion_rad_s
+            if state is None or state.energised or motion is None:
+                return
+            if motion > self.rest_rad_s:
+                if self._clock.now_ns() >= deadline_ns:
+                    return
+                flowing = 0
+                continue
+            flowing += 1
+            if flowing == DECAY_WINDOWS:
+                if self._flows(window):
+                    self._flowed = proof.doubt
+                return
+
+    def _window(self, steps: Steps) -> _Window:
+        """Read for :data:`WINDOW_S`, but at least :data:`LEAST_READINGS` times; a reading that
+        fails, or lacks a value, is repeated, up to :data:`_FAILURES` times.
+        """
+        window, failures, count = _Window(), 0, 0
+        begin_ns = self._clock.now_ns()
+        while failures < _FAILURES and (
+            count < LEAST_READINGS or self._clock.now_ns() - begin_ns < WINDOW_S * NS
+        ):
+            before = len(window.motor)
+            steps.attempt(lambda: self._read(window))
+            good = len(window.motor) > before
+            count, failures = count + good, failures + (not good)
+        steps.take_first(window.encoder)
+        return window
+
+    def _read(self, window: _Window) -> None:
+        due_ns = self._clock.now_ns() + REQUEST_INTERVAL_NS
+        seen, encoder = self._servo.glance(), self._encoder
+        missing = self._reports_current and math.isnan(seen.current_A)
+        if not (missing or math.isnan(seen.motor_angle_rad)):
+            window.motor.append((self._clock.now_ns() / NS, seen.motor_angle_rad))
+            if self._reports_current:
+                window.currents.append(seen.current_A)
+        if encoder is not None and not window.encoder.problems:
+            # Without its encoder, the joint is observed by the motor alone.
+            found: list[float] = []
+            window.encoder.attempt(lambda: found.append(encoder.reading()))
+            now_s = self._clock.now_ns() / NS
+            window.joint += [(now_s, angle) for angle in found if not math.isnan(angle)]
+        self._clock.sleep_until_ns(due_ns)
+
+    @property
+    def _reports_current(self) -> bool:
+        return not math.isnan(self._servo.measuring().current_step_A)
+
+    def _judge(self, state: ServoState | None, window: _Window) -> Proof:
+        measuring = self._servo.measuring()
+        gear = measuring.gear_ratio
+        speeds = [
+            _speed([(at, angle / gear) for at, angle in window.motor], measuring.joint_step_rad)
+        ]
+        if self._encoder is not None:
+            speeds.append(_speed(window.joint, self._encoder.step_rad()))
+        known = [speed for speed in speeds if speed is not None]
+        motion = max(known, default=None)
+        current = _stated(window.currents, self.zero_A or 0.0)
+        return Proof(state, current, motion, self._doubt(state, current, motion, window))
+
+    def _doubt(
+        self, state: ServoState | None, current: float | None, motion: float | None, window: _Window
+    ) -> str:
+        if state is None:
+            return "its state could not be read"
+        if state.energised:
+            return energised_doubt(state)
+        if motion is None:
+            return f"the drive reports {state.value!r}, but current and angle could not be read"
+        if current is not None and self._flows(window):
+            return (
+                f"the drive reports {state.value!r}, but {abs(current):.2f} A flow (limit "
+                f"{self.current_limit_A:.2f} A)"
+            )
+        if motion > self.rest_rad_s:
+            return (
+                f"the drive reports {state.value!r}, but the joint moves at "
+                f"{math.degrees(motion):.2f} deg/s (limit {math.degrees(self.rest_rad_s):.2f} "
+                "deg/s)"
+            )
+        return self._flowed and f"{self._flowed} before"
+
+    def _flows(self, window: _Window) -> bool:
+        return not _rms(window.currents, self.zero_A or 0.0) <= self.current_limit_A
+
+    @property
+    def current_limit_A(self) -> float:
+        """Greatest rms current, A, of a drive that is off, about the zero of its sensor."""
+        measuring = self._servo.measuring()
+        rated = min(
+            (x for x in (measuring.rated_current_A, self._current_limit) if x > 0.0),
+            default=0.0,
+        )
+        share = OFFSET_SHARE if self.zero_A is None else DRIFT_SHARE
+        step = measuring.current_step_A
+        return share * rated + 3.0 * self._noise_A + STEPS * (0.0 if math.isnan(step) else step)
+
+    @property
+    def rest_rad_s(self) -> float:
+        """Greatest speed, rad/s, of a joint that counts as at rest."""
+        limit = REST_SHARE * self._speed_limit
+        return min(limit, REST_RAD_S) if limit > 0.0 else REST_RAD_S
+
+    def _learn(self, window: _Window) -> None:
+        if self.zero_A is None and window.currents:
+            self.zero_A = fmean(window.currents)
+            self._noise_A = _rms(window.currents, self.zero_A)
+
+
+def _rms(values: list[float], about: float) -> float:
+    return math.sqrt(fmean((value - about) ** 2 for value in values)) if values else 0.0
+
+
+def _stated(currents: list[float], zero_A: float) -> float | None:
+    """Return the mean, or the rms value about the zero if the current alternates."""
+    if not currents:
+        return None
+    mean, rms = fmean(currents), _rms(currents, zero_A)
+    return mean if abs(mean - zero_A) >= 0.5 * rms else rms
+
+
+def _speed(angles: list[tuple[float, float]], step_rad: float) -> float | None:
+    """Return the speed, rad/s, between the two halves of a window, less what the resolution of the
+    encoder explains; None if there are too few angles.
+    """
+    if len(angles) < LEAST_READINGS:
+        return None
+    half = len(angles) // 2
+    first, last = angles[:half], angles[-half:]
+    moved = abs(fmean(x for _, x in last) - fmean(x for _, x in first))
+    time_s = fmean(t for t, _ in last) - fmean(t for t, _ in first)
+    slack = 0.0 if math.isnan(step_rad) else STEPS * step_rad
+    return max(0.0, moved - slack) / time_s if time_s > 0.0 else None
