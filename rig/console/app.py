@@ -195,15 +195,23 @@ class Console:
             raise Refusal("prompt must be a whole number, text a text")
         who = f"the console, {page.name}" if page is not None else "the console"
         if command is Command.STOP and message.get("run") is None:
-            return await self._stop(who)
+            return await self._stop(page, who)
         key = str(message.get("run"))
         if page is not None:
             self._hub.claim(page, key)
         words = await self._hub.command(key, command, who, prompt, text)
         return {"words": words}
 
-    async def _stop(self, who: str) -> dict[str, Any]:
+    async def _stop(self, page: Page | None, who: str) -> dict[str, Any]:
+        """Stop everything in progress; the page shows the end of a run that was stopped."""
+        shown = None if page is None else self._hub.run_of(page)
         sent, failed = await self._hub.stop(who)
+        runs = [each.key for each in sent if each.key in self._hub.runs]
+        if page is not None and runs:
+            mine = shown is not None and shown.key in runs
+            if not mine:
+                page.run = None
+            self._hub.claim(page, shown.key if shown is not None and mine else runs[0])
         names = [program_words(each.about) for each in sent]
         if failed:
             words = "; ".join(

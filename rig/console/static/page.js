@@ -18,6 +18,7 @@ const state = {};
 let lastStop = -Infinity;
 let said = {}; // the run that the line beside STOP refers to, and whether the line tells its end
 let endDue = null; // key of the run in progress whose end is to be told beside STOP
+let stopDue = []; // keys of the programs that this page has stopped, until their end is told
 let answered = null; // prompt that this page answered, until its answer is known to be refused
 let unconfirmed = null; // keys of the programs that have not confirmed STOP
 let lostMs = 0; // time without contact with the console
@@ -265,12 +266,14 @@ function showEnding() {
     endDue = state.status ? state.run : null;
     return;
   }
+  if (stopDue.includes(state.run)) endDue = state.run;
   if (endDue !== state.run) endDue = null;
   const kind = !ended.good || state.verdict?.verdict === "rejected" ? "" : state.verdict ? " good" : " calm";
   line.className = `ending${kind}`;
   if (line.textContent !== ended.words) line.textContent = ended.words;
   if (endDue === state.run && (record?.de_energised ?? null) !== null) {
     endDue = null;
+    stopDue = stopDue.filter((key) => key !== state.run);
     // Earlier messages, such as the answer to a prompt, no longer apply.
     if (!starting) {
       say(record.de_energised ? "The run has ended; the drive is off (read back)"
@@ -387,6 +390,7 @@ async function pressStop() {
     return;
   }
   const { stopped } = answer;
+  stopDue = stopped;
   if (stopped.length && !stopped.includes(state.run)) {
     // The page shows the end of what was stopped.
     at("runs").value = "";

@@ -233,6 +233,8 @@ def test_stop_is_for_whatever_moves(desk: Desk, monkeypatch: pytest.MonkeyPatch)
     assert desk.shown() == "mine"
     assert pressed(desk, desk.page)["stopped"] == ["other", "jog"]
     assert sent.stopped == ["other", "jog"]
+    # The page then shows the end of what was stopped.
+    assert desk.shown() == "other"
     # A jog is no run: it is not shown, and its end is its socket's.
     assert "jog" not in desk.hub.runs
     desk.hub.others["jog"].gone = True

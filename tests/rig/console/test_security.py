@@ -23,6 +23,7 @@ from wsproto.events import (
     TextMessage,
 )
 
+from rig.cli.entry import STOPPED
 from rig.console.door import MOST_OPEN, MOST_PAGES, MOST_READERS, bounded
 
 from .processes import Served, place, served, wait_until
@@ -376,6 +377,21 @@ def test_a_run_takes_a_stop_once(console: Served, page: Page) -> None:
     (record,) = where.records()
     assert (record["state"], record["de_energised"]) == ("stopped", True)
     assert "STOP by the console, page" in record["message"]
+
+
+def test_stop_reaches_a_jog(console: Served, page: Page) -> None:
+    where = console.place
+    where.command("jog", "practical", "--to", "20", "--speed", "0.2", "--realtime")
+    names: list[str] = []
+    while names != ["jog on practical"]:
+        state = page.read().get("state", {})
+        names = [each["name"] for each in state.get("moving", [])]
+    content = {"page": page.key, "number": 99, "command": "stop"}
+    status, text, _ = console.request("POST", "/command", content)
+    assert (status, json.loads(text)["words"]) == (200, "jog on practical")
+    assert where.started[-1].wait(60) == STOPPED
+    while names:
+        names = page.read().get("state", {}).get("moving", names)
 
 
 def test_the_sockets_are_this_users_only(console: Served) -> None:
