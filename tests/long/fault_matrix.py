@@ -23,7 +23,7 @@ from typing import Any
 import yaml
 
 from rig.cli.entry import status
-from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.layout import CLOCK_METADATA, decode_frames
 from rig.runs.mcap.reader import Log, read_run
 from rig.runs.recover import recover
 
@@ -139,13 +139,14 @@ def _problems(
         )
     if code >= 0 and record["de_energised"] is not must.verified and record["state"] != "running":
         yield f"run.json says de_energised {record['de_energised']}, must be {must.verified}"
+    zero_ns = int(log.metadata.get(CLOCK_METADATA, {}).get("zero_ns", 0))
     last_s = (
         max(
             (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data)),
             default=0,
         )
-        / 1e9
-    )
+        + zero_ns
+    ) / 1e9
     if last_s < findings[0]["applied_s"] - LOG_GAP_S:
         yield f"the log ends at {last_s:.3f} s, the fault came at {findings[0]['applied_s']:.3f} s"
     if log.damage is None and code >= 0 and log.events[-1].get("message") != record["message"]:
