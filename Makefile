@@ -16,7 +16,7 @@ help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
 	@echo "make proofs    the tests that measure accuracy on whole benches and recordings, which make test leaves out"
-	@echo "make structure files and floors per folder, import arrows, sizes, and the bounds they break"
+	@echo "make structure rooms, sizes and imports against their budgets"
 	@echo "make docs      build the documentation as a site (out/docs/index.html); warnings are errors"
 	@echo "make reference write the reference pages (docs/reference) from the code"
 	@echo "make docs-run  run every code block of the documentation, the long ones too"
