@@ -9,7 +9,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster makes masters units console proofs
 .DEFAULT_GOAL := help
 
 help:
@@ -31,7 +31,6 @@ help:
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make prove-worlds  the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
 	@echo "make cluster   the same proof with one process, two, and a cluster of which a worker is killed: the same bytes (out/cluster)"
-	@echo "make power-map  from which size recordings show each effect, along rate, bits, encoders, loads, excitation (docs/power.md)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
@@ -145,26 +144,19 @@ feedforward: $(VENV)/.runtime
 
 prove: $(VENV)/.dev
 	$(BIN)/rig prove --rigs $(or $(RIGS),24) --jobs 2 --out out/proof
-	$(BIN)/rig prove $(PROVE_WORLDS) --jobs 2 --out out/proof-worlds
+	$(BIN)/python -m benchmarks.worlds out/worlds $(PROVE_WORLDS) --jobs 2
+	$(BIN)/rig prove --from out/worlds --jobs 2 --out out/proof-worlds
 
 prove-gas: $(VENV)/.runtime
 	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
 
 prove-worlds: $(VENV)/.dev
-	$(BIN)/rig prove --plant own-worlds --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-own-worlds
-	$(BIN)/rig prove --plant mujoco --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-mujoco
-	$(BIN)/python -m tests.worlds.plant out/worlds-ode --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2
-	$(BIN)/rig prove --from out/worlds-ode --jobs 2 --out out/proof-ode
+	for plant in own third mujoco; do \
+	  $(BIN)/python -m benchmarks.worlds out/worlds-$$plant --plant $$plant --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 && \
+	  $(BIN)/rig prove --from out/worlds-$$plant --jobs 2 --out out/proof-$$plant || exit 1; done
 
 cluster: $(VENV)/.dev
 	$(BIN)/python -m tests.long.cluster out/cluster --rigs $(or $(RIGS),12) --seed $(or $(SEED),1)
-
-power-map: $(VENV)/.dev
-	$(BIN)/python -m benchmarks.power out/power --machines $(or $(MACHINES),10) --jobs 2
-	$(BIN)/python -m benchmarks.power.check out/power --seal out/power-check --rigs $(or $(RIGS),20) --seed $(or $(SEED),4711) --jobs 2
-	$(BIN)/rig prove --from out/power-check --seed 3 --jobs 2 --out out/power-proof
-	$(BIN)/python -m benchmarks.power.check out/power --sealed out/power-check --proof out/power-proof
-	$(BIN)/python -m benchmarks.power.page out/power docs
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done

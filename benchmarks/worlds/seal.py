@@ -11,14 +11,14 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.worlds.draw import draw_world, without_effects, worlds_assignment
+from benchmarks.worlds.files import truth_of_world, write_world
+from benchmarks.worlds.logger import Columns, columns
+from benchmarks.worlds.world import Array, Signals, World
 from rig.results.prove.engines import Engine
 from rig.results.prove.interchange.folder import SealedRig, write_truth
 from rig.results.prove.interchange.sealing import Made, Task, made, making, seal_all
 from rig.results.prove.seal import random_salt
-from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
-from rig.results.prove.worlds.files import truth_of_world, write_world
-from rig.results.prove.worlds.logger import Columns, columns
-from rig.results.prove.worlds.world import Array, Signals, World
 
 MOVING = 0.05
 """Share of the greatest speed in a recording above which the joint counts as moving."""

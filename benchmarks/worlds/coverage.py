@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from rig.results.prove.truth import Axis
-from rig.results.prove.worlds.draw import LOADS
-from rig.results.prove.worlds.machines import (
+from benchmarks.worlds.draw import LOADS
+from benchmarks.worlds.machines import (
     HOST_RATES_HZ,
     LARGEST_N_M,
     LEAST_GAIN_HZ,
@@ -18,7 +17,8 @@ from rig.results.prove.worlds.machines import (
     MOST_GAIN_HZ,
     SMALLEST_N_M,
 )
-from rig.results.prove.worlds.motion import MOTIONS
+from benchmarks.worlds.motion import MOTIONS
+from rig.results.prove.truth import Axis
 
 Parts = frozenset[Axis]
 WORDS: Mapping[str, Parts] = {

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.results.prove.worlds.world import COMMAND_S, Array
+from benchmarks.worlds.world import COMMAND_S, Array
 
 SMOOTHED_S = 0.12
 EASED_S = 0.6

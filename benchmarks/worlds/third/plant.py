@@ -1,26 +1,19 @@
-"""The third plant: worlds played by the differential equations of :mod:`tests.worlds.physics`.
-
-    python -m tests.worlds.plant OUT --rigs 12 --seed 5
-
-seals worlds into OUT, for ``rig prove --from OUT``.
+"""The third plant: worlds simulated by the differential equations of
+:mod:`benchmarks.worlds.third.physics`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from pathlib import Path
 
-import click
 import numpy as np
 
-from rig.results.prove.engines import Processes
-from rig.results.prove.worlds.seal import seal_worlds
-from rig.results.prove.worlds.sizes import SIZES
-from rig.results.prove.worlds.world import COMMAND_S, Signals, World
-from tests.worlds import kernel as drive
-from tests.worlds import physics as at
-from tests.worlds.kernel import play
+from benchmarks.worlds.sizes import SIZES
+from benchmarks.worlds.third import kernel as drive
+from benchmarks.worlds.third import physics as at
+from benchmarks.worlds.third.kernel import play
+from benchmarks.worlds.world import COMMAND_S, Signals, World
 
 INNER_S = 6e-5
 """Longest step of the integration."""
@@ -30,7 +23,7 @@ SPRINGY_HZ = 250.0
 
 
 class OdePlant:
-    """The third plant; see :class:`rig.results.prove.worlds.seal.Plant`."""
+    """The third plant; see :class:`benchmarks.worlds.seal.Plant`."""
 
     effects: Collection[str] = frozenset(n for n in SIZES if not n.startswith("x_"))
     outside: Collection[str] = frozenset(
@@ -226,19 +219,3 @@ PLACES = {
     ("x_acceleration_drag", "coefficient_Nms2_rad"): at.ACC,
 }
 """Effect and parameter to their place among the values."""
-
-
-@click.command()
-@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True)
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
-def main(out: Path, rigs: int, seed: int, jobs: int) -> None:
-    """Seal worlds of this plant into OUT."""
-    plant, engine = OdePlant(), Processes(jobs)
-    for rig in seal_worlds(out, plant, rigs, seed, engine, lambda what, share: click.echo(what)):
-        click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
-
-
-if __name__ == "__main__":
-    main()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from rig.results.prove.worlds.world import World
+from benchmarks.worlds.world import World
 
 ELASTIC = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 """Effects for which motor and joint are two bodies."""

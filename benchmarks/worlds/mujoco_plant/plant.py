@@ -1,7 +1,7 @@
 """Simulates worlds with a machine in MuJoCo and the loops of a drive, and returns the signals.
 
 MuJoCo's friction is a constraint that its solver keeps approximately. With the impedance and the
-time constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint creeps by less
+time constant chosen in :mod:`benchmarks.worlds.mujoco_plant.model` a stuck joint creeps by less
 than 2e-6 of its speed scale, and breaks away within 0.5 % of the set level of friction; this level
 is computed one step late. A step of MuJoCo accelerates the joint with the current at the end of the
 step, and moves the joint with the speed at the end of the step. The angle before a step is logged
@@ -16,9 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.numerics.compiled import compiled
-from rig.common.errors import InputError
-from rig.results.prove.mujoco_plant.drive import (
+from benchmarks.worlds.mujoco_plant.drive import (
     CASCADE,
     COUNT,
     LAST,
@@ -28,7 +26,7 @@ from rig.results.prove.mujoco_plant.drive import (
     asked,
     settings,
 )
-from rig.results.prove.mujoco_plant.friction import (
+from benchmarks.worlds.mujoco_plant.friction import (
     ALPHA,
     GEAR,
     KEPT,
@@ -44,9 +42,11 @@ from rig.results.prove.mujoco_plant.friction import (
     further,
     values,
 )
-from rig.results.prove.mujoco_plant.model import xml
-from rig.results.prove.worlds.sizes import SIZES
-from rig.results.prove.worlds.world import COMMAND_S, Array, Signals, World
+from benchmarks.worlds.mujoco_plant.model import xml
+from benchmarks.worlds.sizes import SIZES
+from benchmarks.worlds.world import COMMAND_S, Array, Signals, World
+from identification.numerics.compiled import compiled
+from rig.common.errors import InputError
 
 try:
     import mujoco
@@ -103,7 +103,7 @@ class Given(NamedTuple):
 
 
 class MujocoPlant:
-    """Plant that MuJoCo simulates; see :class:`rig.results.prove.worlds.seal.Plant`."""
+    """Plant that MuJoCo simulates; see :class:`benchmarks.worlds.seal.Plant`."""
 
     effects: Collection[str] = frozenset(n for n in SIZES if not n.startswith("x_"))
     outside: Collection[str] = frozenset({"x_timed_torque", "x_switching_torque", "x_cubic_spring"})

@@ -7,18 +7,18 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
+from benchmarks.worlds.gains import gains
+from benchmarks.worlds.own_plant.machine import machine_of
+from benchmarks.worlds.sizes import SIZES
+from benchmarks.worlds.world import COMMAND_S, Signals, World
 from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.sampled import SampledMachine, Sent
-from rig.results.prove.own_plant.machine import machine_of
-from rig.results.prove.worlds.gains import gains
-from rig.results.prove.worlds.sizes import SIZES
-from rig.results.prove.worlds.world import COMMAND_S, Signals, World
 
 NOISE_STREAM, FLICKER_STREAM = 6, 10
 
 
 class OwnPlant:
-    """The project's own plant; see :class:`rig.results.prove.worlds.seal.Plant`.
+    """The project's own plant; see :class:`benchmarks.worlds.seal.Plant`.
 
     All friction is at the joint; if motor and joint are two bodies, the motor's side has no
     friction.

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from rig.results.prove.worlds.world import World
+from benchmarks.worlds.world import World
 
 SOFT_DAMPING = 0.8
 """Damping ratio of a ``pd`` loop."""

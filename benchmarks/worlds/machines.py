@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.worlds.world import Constants, Drive, Log, LoopKind, Motion, Motor, Sensing
 from rig.results.prove.sizes import even, log
-from rig.results.prove.worlds.world import Constants, Drive, Log, LoopKind, Motion, Motor, Sensing
 
 GRAVITY_M_S2 = 9.80665
 SMALLEST_N_M, LARGEST_N_M = 0.2, 40.0
@@ -46,7 +46,7 @@ class Body(NamedTuple):
         lever_ratio: L3/L4.
         heaviest_kg: Heaviest weight on the lever.
         motion: Whether the joint turns or is a carriage; units as in
-            :mod:`rig.results.prove.worlds.world`.
+            :mod:`benchmarks.worlds.world`.
     """
 
     peak_N_m: float

@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
+from benchmarks.worlds.gains import gains
+from benchmarks.worlds.world import Array, World
 from identification.numerics.compiled import compiled
-from rig.results.prove.worlds.gains import gains
-from rig.results.prove.worlds.world import Array, World
 
 (
     PERIOD,

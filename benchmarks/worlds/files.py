@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks.worlds.logger import Columns
+from benchmarks.worlds.world import Planned, World
 from rig.common.places import replacing, write_text
 from rig.results.prove.folder import CAMPAIGN_FILE
-from rig.results.prove.worlds.logger import Columns
-from rig.results.prove.worlds.world import Planned, World
 
 FORMATS: Mapping[str, str] = {
     "time": "%.7f",

@@ -1,5 +1,5 @@
-"""One recording of the world of :mod:`tests.worlds.physics`: steps between two ticks of the drive,
-cut at events, and the drive itself.
+"""One recording of the world of :mod:`benchmarks.worlds.third.physics`: steps between two ticks of
+the drive, cut at events, and the drive itself.
 """
 
 from __future__ import annotations
@@ -8,8 +8,7 @@ import math
 
 import numpy as np
 
-from identification.numerics.compiled import compiled
-from tests.worlds.physics import (
+from benchmarks.worlds.third.physics import (
     AGES,
     COULOMB,
     CURRENT,
@@ -47,6 +46,7 @@ from tests.worlds.physics import (
     rates,
     two_bodies,
 )  # fmt: skip
+from identification.numerics.compiled import compiled
 
 # The drive's settings and states, by their place.
 (TICK, CASCADE, K_P, K_V, K_I, AHEAD, WINDOW, BEAT, PER_A, MOST_A, MOST_V, COUNT, AT_MOTOR,

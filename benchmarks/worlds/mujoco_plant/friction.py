@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
+from benchmarks.worlds.mujoco_plant.model import two_bodies
+from benchmarks.worlds.world import Array, World
 from identification.numerics.compiled import compiled
-from rig.results.prove.mujoco_plant.model import two_bodies
-from rig.results.prove.worlds.world import Array, World
 
 F_REF_N = 3000.0
 RESTING = 2e-5

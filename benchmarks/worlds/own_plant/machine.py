@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
+from benchmarks.worlds.gains import gains
+from benchmarks.worlds.world import World
 from drivers.mock.plant.parts import constants
-from rig.results.prove.worlds.gains import gains
-from rig.results.prove.worlds.world import World
 
 SENSED = frozenset(
     {

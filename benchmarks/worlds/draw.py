@@ -7,10 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.results.prove.draw import Assigned, Kind, apportion, in_turn
-from rig.results.prove.sizes import log
-from rig.results.prove.truth import Axis
-from rig.results.prove.worlds.machines import (
+from benchmarks.worlds.machines import (
     GRAVITY_M_S2,
     Body,
     draw_body,
@@ -18,10 +15,10 @@ from rig.results.prove.worlds.machines import (
     draw_log,
     draw_sensing,
 )
-from rig.results.prove.worlds.motion import MOTIONS, Reach, command
-from rig.results.prove.worlds.sizes import NEEDS, SIZES, Scale
-from rig.results.prove.worlds.torque import Load, centring, course
-from rig.results.prove.worlds.world import (
+from benchmarks.worlds.motion import MOTIONS, Reach, command
+from benchmarks.worlds.sizes import NEEDS, SIZES, Scale
+from benchmarks.worlds.torque import Load, centring, course
+from benchmarks.worlds.world import (
     Drive,
     Log,
     Motion,
@@ -30,6 +27,9 @@ from rig.results.prove.worlds.world import (
     Sensing,
     World,
 )
+from rig.results.prove.draw import Assigned, Kind, apportion, in_turn
+from rig.results.prove.sizes import log
+from rig.results.prove.truth import Axis
 
 FEWEST, MOST = 2, 16
 SHORTEST_S, LONGEST_S = 5.0, 30.0

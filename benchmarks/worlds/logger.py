@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from rig.results.prove.worlds.world import LINE_M, LINES_PER_TURN, Array, Signals, World
+from benchmarks.worlds.world import LINE_M, LINES_PER_TURN, Array, Signals, World
 
 Columns = dict[str, Array]
 Rows = NDArray[np.int64]
