@@ -66,7 +66,7 @@ ARGUED: Mapping[tuple[str, str], str] = {
         "arguments",
         "drivers.mock.plant.record:record_cycles",
     ): "compiled kernel: all vectors of `advance_loaded`, and where the latches go",
-    ("arguments", "identification.corrected.arrays:signals"): (
+    ("arguments", "identification.export.signals:Signals.__init__"): (
         "is exported as source for users' own scripts, which pass plain arrays by name"
     ),
     ("long function", "identification.filter.sensitivity:sensitivities"): (

@@ -22,7 +22,7 @@ from benchmarks.power.picture import draw, number
 from benchmarks.power.sizes import FROM, GRID, PARAMETER, SOFT
 from benchmarks.power.table import Key, Machine, Spread, decisive, machines_of, natural, table
 from benchmarks.power.words import CHECKED, INTRODUCTION, RULE, WORST
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 
 PICTURE = "power_map.png"
 CLEAR = 2.0
@@ -124,7 +124,7 @@ def _shown(found: Spread) -> bool:
 
 def _unit(effect: str) -> str:
     name = PARAMETER[effect]
-    return next(p.unit for p in ENTRIES[effect].parameters if p.name == name)
+    return next(p.unit for p in EFFECTS[effect].parameters if p.name == name)
 
 
 def _base(machines: Sequence[Machine], cells: dict[str, Cells]) -> str:

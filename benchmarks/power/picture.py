@@ -12,7 +12,7 @@ from PIL import Image
 
 from benchmarks.power.axes import AXES, BASE
 from benchmarks.power.table import Key, Spread
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -104,7 +104,7 @@ def _label(axes: plt.Axes, effects: list[str], places: dict[Key, float]) -> None
         axes.text(middle, -4.1, HEADS[axis], ha="center", fontsize=11, weight="bold")
     for side in axes.spines.values():
         side.set_visible(False)
-    groups = [ENTRIES[e].group for e in effects]
+    groups = [EFFECTS[e].group for e in effects]
     for k in range(1, len(groups)):
         if groups[k] != groups[k - 1]:
             axes.axhline(k, color="black", linewidth=0.8)

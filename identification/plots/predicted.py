@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from identification.corrected.score import Predicted
+from identification.export.model import Predicted
 from identification.plots.style import (
     BLACK,
     BLUE,

@@ -13,8 +13,8 @@ import pytest
 from markupsafe import escape
 
 import rig.results.diagnose.diagnose
-from identification.corrected.model import CorrectedModel
 from identification.diagnosis.result import Diagnosis, Shift
+from identification.export.model import CorrectedModel
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status

@@ -16,7 +16,7 @@ from benchmarks.power.check import place_of, predicted
 from benchmarks.power.page import sentence
 from benchmarks.power.sizes import PARAMETER, injected, strength
 from benchmarks.power.table import Key, Spread, decisive, spread
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 from rig.results.prove.worlds.world import World
 
 
@@ -26,7 +26,7 @@ def base() -> World:
 
 
 def test_every_effect_of_the_motion_has_a_size() -> None:
-    motion = {e.name: e for e in ENTRIES.values() if e.group != "gas generator"}
+    motion = {e.name: e for e in EFFECTS.values() if e.group != "gas generator"}
     assert PARAMETER.keys() == motion.keys()
     for name, parameter in PARAMETER.items():
         assert parameter in [p.name for p in motion[name].parameters]

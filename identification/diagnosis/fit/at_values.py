@@ -12,8 +12,8 @@ import numpy as np
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import stack_of
 from identification.diagnosis.rows.equations import Equation, equations
-from identification.diagnosis.rows.view import View
 from identification.recording import Array
+from identification.views.view import View
 
 
 def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[str, float]) -> Joint:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Shape
+from identification.effects.effect import Shape
 from identification.recording import Array
 
 FEW_REGRESSORS = 4

@@ -22,11 +22,11 @@ from identification.diagnosis.fit.linear import (
 from identification.diagnosis.fit.linear import Added as Added
 from identification.diagnosis.fit.stack import Stack, connected, stack_of, with_effect_basis
 from identification.diagnosis.rows.equations import Equation, equations
-from identification.diagnosis.rows.nominal import STATICS, Nominal
-from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.term import Shape
+from identification.effects.effect import Shape
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array, RecordingError
+from identification.views.nominal import STATICS, Nominal
+from identification.views.view import View
 
 ROUNDS = 30
 """Greatest number of Gauss-Newton rounds of one joint fit."""
@@ -238,44 +238,13 @@ def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, 
 
 def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
     """Return the nominal values with those quantities of the effects on which regressors of other
-    effects depend: undeclared load, current offset, torque ripple and efficiency.
+    effects depend.
     """
-    ripple = next(
-        ((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ()
-    )
-    return replace(
-        nominal,
-        undeclared=undeclared_load(effects),
-        zero_A=current_offset(effects),
-        ripple=ripple,
-        efficiency=1.0 / (1.0 + gear_loss(effects)),
-    )
-
-
-def undeclared_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
-    """Return the coefficients of the load torque that turns with the joint and that effects add, as
-    in ``undeclared`` of :class:`Nominal`.
-    """
-    found = {e.term.name: e.coefficients for e in effects}
-    sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
-    slope, constant = found.get("return_spring", (0.0, 0.0))
-    return sine, -cosine, slope, -constant
-
-
-def gear_loss(effects: Sequence[Added]) -> float:
-    """Return 1 / efficiency - 1 of the transmission, from the identified effects."""
-    return sum(
-        max(e.coefficients[0], 0.0)
-        for e in effects
-        if e.term.name == "transmission_efficiency" and e.coefficients
-    )
-
-
-def current_offset(effects: Sequence[Added]) -> float:
-    """Return the logged current at zero true current, from the identified effects, A."""
-    return sum(
-        e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients
-    )
+    nominal = nominal.without_effects()
+    for effect in effects:
+        if effect.coefficients:
+            nominal = effect.term.feeds_back(nominal, effect.shape, effect.coefficients)
+    return nominal
 
 
 class _SingleEffect(NamedTuple):

@@ -20,10 +20,8 @@ from identification.diagnosis.rows.equations import (
     own_noise,
 )
 from identification.diagnosis.rows.row_noise import noise, without_tones
-from identification.diagnosis.rows.view import View
+from identification.views.view import View
 
-FAST_EFFECTS = ("cogging", "torque_ripple", "gear_mesh_ripple")
-"""Effects that may vary by their full amplitude from row to row."""
 LOWER_NOISE_RATIO = 0.5
 """Ratio of the new to the old noise estimate, below which the new estimate is used.
 
@@ -47,7 +45,7 @@ def with_lower_noise(
         baseline: Fit of the nominal model.
         joint: Fit with every effect identified so far.
     """
-    if joint.effects[-1].term.name not in FAST_EFFECTS:
+    if not joint.effects[-1].term.fast:
         return baseline, joint
     before = _with_lower(baseline, [_with_noise_of(e, joint) for e in joint.equations])
     if before is baseline:

@@ -10,11 +10,11 @@ from identification.diagnosis.fit.joint import Joint, nominal_after_effects, sta
 from identification.diagnosis.fit.linear import Added, effect_derivatives
 from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
 from identification.diagnosis.rows.equations import equations
-from identification.diagnosis.rows.nominal import Nominal
 from identification.recording import Array
+from identification.views.nominal import Nominal
 
 SET_BY_EFFECTS = ("fitted_alpha", "presliding_stiffness", "late_s")
-"""Nominal values that an effect sets at the start of a fit (`Term.begin`)."""
+"""Nominal values that an effect sets at the start of a fit (`Effect.begin`)."""
 
 
 def contribution(stack: Stack, effect: Added) -> Array:

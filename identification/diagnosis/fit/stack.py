@@ -24,12 +24,11 @@ from identification.diagnosis.fit.candidate import (
 )
 from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.lateness import delayed_view
-from identification.diagnosis.terms.term import Columns, Shape, Term
+from identification.effects.effect import Columns, Effect, Shape
 from identification.recording import Array
+from identification.views.nominal import Nominal
+from identification.views.view import View, delayed_view
 
 ROUNDING = 1e-9
 """Norm below which a part of an orthonormal column counts as rounding error."""
@@ -121,7 +120,7 @@ class Stack:
             gather=tuple(self.gather[k] for k in kept),
         )
 
-    def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
+    def columns(self, term: Effect, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
         late = term.at_angle and self.nominal.late_s != 0.0
@@ -284,7 +283,7 @@ class Stack:
             share,
         )
 
-    def term(self, term: Term, shape: Shape) -> Candidate | None:
+    def term(self, term: Effect, shape: Shape) -> Candidate | None:
         """Return the score of one effect at one set of nonlinear parameters, or None as in
         :meth:`candidate`.
         """
@@ -309,7 +308,7 @@ def _computed(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Arra
 
 
 def view_regressors(
-    term: Term,
+    term: Effect,
     equation: str,
     nominal: Nominal,
     shape: Shape,

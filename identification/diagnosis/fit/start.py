@@ -11,14 +11,14 @@ import numpy as np
 
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.within_limits import infeasible_as_fitted
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
 from identification.estimate.default import free_names, solve_stages
 from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.model.ladder import LADDER, bears_load
 from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
+from identification.views.nominal import Nominal
+from identification.views.view import View, views
 
 SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
 """Quantiles of the speed between which trial Stribeck speeds are placed, and number of trial

@@ -16,7 +16,7 @@ from identification.diagnosis.gas.constants import (
     VOLUME,
     nominal_constants,
 )
-from identification.diagnosis.gas.terms import GasEffect, effect_at
+from identification.effects.gas_generator import GasEffect, effect_at
 from identification.model import gas_kernel as kernel
 from identification.model.gas_generator import constants
 from identification.numerics.levenberg_marquardt import minimise

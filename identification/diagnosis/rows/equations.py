@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.diagnosis.rows.instants import INSTANTS, voltage_change
-from identification.diagnosis.rows.marks import RISE_SAMPLES
-from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.row_noise import noise, without_tones
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
 from identification.recording import Array
-from identification.signals import BoolArray, central_difference, quantum
+from identification.signals import BoolArray, quantum
+from identification.views.marks import RISE_SAMPLES
+from identification.views.nominal import Nominal, winding_voltage
+from identification.views.view import View
 
 LEAST_BREAKAWAYS = 12
 """Least number of breakaways, over all recordings, for a breakaway equation."""
@@ -330,19 +330,8 @@ def _voltage(views: Sequence[View]) -> Equation | None:
         return None
 
     def measured(view: View) -> Array:
-        bench = view.recording.bench
         assert view.voltage is not None
-        assert view.current is not None
-        assert bench.resistance is not None
-        assert bench.back_emf_constant is not None
-        inductive = (bench.inductance or 0.0) * central_difference(view.current, view.step)
-        emf = bench.back_emf_constant * view.motor_speed
-        return (
-            np.where(np.isnan(view.voltage), 0.0, view.voltage)
-            - bench.resistance * view.current
-            - inductive
-            - emf
-        )
+        return np.where(np.isnan(view.voltage), 0.0, view.voltage) - winding_voltage(view)
 
     unsure = {name: make for name, make in INSTANTS.items() if any(np.any(make(v)) for v in known)}
 

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnosis.rows.view import View
 from identification.recording import Array
 from identification.signals import central_difference, resample
+from identification.views.view import View
 
 
 def voltage_change(view: View) -> Array:

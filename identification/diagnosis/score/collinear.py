@@ -13,10 +13,10 @@ import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Context, Term
+from identification.effects.effect import Context, Effect
 
 
-def collinear_effects(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
+def collinear_effects(baseline: Joint, terms: Sequence[Effect]) -> tuple[str, ...]:
     """Return the names of effects that are collinear with the nominal tangent, whatever their size.
 
     Only effects without nonlinear parameters are tested, because an effect with several trial

@@ -17,7 +17,7 @@ from scipy import stats
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.effects.effect import Context, Effect, Shape
 from identification.recording import Array
 
 
@@ -48,7 +48,7 @@ class _Trial:
     """An effect at trial parameters.
 
     Attributes:
-        term: Term of the effect.
+        term: Effect of the effect.
         shape: Trial values of its nonlinear parameters.
         span: Orthonormal regressors with the tangent projected out, shape (n, k).
         left: Share of the squares of the regressors that remains after the projection.
@@ -56,7 +56,7 @@ class _Trial:
         rows: Number of rows of the effect's equations.
     """
 
-    term: Term
+    term: Effect
     shape: Shape
     span: Array
     left: float
@@ -64,7 +64,7 @@ class _Trial:
     rows: int
 
 
-def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
+def observable(joint: Joint, terms: Sequence[Effect]) -> tuple[Observable, ...]:
     """Return the observability of each effect, in the order of the terms.
 
     Args:
@@ -87,7 +87,7 @@ def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
     return tuple(out)
 
 
-def _trials(stack: Stack, context: Context, term: Term) -> Iterator[_Trial]:
+def _trials(stack: Stack, context: Context, term: Effect) -> Iterator[_Trial]:
     for shape in term.shapes(context):
         columns = stack.columns(term, shape)
         if not columns:

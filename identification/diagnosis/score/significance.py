@@ -15,7 +15,7 @@ from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import families
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Context, Term
+from identification.effects.effect import Context, Effect
 from identification.recording import Array
 
 DRAWS = 999
@@ -29,7 +29,9 @@ is used.
 """
 
 
-def trial_candidates(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
+def trial_candidates(
+    stack: Stack, context: Context, terms: Sequence[Effect]
+) -> Iterator[Candidate]:
     """Yield every effect at all trial parameters for which these recordings give a candidate."""
     for term in terms:
         for shape in term.shapes(context):

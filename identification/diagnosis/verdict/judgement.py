@@ -8,12 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.single_effect import contribution, without_effect
 from identification.diagnosis.fit.stack import Stack
-from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
+from identification.diagnosis.result import (
+    Estimate,
+    IdentifiedEffect,
+    Location,
+    Map,
+    Rival,
+    Verdict,
+)
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.instants import between_samples
 from identification.diagnosis.rules import RULES
@@ -24,6 +30,7 @@ from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.excess import Excess, excess_of
 from identification.diagnosis.verdict.reasons import Kind, Reason, reason_outside
 from identification.diagnosis.verdict.wording import finding
+from identification.effects import EFFECTS
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Array, Bench
@@ -183,7 +190,7 @@ def _open_rivals(taken: Round) -> tuple[str, ...]:
     return tuple(r.name for r in taken.rivals if r.preference < RULES.rejected)
 
 
-def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
+def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffect, ...]:
     """Return every accepted effect with its parameters, rivals and confidence, in the order of
     their selection.
 
@@ -216,8 +223,8 @@ def _effect(
     taken: Round,
     excess: Mapping[str, Excess],
     rng: np.random.Generator,
-) -> Effect:
-    entry = ENTRIES[taken.name]
+) -> IdentifiedEffect:
+    entry = EFFECTS[taken.name]
     motion, amperes = own_bench(found).motion, found.baseline.equations[0].unit == "A"
     units = {q.name: parameter_unit(motion, q.name, q.unit, amperes) for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
@@ -239,7 +246,7 @@ def _effect(
         )
         for r in taken.rivals
     )
-    return Effect(
+    return IdentifiedEffect(
         name=taken.name,
         alias_group=(taken.name, *open_names),
         confidence=confidence,
@@ -278,7 +285,7 @@ def _location_of(
     main = _most_reduced(shown, missing, left, found.final.residual)
     rows = missing.part(main.name)
     before, after = main.sigma * left[rows], main.sigma * found.final.residual[rows]
-    stated = ENTRIES[effect.term.name].coordinate.split(":")[0]
+    stated = effect.term.coordinate.split(":")[0]
     drawn = maps(missing, main, before, after, rng, stated)
     where = location(main, best_map(drawn, stated), before)
     if effect.term.place is None:

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.entry import title
-from identification.diagnosis.result import Effect, Fit, Location, Verdict
-from identification.diagnosis.rows.view import View
+from identification.diagnosis.result import Fit, IdentifiedEffect, Location, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.verdict.reasons import Reason
+from identification.effects import EFFECTS
+from identification.effects.effect import title
 from identification.recording import Dataset
+from identification.views.view import View
 
 MOST = 0.5
 """Share of a mismatch from which a coordinate has most of it."""
@@ -20,7 +20,7 @@ MOST = 0.5
 
 def statement(
     verdict: Verdict,
-    effects: Sequence[Effect],
+    effects: Sequence[IdentifiedEffect],
     main: Fit,
     where: Location | None,
     p_value: float,
@@ -97,7 +97,7 @@ def warnings_of(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -
     if unseen:
         warnings.append(
             f"{unobservable_sentence(unseen)}; an experiment that would show this: "
-            f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
+            f"{' '.join(EFFECTS[n].experiment for n in unseen)}"
         )
     if not dataset.part("validate"):
         warnings.append(

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.instants import between_samples
@@ -21,6 +20,7 @@ from identification.diagnosis.verdict.excess import (
 )
 from identification.diagnosis.verdict.judgement import effects_of, little_unseen
 from identification.diagnosis.verdict.reasons import Kind, Reason
+from identification.effects.effect import title
 
 _ENDS: Mapping[str, str] = {
     "stop": "the best candidate of the catalogue",

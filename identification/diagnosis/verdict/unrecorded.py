@@ -4,31 +4,13 @@ they have no common clock, or because the bench has no angle with which the effe
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
-from identification.diagnosis.catalogue.entry import title
-from identification.diagnosis.rows.clock import one_clock
-from identification.diagnosis.rows.view import View, lacks_common_origin
+from identification.effects import MOTION
+from identification.effects.effect import Needs, title
 from identification.model.units import LINEAR
 from identification.recording import Bench, Recording
-
-LOCAL_EFFECTS = (
-    "gravity_imbalance",
-    "return_spring",
-    "end_stop",
-    "position_dependent_friction",
-    "load_position_dependence",
-)
-"""Effects at a fixed angle, which cannot be found if the angles of the recordings have no common
-origin.
-"""
-
-OF_A_TURN = ("gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
-"""Effects that are periodic in the angle of the joint, which a linear bench does not have."""
-OF_THE_MOTOR = ("cogging", "torque_ripple")
-"""Effects that are periodic in the angle of the motor, which can be found on a linear bench only if
-its gear ratio (rad/m) is known.
-"""
+from identification.views.view import View, lacks_common_origin, one_clock
 
 
 def unrecorded_effects(
@@ -40,13 +22,14 @@ def unrecorded_effects(
         fitted: Recordings to fit.
         views: Views of these recordings.
     """
-    names = set(_not_on(fitted[0].bench))
+    absent = _not_on(fitted[0].bench)
     warnings = []
     if lacks_common_origin(views):
-        names.update(LOCAL_EFFECTS)
+        absent |= {Needs.COMMON_ZERO}
+        local = [title(e.name) for e in MOTION if Needs.COMMON_ZERO in e.needs]
         warnings.append(
             "only speed was recorded, no angle: the angle of each recording is counted from its "
-            f"first sample, so that effects at a fixed angle ({_titles(LOCAL_EFFECTS)}) are not "
+            f"first sample, so that effects at a fixed angle ({', '.join(local)}) are not "
             "searched for, and each recording has phases of its own"
         )
     if not one_clock(fitted):
@@ -55,17 +38,14 @@ def unrecorded_effects(
             "running time counted from its first sample; if the start times are known, state "
             "`start` in the campaign file"
         )
-    return frozenset(names), tuple(warnings)
+    return frozenset(e.name for e in MOTION if e.needs & absent), tuple(warnings)
 
 
-def _not_on(bench: Bench) -> tuple[str, ...]:
-    """Return the effects that are periodic in an angle that the bench, by its description, does not
-    have.
+def _not_on(bench: Bench) -> frozenset[Needs]:
+    """Return which angles the bench, by its description, does not have; on a linear bench the angle
+    of the motor is known only if the gear ratio (rad/m) is known.
     """
     if bench.motion != LINEAR:
-        return ()
-    return OF_A_TURN if bench.gear_ratio != 1.0 else (*OF_A_TURN, *OF_THE_MOTOR)
-
-
-def _titles(names: Collection[str]) -> str:
-    return ", ".join(title(n) for n in names)
+        return frozenset()
+    motor = {Needs.MOTOR_TURN} if bench.gear_ratio == 1.0 else set()
+    return frozenset({Needs.JOINT_TURN, *motor})

@@ -13,8 +13,8 @@ import math
 from collections.abc import Mapping, Sequence
 from string import Formatter
 
-from identification.diagnosis.catalogue.entry import Entry, title
 from identification.diagnosis.result import Estimate
+from identification.effects.effect import Effect, title
 
 COUNT = "1/turn"
 """Unit that the sentence of the catalogue states in words, so that it is not printed."""
@@ -40,7 +40,7 @@ _CHOICE = "?"
 
 
 def sentence(
-    entry: Entry,
+    entry: Effect,
     estimates: Mapping[str, Estimate],
     recordings: Sequence[str] = (),
     channel: str = "current",
@@ -69,7 +69,7 @@ def sentence(
 
 
 def finding(
-    entry: Entry,
+    entry: Effect,
     estimates: Mapping[str, Estimate],
     recordings: Sequence[str] = (),
     channel: str = "current",
