@@ -80,11 +80,7 @@ def oracle(
         joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
     aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
     before, after = validation_rms(baseline, aside, unit), validation_rms(joint, aside, unit)
-    # The breakaway equation is not used: it has one row per rest, and its noise is large because
-    # the instant of a breakaway is known only to within one sample.
-    noise = {
-        e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"
-    }
+    noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.judges}
     if not noise:
         return None
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)

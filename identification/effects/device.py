@@ -21,7 +21,6 @@ from identification.effects.effect import (
     Quantity,
     Separation,
     Shape,
-    cartesian,
     everywhere,
     of_each_recording,
     polar,
@@ -81,6 +80,10 @@ def label_kg(view: View) -> float:
     return view.recording.weight_mass if view.loaded or pendulum is None else pendulum.mass
 
 
+def _has_lever_weight(view: View) -> bool:
+    return view.recording.weight_mass > 0.0
+
+
 def _has_weight(view: View) -> bool:
     return view.recording.pendulum is not None
 
@@ -132,19 +135,13 @@ class GravityImbalance(Effect):
     )
     shape_error = EXACT
     enters = ("torque", "breakaway")
+    polar = ("torque_Nm", "zero_rad")
     needs = frozenset({Needs.COMMON_ZERO, Needs.JOINT_TURN})
     declared_by = "gravity"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(np.sin(view.angle), -np.cos(view.angle))
-
-    def read(self, c: Array, _shape: Shape, _context: Context) -> Mapping[str, float]:
-        torque = float(np.hypot(c[0], c[1]))
-        return {"torque_Nm": torque, "zero_rad": float(np.arctan2(c[1], c[0]))}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (), cartesian(values["torque_Nm"], values["zero_rad"])
 
     def feeds_back(
         self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
@@ -287,6 +284,7 @@ class LoadExponent(Effect):
     follows = True
     shape_error = CLOSE
     enters = ("torque", "breakaway")
+    nonlinear = ("exponent",)
 
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -317,14 +315,13 @@ class LoadPositionDependence(Effect):
     follows = True
     shape_error = CLOSE
     enters = ("torque", "breakaway")
+    linear = "slope_per_rad"
+    shown_by = staticmethod(_is_loaded)
     needs = frozenset({Needs.COMMON_ZERO})
 
     @staticmethod
     def torque(view: View, nominal: Nominal, _shape: Shape) -> Array:
         return rows(_load(view, nominal) * view.angle)
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, _is_loaded)
 
 
 class WrongWeight(Effect):
@@ -463,13 +460,12 @@ class LoadInertia(Effect):
     positive = (0,)
     shape_error = EXACT
     enters = ("torque", "breakaway")
+    linear = "inertia_kgm2"
+    shown_by = staticmethod(_has_lever_weight)
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(view.acceleration * (view.recording.weight_mass / REFERENCE_MASS_KG))
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, lambda v: v.recording.weight_mass > 0.0)
 
 
 class LeverPivotFriction(Effect):
@@ -493,6 +489,7 @@ class LeverPivotFriction(Effect):
     positive = (0,)
     shape_error = CLOSE
     enters = ("torque", "breakaway")
+    linear = "torque_Nm"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -525,6 +522,7 @@ class LoadDependentFriction(Effect):
     positive = (0,)
     follows = True
     enters = ("torque", "breakaway")
+    linear = "coefficient"
     fitted_by_estimators = True
 
     @staticmethod

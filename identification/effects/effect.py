@@ -197,6 +197,15 @@ class Effect:
             it.
         declared_by: Key of a campaign's recordings that declares such a load if it is known; empty
             if there is none.
+        nonlinear: Parameters of the catalogue that are nonlinear parameters, in their order; a
+            number is the value, at given parameters, of a nonlinear parameter that the catalogue
+            does not have.
+        linear: Parameter of the catalogue that is the only coefficient; empty if it is another
+            function of the coefficients, or if nonlinear parameters determine the size.
+        polar: Parameters of the catalogue that are amplitude and phase of a pair of coefficients.
+        trials: Trial values of the nonlinear parameters.
+        shown_by: Function that returns whether a recording can show the effect; None for every
+            recording.
         refine: Index of each continuous nonlinear parameter to the half width of its search around
             the trial value; 0 for a parameter that is searched within a factor.
         forms: Index of a nonlinear parameter that selects the form of the effect to the values of
@@ -237,6 +246,11 @@ class Effect:
     needs: frozenset[Needs] = frozenset()
     fitted_by_estimators = False
     declared_by = ""
+    nonlinear: tuple[str | float, ...] = ()
+    linear = ""
+    polar: tuple[str, ...] = ()
+    trials: Sequence[Shape] = NO_SHAPE
+    shown_by: Callable[[View], bool] | None = None
     refine: Mapping[int, float] = {}
     forms: Mapping[int, tuple[float, ...]] = {}
     positive: tuple[int, ...] = ()
@@ -275,24 +289,31 @@ class Effect:
         """Whether nonlinear parameters are within their limits."""
         return all(low <= shape[k] <= high for k, (low, high) in self.limits.items())
 
-    def shapes(self, _context: Context) -> Sequence[Shape]:
+    def shapes(self, context: Context) -> Sequence[Shape]:
         """Return the trial values of the nonlinear parameters; empty if these recordings cannot
         show the effect.
         """
-        return NO_SHAPE
+        shown = self.shown_by
+        return self.trials if shown is None else everywhere(context, shown, self.trials)
 
     def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        """Return the parameters of the catalogue at fitted coefficients ``c``: by default of the
-        only coefficient, or of the first nonlinear parameter if it determines the size.
-        """
-        return {self.parameters[0].name: float(c[0]) if self.size is None else shape[0]}
+        """Return the parameters of the catalogue at fitted coefficients ``c``."""
+        found = dict(zip(self.nonlinear, shape, strict=True))
+        if self.polar:
+            found |= zip(self.polar, polar(float(c[0]), float(c[1])), strict=True)
+        elif self.linear:
+            found[self.linear] = float(c[0])
+        return {q.name: float(found[q.name]) for q in self.parameters}
 
     def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        """Return nonlinear parameters and coefficients at parameters of the catalogue; the
-        inverse of :meth:`read`.
+        """Return nonlinear parameters and coefficients at parameters of the catalogue; the inverse
+        of :meth:`read`. A parameter ``recording`` counts from 1.
         """
-        value = values[self.parameters[0].name]
-        return ((), (value,)) if self.size is None else ((value,), (self.size,))
+        given = {**values, "recording": values.get("recording", 1.0) - 1.0}
+        shape = tuple(given[n] if isinstance(n, str) else n for n in self.nonlinear)
+        if self.polar:
+            return shape, cartesian(given[self.polar[0]], given[self.polar[1]])
+        return shape, (given[self.linear] if self.linear else self.size or 0.0,)
 
     def begin(self, nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
         """Return the nominal values and nonlinear parameters from which a joint fit starts."""

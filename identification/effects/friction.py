@@ -151,6 +151,7 @@ class AsymmetricCoulomb(Effect):
     )
     shape_error = EXACT
     enters = ("torque", "breakaway")
+    linear = "torque_Nm"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -180,6 +181,7 @@ class AsymmetricViscous(Effect):
     )
     shape_error = CLOSE
     enters = ("torque", "breakaway")
+    linear = "coefficient_Nms_rad"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -208,6 +210,7 @@ class QuadraticDrag(Effect):
     )
     positive = (0,)
     enters = ("torque", "breakaway")
+    linear = "coefficient_Nms2_rad2"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -245,6 +248,7 @@ class StribeckShape(Effect):
     follows = True
     limits = {0: (0.3, 8.0)}
     enters = ("torque",)
+    nonlinear = ("alpha", 1.0)
 
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -263,9 +267,6 @@ class StribeckShape(Effect):
             for a in ALPHAS
             for share in SAME_FALL
         ]
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["alpha"], 1.0), (1.0,)
 
     def begin(self, nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
         alpha, wider = shape
@@ -308,6 +309,8 @@ class FrictionMemory(Effect):
     follows = True
     shape_error = EXACT
     enters = ("torque",)
+    nonlinear = ("time_s", "of_speed")
+    trials = LAGS
 
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -326,15 +329,6 @@ class FrictionMemory(Effect):
             )
             return rows(late - level)
         return rows(view.sense * (late - level))
-
-    def shapes(self, _context: Context) -> Sequence[Shape]:
-        return LAGS
-
-    def read(self, _c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"time_s": shape[0], "of_speed": shape[1]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["time_s"], values["of_speed"]), (1.0,)
 
 
 class DwellStaticFriction(Effect):
@@ -366,21 +360,15 @@ class DwellStaticFriction(Effect):
     refine = {0: 0.0}
     positive = (0,)
     enters = ("breakaway",)
+    nonlinear = ("time_s",)
+    linear = "growth_Nm"
+    trials = DWELLS_S
 
     @staticmethod
     def breakaway(view: View, _nominal: Nominal, shape: Shape) -> Array:
         ends = np.concatenate(([False], view.still[:-1] & ~view.still[1:]))
         grown = 1.0 - np.exp(-_last_rest(view) / shape[0])
         return rows(view.sense * grown * (view.still | ends))
-
-    def shapes(self, _context: Context) -> Sequence[Shape]:
-        return DWELLS_S
-
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"growth_Nm": float(c[0]), "time_s": shape[0]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["time_s"],), (values["growth_Nm"],)
 
 
 class Presliding(Effect):
@@ -406,6 +394,7 @@ class Presliding(Effect):
     follows = True
     shape_error = CLOSE
     enters = ("torque",)
+    nonlinear = ("stiffness_Nm_rad",)
 
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -460,6 +449,8 @@ class PositionDependentFriction(Effect):
     at_angle = True
     shape_error = CLOSE
     enters = ("torque", "breakaway")
+    nonlinear = ("center_rad", "width_rad")
+    linear = "torque_Nm"
     needs = frozenset({Needs.COMMON_ZERO})
 
     @staticmethod
@@ -471,12 +462,6 @@ class PositionDependentFriction(Effect):
         high = max(float(np.max(v.angle)) for v in context.views)
         centres = np.linspace(low, high, PATCH_CENTRES + 2)[1:-1]
         return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
-
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"torque_Nm": float(c[0]), "center_rad": shape[0], "width_rad": shape[1]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["center_rad"], values["width_rad"]), (values["torque_Nm"],)
 
 
 class ViscousThermalDrift(Effect):
@@ -557,17 +542,11 @@ class CoulombDrift(Effect):
     refine = {0: 0.0}
     shape_error = EXACT
     enters = ("torque", "breakaway")
+    nonlinear = ("time_s",)
+    linear = "rate_Nm_s"
+    trials = (*WARM_UPS_S, (STEADY_S,))
     start = {"torque": _coulomb_start, "breakaway": _coulomb_start}
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, shape: Shape) -> Array:
         return rows(-view.sense * shape[0] * np.expm1(-view.run_time / shape[0]))
-
-    def shapes(self, _context: Context) -> Sequence[Shape]:
-        return (*WARM_UPS_S, (STEADY_S,))
-
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"rate_Nm_s": float(c[0]), "time_s": shape[0]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["time_s"],), (values["rate_Nm_s"],)

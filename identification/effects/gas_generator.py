@@ -46,7 +46,7 @@ class GasGeneratorEffect(Effect):
     sizes: Mapping[str, Size]
 
     @property
-    def trials(self) -> tuple[Shape, ...]:
+    def start_values(self) -> tuple[Shape, ...]:
         """Trial values of all parameters after the first, the nonlinear parameters."""
         return tuple(itertools.product(*(s.trials for s in list(self.sizes.values())[1:])))
 

@@ -19,7 +19,6 @@ from identification.effects.effect import (
     Quantity,
     Separation,
     Shape,
-    cartesian,
     everywhere,
     of_each_recording,
     polar,
@@ -223,9 +222,9 @@ def change_at_zero(views: Sequence[View]) -> float:
     return float(np.median(changes)) if len(changes) >= LEAST_CROSSINGS else 0.0
 
 
-def with_voltage(context: Context, shapes: Sequence[Shape]) -> Sequence[Shape]:
-    """Return the trial parameters if a recording has current and voltage, else an empty list."""
-    return everywhere(context, lambda v: has_current(v) and v.voltage is not None, shapes)
+def has_voltage(view: View) -> bool:
+    """Whether a recording has current and voltage, and its bench a torque constant."""
+    return has_current(view) and view.voltage is not None
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
@@ -252,6 +251,7 @@ class _Wave(Effect):
     """Torque that is periodic in the motor's angle."""
 
     enters = ("torque",)
+    nonlinear = ("per_motor_turn",)
     on_drive = True
     fast = True
     needs = frozenset({Needs.MOTOR_TURN})
@@ -271,10 +271,6 @@ class _Wave(Effect):
             "phase_rad": waves[0][1],
         }
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        amplitude = values[self.parameters[0].name]
-        return (values["per_motor_turn"],), cartesian(amplitude, values["phase_rad"])
-
 
 class _Drop(Effect):
     """Voltage that is lost with the sign of the current: the nonlinear parameters are the range of
@@ -283,6 +279,7 @@ class _Drop(Effect):
     """
 
     enters = ("voltage",)
+    linear = "voltage_V"
     refine = {0: 0.0}
     positive = (0,)
     shares: tuple[float, ...]
@@ -294,7 +291,9 @@ class _Drop(Effect):
             return ()
         greatest_A = float(np.nanquantile(np.concatenate(currents), GREATEST_QUANTILE))
         zero_A = context.nominal.zero_A
-        return with_voltage(context, [(share, zero_A, greatest_A) for share in self.shares])
+        return everywhere(
+            context, has_voltage, [(share, zero_A, greatest_A) for share in self.shares]
+        )
 
     def begin(self, nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
         # The drop has the sign of the true current: the offset of the current sensor may exceed the
@@ -331,6 +330,7 @@ class Cogging(_Wave):
         "current (phase {phase_rad:deg})"
     )
     shape_error = EXACT
+    polar = ("torque_Nm", "phase_rad")
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -368,6 +368,7 @@ class TorqueRipple(_Wave):
         "per motor turn (phase {phase_rad:deg})"
     )
     follows = True
+    polar = ("fraction", "phase_rad")
 
     # The torque of the mean torque constant is the required torque divided by one plus the ripple.
     # If the divisor does not contain the ripple identified so far, the square of the ripple
@@ -416,6 +417,7 @@ class TorqueSaturation(Effect):
     size = 1.0
     follows = True
     enters = ("torque", "breakaway")
+    nonlinear = ("knee_A", "rational")
     on_drive = True
 
     @staticmethod
@@ -446,12 +448,6 @@ class TorqueSaturation(Effect):
         )
         return [(k * greatest, rational) for rational in TANH_OR_RATIONAL for k in KNEES]
 
-    def read(self, _c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"knee_A": shape[0], "rational": shape[1]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["knee_A"], values["rational"]), (1.0,)
-
 
 class CurrentLoopLag(Effect):
     """First-order lag of the torque behind the logged current."""
@@ -478,14 +474,13 @@ class CurrentLoopLag(Effect):
     follows = True
     shape_error = EXACT
     enters = ("torque",)
+    linear = "time_s"
+    shown_by = staticmethod(has_current)
     on_drive = True
 
     @staticmethod
     def torque(view: View, nominal: Nominal, _shape: Shape) -> Array:
         return rows(central_difference(nominal.drive(view), view.step))
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, has_current)
 
 
 class InverterDeadTime(_Drop):
@@ -513,9 +508,7 @@ class InverterDeadTime(_Drop):
     limits = {0: STEP_SHARES}
 
     shares = (0.005, 0.02)
-
-    def at(self, values: Mapping[str, float], nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (SHARP_A, nominal.zero_A, 1.0), (values["voltage_V"],)
+    nonlinear = (SHARP_A, 0.0, 1.0)
 
 
 class BrushDrop(_Drop):
@@ -542,12 +535,10 @@ class BrushDrop(_Drop):
     limits = {0: ROUNDED_SHARES}
 
     shares = (0.05, 0.1, 0.2)
+    nonlinear = ("current_A", 0.0, 1.0)
 
     def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
         return {"voltage_V": float(c[0]), "current_A": shape[0] * shape[2]}
-
-    def at(self, values: Mapping[str, float], nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["current_A"], nominal.zero_A, 1.0), (values["voltage_V"],)
 
     def indistinct(self, parameters: Mapping[str, float], views: Sequence[View]) -> tuple[str, ...]:
         # Over a range of current that passes within one sample period, the drop may be the step of
@@ -596,6 +587,8 @@ class WindingHeating(Effect):
     positive = (0,)
     follows = True
     enters = ("voltage", "torque")
+    nonlinear = ("time_s", 0.0, "magnet")
+    linear = "rise_K_per_W"
     on_drive = True
     start = {"voltage": _warm_start_voltage, "torque": _warm_start_torque}
 
@@ -610,13 +603,9 @@ class WindingHeating(Effect):
 
     def shapes(self, context: Context) -> Sequence[Shape]:
         count = float(1 + max(v.index for v in context.views))
-        return with_voltage(context, [(t, count, WITH_MAGNETS[0]) for t in THERMAL_TIMES_S])
-
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"rise_K_per_W": float(c[0]), "time_s": shape[0], "magnet": shape[2]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["time_s"], 0.0, values["magnet"]), (values["rise_K_per_W"],)
+        return everywhere(
+            context, has_voltage, [(t, count, WITH_MAGNETS[0]) for t in THERMAL_TIMES_S]
+        )
 
 
 class SupplySag(Effect):
@@ -641,6 +630,8 @@ class SupplySag(Effect):
     )
     positive = (0,)
     enters = ("voltage",)
+    linear = "resistance_ohm"
+    shown_by = staticmethod(has_voltage)
 
     @staticmethod
     def voltage(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -653,6 +644,3 @@ class SupplySag(Effect):
             else float(np.max(np.abs(volts)))
         )
         return rows(volts**2 * view.current / supply**2)
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return with_voltage(context, ((),))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import pi
 
@@ -17,9 +17,6 @@ from identification.effects.effect import (
     Quantity,
     Separation,
     Shape,
-    cartesian,
-    everywhere,
-    polar,
     rows,
 )
 from identification.effects.motor import CurrentLoopLag, has_current
@@ -88,6 +85,7 @@ class TimeSkew(Effect):
     size = 1.0
     follows = True
     enters = ("torque", "voltage")
+    nonlinear = ("time_s", 0.0)
     on_drive = True
     # The parameters of the catalogue do not state whether the voltage has the skew.
     modelled = ("torque",)
@@ -121,9 +119,6 @@ class TimeSkew(Effect):
             return alone
         return [*alone, *((*shape, *WITH_VOLTAGE) for shape in SKEWS_S)]
 
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["time_s"], 0.0), (1.0,)
-
     def begin(self, nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
         return replace(nominal, late_s=shape[0]), shape
 
@@ -149,6 +144,9 @@ class TransportDelay(Effect):
     size = 1.0
     shape_error = EXACT
     enters: tuple[str, ...] = ("transmission",)
+    nonlinear = ("time_s",)
+    trials = DELAYS_S
+    shown_by = staticmethod(both_encoders)
 
     @staticmethod
     def transmission(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -156,9 +154,6 @@ class TransportDelay(Effect):
         # of this product is far above the noise of the encoders.
         logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
         return rows(delayed_series(logged, view.step, -shape[0]) - logged)
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, both_encoders, DELAYS_S)
 
     def on_the_joint(self) -> Effect:
         return _DelayOfFriction()
@@ -201,12 +196,11 @@ class CurrentOffset(Effect):
     sentence = "the current reads {current_A:abs mA} too {current_A:?high/low}"
     shape_error = EXACT
     enters = ("torque", "breakaway", "voltage")
+    linear = "current_A"
+    shown_by = staticmethod(has_current)
     on_drive = True
     torque = staticmethod(_current_offset)
     voltage = staticmethod(_current_offset_voltage)
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, has_current)
 
     def feeds_back(
         self, nominal: Nominal, _shape: Shape, coefficients: tuple[float, ...]
@@ -245,6 +239,10 @@ class CurrentDrift(Effect):
     limits = {0: ZEROED_S}
     shape_error = EXACT
     enters = ("torque", "breakaway", "voltage")
+    nonlinear = (0.0,)
+    linear = "rate_A_s"
+    trials = ((0.5 * ZEROED_S[1],),)
+    shown_by = staticmethod(has_current)
     on_drive = True
 
     @staticmethod
@@ -254,12 +252,6 @@ class CurrentDrift(Effect):
     @staticmethod
     def voltage(view: View, nominal: Nominal, shape: Shape) -> Array:
         return _current_offset_voltage(view, nominal, shape) * _drift(view, shape)
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, has_current, ((0.5 * ZEROED_S[1],),))
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (0.0,), (values["rate_A_s"],)
 
 
 class EncoderEccentricity(Effect):
@@ -288,21 +280,13 @@ class EncoderEccentricity(Effect):
     )
     shape_error = EXACT
     enters = ("transmission",)
+    polar = ("amplitude_rad", "phase_rad")
+    shown_by = staticmethod(both_encoders)
     needs = frozenset({Needs.JOINT_TURN})
 
     @staticmethod
     def transmission(view: View, _nominal: Nominal, _shape: Shape) -> Array:
         return rows(-np.sin(view.angle), -np.cos(view.angle))
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, both_encoders)
-
-    def read(self, c: Array, _shape: Shape, _context: Context) -> Mapping[str, float]:
-        amplitude, phase = polar(float(c[0]), float(c[1]))
-        return {"amplitude_rad": amplitude, "phase_rad": phase}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (), cartesian(values["amplitude_rad"], values["phase_rad"])
 
 
 class EncoderSlip(Effect):
@@ -330,6 +314,8 @@ class EncoderSlip(Effect):
     refine = {1: 3.0}
     shape_error = EXACT
     enters = ("transmission",)
+    nonlinear = ("recording", "at_s")
+    linear = "angle_rad"
 
     @staticmethod
     def transmission(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -344,9 +330,3 @@ class EncoderSlip(Effect):
                 times = np.linspace(0.0, length, SLIPS_PER_RECORDING + 2)[1:-1]
                 shapes += [(float(view.index), float(t)) for t in times]
         return shapes
-
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"angle_rad": float(c[0]), "at_s": shape[1]}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return (values["recording"] - 1.0, values["at_s"]), (values["angle_rad"],)

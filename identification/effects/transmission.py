@@ -21,9 +21,7 @@ from identification.effects.effect import (
     Quantity,
     Separation,
     Shape,
-    cartesian,
     everywhere,
-    polar,
     rows,
 )
 from identification.numerics.series import falling_play, first_swing, play, sine_cosine
@@ -217,6 +215,7 @@ class Backlash(Clearance, Effect):
     size = 1.0
     varies = ("transmission",)
     enters = ("transmission",)
+    nonlinear = ("gap_rad", 0.0, 0.0, 0.0)
     flexible = True
     torque_rises = False
 
@@ -237,9 +236,6 @@ class Backlash(Clearance, Effect):
                 for gap in at_scale(GAPS_RAD, context.views)
             ],
         )
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return Gap(values["gap_rad"], 0.0, 0.0, 0.0), (1.0,)
 
     def travel_and_rotor(self, shape: Shape) -> tuple[float, float]:
         return Gap(*shape).width, Gap(*shape).rotor
@@ -280,6 +276,7 @@ class Compliance(Effect):
     positive = (0,)
     shape_error = EXACT
     enters = ("transmission",)
+    shown_by = staticmethod(both_encoders)
     flexible = True
 
     @staticmethod
@@ -287,9 +284,6 @@ class Compliance(Effect):
         torque, speed = view.transmitted, view.motor_speed / view.recording.bench.gear_ratio
         damping = -central_difference(torque, view.step)
         return rows(torque, -view.rotor_acceleration, damping, -view.sense, -speed)
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, both_encoders)
 
     def read(self, c: Array, _shape: Shape, _context: Context) -> Mapping[str, float]:
         return {"stiffness_Nm_rad": 1.0 / float(c[0])}
@@ -334,6 +328,10 @@ class GearMeshRipple(Effect):
     at_angle = True
     follows = True
     enters = ("transmission", "torque")
+    nonlinear = ("per_turn", "with_torque")
+    polar = ("amplitude_rad", "phase_rad")
+    trials = TEETH
+    shown_by = staticmethod(both_encoders)
     on_drive = True
     flexible = True
     fast = True
@@ -354,22 +352,6 @@ class GearMeshRipple(Effect):
         np.multiply(torque, sine, out=out[1])
         np.negative(out[0], out=out[0])
         return out
-
-    def shapes(self, context: Context) -> Sequence[Shape]:
-        return everywhere(context, both_encoders, TEETH)
-
-    def read(self, c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        amplitude, phase = polar(float(c[0]), float(c[1]))
-        return {
-            "amplitude_rad": amplitude,
-            "per_turn": shape[0],
-            "phase_rad": phase,
-            "with_torque": shape[1],
-        }
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        shape = values["per_turn"], values["with_torque"]
-        return shape, cartesian(values["amplitude_rad"], values["phase_rad"])
 
 
 class TransmissionEfficiency(Effect):
@@ -455,6 +437,7 @@ class CouplingHysteresis(Clearance, Effect):
     positive = (0,)
     size = 1.0
     enters = ("transmission",)
+    nonlinear = ("torque_Nm", 0.0, "deflection_rad", 0.0, 0.0)
     flexible = True
     torque_rises = True
 
@@ -486,12 +469,6 @@ class CouplingHysteresis(Clearance, Effect):
             (width, rotor, deflection, 0.5 * TWIST_COUNTS[1], per_torque)
             for width, deflection in sizes
         ]
-
-    def read(self, _c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        return {"deflection_rad": Loop(*shape).deflection, "torque_Nm": Loop(*shape).torque}
-
-    def at(self, values: Mapping[str, float], _nominal: Nominal) -> tuple[Shape, tuple[float, ...]]:
-        return Loop(values["torque_Nm"], 0.0, values["deflection_rad"], 0.0, 0.0), (1.0,)
 
     def travel_and_rotor(self, shape: Shape) -> tuple[float, float]:
         return 2.0 * Loop(*shape).deflection, Loop(*shape).rotor

@@ -4,7 +4,9 @@ exist.
 
 from __future__ import annotations
 
+import ast
 import math
+from pathlib import Path
 from string import Formatter
 
 import pytest
@@ -135,3 +137,24 @@ def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found
 
 def test_without_an_interval_the_value_stands_alone() -> None:
     assert readable(Estimate(0.0031, math.nan, math.nan, "s"), "ms") == "3.1 ms"
+
+
+SIMULATED = ("drivers/mock/", "rig/results/prove/", "rig/config/faults.py", "rig/fault_injection/")
+"""Where effects are injected: the simulated machine, blind trials on it, and faults of a simulated
+bench. It is written separately from the diagnosis, so that finding an effect proves something.
+"""
+
+
+def test_nothing_but_the_effects_and_the_simulated_machine_names_an_effect() -> None:
+    root = Path(__file__).parents[2]
+    found = []
+    for file in (
+        f for top in ("identification", "rig", "drivers") for f in (root / top).rglob("*.py")
+    ):
+        place = file.relative_to(root).as_posix()
+        if not place.startswith(("identification/effects/", *SIMULATED)):
+            texts = (
+                n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Constant)
+            )
+            found += [f"{place}:{n.lineno} {n.value}" for n in texts if n.value in EFFECTS]
+    assert found == []

@@ -57,7 +57,7 @@ def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
     """Return an equation with the noise that is estimated from the residual of a fit, but at most
     the present noise.
     """
-    if equation.name == "breakaway":
+    if not equation.judges:
         return equation
     rest = without_tones(
         joint.residual[joint.stack.part(equation.name)], equation.owner, equation.time

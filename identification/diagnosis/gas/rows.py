@@ -116,7 +116,7 @@ def candidates(
     the unit of the effect.
     """
     for term in terms:
-        for shape in term.trials:
+        for shape in term.start_values:
             columns = {PRESSURE: padded_rows(stack, slope(burns, fitted, term, shape)[:, None])}
             found = stack.candidate(term.name, shape, columns)
             if found is not None:
@@ -131,7 +131,7 @@ def starts(
     first.
     """
     found = []
-    for shape in term.trials:
+    for shape in term.start_values:
         column = stack.projected(
             stack.whitened(
                 {PRESSURE: padded_rows(stack, slope(burns, fitted, term, shape)[:, None])}

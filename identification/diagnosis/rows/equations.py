@@ -44,6 +44,11 @@ no noise.
 """
 ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
 """Error of the most accurate encoders for one turn, rad."""
+AT_INSTANTS = frozenset({"breakaway"})
+"""Equations that hold at instants alone, with one row per instant; the other equations hold
+throughout, and their rows are outputs of the filter. An equation at instants judges no model: it
+has few rows, and their noise is large because an instant is known only to within one sample.
+"""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -81,6 +86,11 @@ class Equation:
     sigma: float
     own: Mapping[int, float] = field(default_factory=dict)
     accuracy: float = 0.0
+
+    @property
+    def judges(self) -> bool:
+        """Whether the equation judges models."""
+        return self.name not in AT_INSTANTS
 
     def allowed(self) -> Array:
         """Return the mean square of noise and sensor error of each row over the square of
@@ -133,7 +143,7 @@ def _stack(
     parts = []
     for view, at in zip(views, places, strict=True):
         series = np.atleast_2d(per_view(view))
-        if name == "breakaway":
+        if name in AT_INSTANTS:
             parts.append((series[:, view.breakaways] * _sharpness(view))[:, at].T)
         else:
             parts.append(view.low_pass.chosen(series, at))
@@ -157,7 +167,7 @@ def _build(
     counts = [int(np.sum(k)) for k in kept]
     owner = np.repeat([v.index for v in views], counts)
     times = [
-        (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k]
+        (v.time[v.breakaways] if name in AT_INSTANTS else v.kept_times)[k]
         for v, k in zip(views, kept, strict=True)
     ]
     columns = _stack(name, views, places, tangent)
@@ -169,7 +179,7 @@ def _build(
         return replace(found, sigma=before.sigma, own=before.own, accuracy=before.accuracy)
     basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     rest = residual - basis @ (basis.T @ residual)
-    if name == "breakaway":
+    if name in AT_INSTANTS:
         scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
         return replace(found, sigma=max(scatter, least_noise(found)))
     rest = without_tones(rest, owner, when)

@@ -30,7 +30,8 @@ def collinear_effects(baseline: Joint, terms: Sequence[Effect]) -> tuple[str, ..
     context = Context(baseline.equations[0].views, baseline.nominal)
     stack = baseline.stack
     judging = np.ones(len(stack.residual), dtype=bool)
-    judging[stack.part("breakaway")] = False
+    for equation in stack.equations:
+        judging[stack.part(equation.name)] = equation.judges
     found = []
     for term in terms:
         shapes = list(term.shapes(context))

@@ -193,7 +193,7 @@ def size_p_value(joint: Joint, only: str = "") -> float:
     """
     chances = []
     for equation in joint.equations:
-        if equation.name == "breakaway" or (only and equation.name != only):
+        if not equation.judges or (only and equation.name != only):
             continue
         rows = over_own_noise(joint, equation)
         powers = np.minimum(np.abs(rows), RULES.outlier) ** 2

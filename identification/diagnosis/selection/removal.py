@@ -14,6 +14,7 @@ from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.start import feasible_or_first
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step
+from identification.diagnosis.rows.equations import AT_INSTANTS
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import (
     Contender,
@@ -200,7 +201,7 @@ def with_best_rivals(
 
 def share_equation(one: Effect, other: Effect) -> bool:
     """Whether two effects appear in the same equation and so can replace each other."""
-    return bool((one.columns.keys() & other.columns.keys()) - {"breakaway"})
+    return bool((one.columns.keys() & other.columns.keys()) - AT_INSTANTS)
 
 
 def left_beyond_noise(joint: Joint, term: Effect) -> float:
@@ -213,12 +214,10 @@ def left_beyond_noise(joint: Joint, term: Effect) -> float:
 def judging_equations(joint: Joint, term: Effect) -> list[str]:
     """Return the names of the equations by which an effect is judged.
 
-    The breakaway equation has one row per rest, and its noise is large because the time of the
-    breakaway is known only to within one sample. Therefore the breakaway equation judges only
-    effects that appear in no other equation.
+    An equation at instants judges only effects that appear in no other equation.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
-    return [name for name in names if name != "breakaway" or len(names) == 1]
+    return [name for name in names if name not in AT_INSTANTS or len(names) == 1]
 
 
 def _judging_rows(joint: Joint, term: Effect) -> list[slice]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.diagnosis.rows.equations import AT_INSTANTS
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import greatest_mean_square, level
 from identification.diagnosis.selection.search import Search
@@ -63,7 +64,7 @@ def judged_equation(found: Search) -> Excess:
     one of them has a mismatch. A mismatch in any other equation has another cause, and is reported
     in addition to the identified effects.
     """
-    judges = [e for e in excess_of(found) if e.equation != "breakaway"]
+    judges = [e for e in excess_of(found) if e.equation not in AT_INSTANTS]
     acting = equations_of_effects(found) | {"torque"}
     judges = [e for e in judges if e.equation in acting] or judges
     return max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))

@@ -81,8 +81,6 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     where = location(main, drawn[0], before) if drawn else None
     if found.p_value > RULES.level:
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
-    # The breakaway equation judges no model: it has one row per rest, and its noise is large
-    # because the instant of a breakaway is known only to within one sample.
     least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, least):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
@@ -123,7 +121,7 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
             as noise. A mismatch of at least :data:`VISIBLE` times the noise never counts as noise.
     """
     for equation in joint.equations:
-        if equation.name == "breakaway":
+        if not equation.judges:
             continue
         rows = over_own_noise(joint, equation)
         if between and equation.name == "voltage":
@@ -144,7 +142,7 @@ def main_equation(found: Search) -> Equation:
     if found.p_value > RULES.level:
         return found.baseline.equations[0]
     # The breakaway equation judges no model, even if the pattern of its mismatch is significant.
-    judges = [e for e in found.baseline.equations if e.name != "breakaway"]
+    judges = [e for e in found.baseline.equations if e.judges]
     if found.final.effects:
         base = found.baseline
         return _most_reduced(base.equations, base.stack, base.residual, found.final.residual)
@@ -171,9 +169,9 @@ def _most_reduced(
         return float(np.sum(before[rows] ** 2) - np.sum(after[rows] ** 2))
 
     most = max(equations, key=reduction)
-    if most.name == "breakaway":
+    if not most.judges:
         return most
-    others = [e for e in equations if e.name != "breakaway"]
+    others = [e for e in equations if e.judges]
     return max(others, key=lambda e: reduction(e) / max(1, len(e.residual)))
 
 

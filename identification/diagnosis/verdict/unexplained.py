@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.equations import AT_INSTANTS, Equation
 from identification.diagnosis.rows.instants import between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.held_out import DROPPED
@@ -135,6 +135,6 @@ def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:
             f"{math.sqrt(e.after) * of[e.equation].sigma:.3g} {of[e.equation].unit} rms; "
             f"noise floor {of[e.equation].sigma:.3g}"
             for e in excess_of(found)
-            if e.equation not in ("breakaway", *acting) and e.after > RULES.excess
+            if e.equation not in AT_INSTANTS | {*acting} and e.after > RULES.excess
         ),
     )

@@ -52,7 +52,7 @@ def plain() -> Joint:
 @pytest.fixture(scope="module")
 def gap(plain: Joint) -> Joint:
     """The gap alone is in the model, and too narrow by a third."""
-    fixed = replace(BY_NAME["backlash"], refine={})
+    fixed = BY_NAME["backlash"].but(refine={})
     return fit(
         plain.equations[0].views,
         "N m",
