@@ -14,11 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.at_values import nominal_at
-from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.intervals import identifiable
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
+from identification.diagnosis.fit.joint import Joint, nominal_at
+from identification.diagnosis.fit.start import choose, fit_from_estimate, views_and_fit
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -28,9 +26,8 @@ from identification.diagnosis.result import (
     Verdict,
 )
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.locate import curve
-from identification.diagnosis.score.observable import Observable, observable
+from identification.diagnosis.score.observable import Observable, collinear_effects, observable
 from identification.diagnosis.score.single_recordings import crowded_recordings, rests_under_torque
 from identification.diagnosis.selection.held_out import (
     DROPPED,
@@ -40,7 +37,6 @@ from identification.diagnosis.selection.held_out import (
 from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Options, Progress, Search, search
 from identification.diagnosis.selection.unseen import validation_rms
-from identification.diagnosis.verdict.excess import explains_nearly_all
 from identification.diagnosis.verdict.judgement import (
     Judged,
     effects_of,
@@ -48,9 +44,9 @@ from identification.diagnosis.verdict.judgement import (
     verdict_of,
     without_unlogged,
 )
+from identification.diagnosis.verdict.reasons import explains_nearly_all
 from identification.diagnosis.verdict.statement import statement, warnings_of
-from identification.diagnosis.verdict.unexplained import unexplained
-from identification.diagnosis.verdict.unrecorded import unrecorded_effects
+from identification.diagnosis.verdict.unexplained import unexplained, unrecorded_effects
 from identification.effects import MOTION
 from identification.effects.effect import Effect
 from identification.estimate.uncertainty.parameter_table import units_of

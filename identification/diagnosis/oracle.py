@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.score.significance import trial_candidates
 from identification.diagnosis.selection.unseen import validation_rms
 from identification.effects import EFFECTS, MOTION

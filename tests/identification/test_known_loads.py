@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.start import views_and_fit
-from identification.diagnosis.verdict.unrecorded import unrecorded_effects
+from identification.diagnosis.verdict.unexplained import unrecorded_effects
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.export.model import CorrectedModel, predictions

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.verdict.wording import sentence
+from identification.diagnosis.verdict.statement import sentence
 from identification.effects import EFFECTS
 from identification.model.parameters import UNITS_LINEAR, UNITS_ROTARY
 from identification.model.units import parameter_title, parameter_unit, torque_word, unit_on

@@ -17,9 +17,10 @@ from identification.diagnosis.rows.equations import (
     Equation,
     held_voltage,
     least_noise,
+    noise,
     own_noise,
+    without_tones,
 )
-from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.views.view import View
 
 LOWER_NOISE_RATIO = 0.5

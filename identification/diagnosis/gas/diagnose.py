@@ -13,8 +13,7 @@ from time import perf_counter
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.gas.burns import Burn, burns, noise
-from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
+from identification.diagnosis.gas.burns import CONSTANTS, VOLUME, Burn, burns, noise
 from identification.diagnosis.gas.fit import Fitted, fit, nominal_model
 from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded_rows
 from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Selected, search
@@ -33,7 +32,7 @@ from identification.diagnosis.result import (
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import Axis, curve, map_over, ranges
 from identification.diagnosis.selection.comparison import probability
-from identification.diagnosis.verdict.wording import finding
+from identification.diagnosis.verdict.statement import finding
 from identification.effects.effect import title
 from identification.effects.gas_generator import GasEffect
 from identification.numerics.spread import CONFIDENCE
@@ -58,7 +57,7 @@ def diagnose_gas(
     effects.
 
     The constants of propellant, valve and sensors, within their tolerances
-    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the state at the start of every
+    (:data:`identification.diagnosis.gas.burns.CONSTANTS`), and the state at the start of every
     recording are fitted together with the effects.
 
     Args:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.gas.burns import Burn, generator
-from identification.diagnosis.gas.constants import (
+from identification.diagnosis.gas.burns import (
     CONSTANTS,
     PRESSURE,
     PROPELLANT,
     VOLUME,
+    Burn,
+    generator,
     nominal_constants,
 )
 from identification.effects.gas_generator import GasEffect, effect_at

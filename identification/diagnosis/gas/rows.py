@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from identification.diagnosis.fit.candidate import Candidate
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.fit.stack import Candidate, Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, simulate, simulated_burn
 from identification.diagnosis.rows.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S

@@ -9,9 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.candidate import Candidate, log_surprise
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.fit.stack import Candidate, Stack, log_surprise
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import families
 from identification.diagnosis.rules import RULES

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rules import RULES
 from identification.effects.device import REFERENCE_MASS_KG

@@ -12,8 +12,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import beyond_noise
 from identification.diagnosis.selection.removal import (

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 from scipy import stats
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.start import feasible_or_first
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step

@@ -10,9 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.noise import with_lower_noise
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.start import feasible_or_first, with_assumed_fall
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step

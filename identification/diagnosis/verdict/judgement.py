@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.fit.intervals import estimates
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.single_effect import contribution, without_effect
+from identification.diagnosis.fit.joint import Joint, contribution, without_effect
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.result import (
     Estimate,
@@ -20,16 +19,14 @@ from identification.diagnosis.result import (
     Rival,
     Verdict,
 )
-from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.instants import between_samples
+from identification.diagnosis.rows.equations import Equation, between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
 from identification.diagnosis.score.significance import greatest, over_own_noise
 from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.excess import Excess, excess_of
-from identification.diagnosis.verdict.reasons import Kind, Reason, reason_outside
-from identification.diagnosis.verdict.wording import finding
+from identification.diagnosis.verdict.reasons import Excess, Kind, Reason, excess_of, reason_outside
+from identification.diagnosis.verdict.statement import finding
 from identification.effects import EFFECTS
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel

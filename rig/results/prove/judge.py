@@ -12,9 +12,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import views_and_fit
+from identification.diagnosis.fit.start import choose, views_and_fit
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.effects import MOTION

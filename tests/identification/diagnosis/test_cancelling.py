@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from identification.diagnosis.fit.joint import Added
-from identification.diagnosis.verdict.cancelling import cancelling_effects
+from identification.diagnosis.verdict.reasons import cancelling_effects
 from identification.effects import MOTION
 
 from .benches import honest, nominal_fit

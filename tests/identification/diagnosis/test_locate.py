@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Joint, fit
+from identification.diagnosis.fit.joint import Joint, fit, without_effect
 from identification.diagnosis.fit.linear import Added
-from identification.diagnosis.fit.single_effect import without_effect
 from identification.diagnosis.rows.families import (
     DIRECTION,
     FROM_TORQUE,

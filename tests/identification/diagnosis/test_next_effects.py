@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.score.collinear import collinear_effects
+from identification.diagnosis.fit.stack import Candidate
+from identification.diagnosis.score.observable import collinear_effects
 from identification.diagnosis.score.significance import (
     sign_flip_p_value,
     size_p_value,

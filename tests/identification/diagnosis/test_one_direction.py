@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.verdict.one_direction import direction_dependent
+from identification.diagnosis.verdict.reasons import direction_dependent
 from identification.effects import MOTION
 
 from .benches import campaign, nominal_fit

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.candidate import Candidate, log_surprise, wald_statistic
 from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Added, fit
+from identification.diagnosis.fit.stack import Candidate, log_surprise, wald_statistic
 from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
