@@ -263,7 +263,7 @@ class Effect:
     place: int | None = None
     start: Mapping[str, Columns] = {}
 
-    def but(self, **changes: Any) -> Self:
+    def modified(self, **changes: Any) -> Self:
         """Return the effect with other attributes."""
         changed = copy.copy(self)
         changed.__dict__.pop("columns", None)

@@ -485,4 +485,4 @@ class CouplingHysteresis(Clearance, Effect):
         # The closing torque is fixed, because the crossings determine it better than the angles;
         # the other nonlinear parameters are fitted.
         sought = {k: reach for k, reach in self.refine.items() if Loop._fields[k] != "torque"}
-        return self.but(refine=sought), loop
+        return self.modified(refine=sought), loop

@@ -248,7 +248,7 @@ def _with_travel(
     return Added(*kind.of_travel(travel, found, twist, seen.torque), (1.0,))
 
 
-def told_by_crossings(one: Effect, other: Effect) -> bool:
+def distinguished_by_crossings(one: Effect, other: Effect) -> bool:
     """Whether the torque during crossings distinguishes two effects."""
     pair = isinstance(one, Clearance) and isinstance(other, Clearance)
     return pair and one.name != other.name

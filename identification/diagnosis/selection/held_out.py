@@ -31,7 +31,7 @@ from identification.diagnosis.selection.comparison import (
     implausible,
     preference,
 )
-from identification.diagnosis.selection.crossing import told_by_crossings
+from identification.diagnosis.selection.crossing import distinguished_by_crossings
 from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.selection.unseen import (
@@ -193,7 +193,7 @@ def _with_rivals_judged(
         tried = within_limits(case.here, case.unit, rival.joint)
         there = _seen_aside(case, tried, rival.name)
         # The torque during crossings has already decided between a gap and a loop.
-        if told_by_crossings(EFFECTS[taken.name], EFFECTS[rival.name]):
+        if distinguished_by_crossings(EFFECTS[taken.name], EFFECTS[rival.name]):
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
             stack, left, names = seen

@@ -17,7 +17,7 @@ from identification.diagnosis.fit.joint import Joint, nominal_after_effects
 from identification.diagnosis.fit.linear import effect_derivatives
 from identification.diagnosis.fit.stack import Stack, with_effect_basis
 from identification.diagnosis.selection.comparison import Contender, Round, parameter_count
-from identification.diagnosis.selection.crossing import told_by_crossings
+from identification.diagnosis.selection.crossing import distinguished_by_crossings
 from identification.diagnosis.selection.removal import LEAST_FURTHER
 from identification.diagnosis.selection.search import Search
 from identification.effects.effect import Context, Effect
@@ -74,7 +74,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
     context = Context(final.equations[0].views, without.nominal)
     found = []
     for term in terms:
-        if term.name == own.term.name or told_by_crossings(own.term, term):
+        if term.name == own.term.name or distinguished_by_crossings(own.term, term):
             continue
         if not columns.keys() & term.columns.keys():
             continue

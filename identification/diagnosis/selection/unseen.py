@@ -73,7 +73,7 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
     for effect in effects:
         if not effect.term.start:
             continue
-        begun = effect.term.but(name=f"start of {effect.term.name}", columns=effect.term.start)
+        begun = effect.term.modified(name=f"start of {effect.term.name}", columns=effect.term.start)
         columns = stack.columns(begun, effect.shape)
         if not columns:
             continue

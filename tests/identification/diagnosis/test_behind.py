@@ -62,5 +62,5 @@ def test_a_ripple_beside_a_late_current_leaves_far_less() -> None:
     }
     joint = nominal_fit(campaign(hidden, 3, 6.0))
     ripple = TERM["torque_ripple"]
-    prompt = with_skew(joint, ripple.but(at_angle=False), (0.1, 0.0))
+    prompt = with_skew(joint, ripple.modified(at_angle=False), (0.1, 0.0))
     assert with_skew(joint, ripple, (0.1, 0.0)) < 0.01 * prompt

@@ -52,7 +52,7 @@ def plain() -> Joint:
 @pytest.fixture(scope="module")
 def gap(plain: Joint) -> Joint:
     """The gap alone is in the model, and too narrow by a third."""
-    fixed = BY_NAME["backlash"].but(refine={})
+    fixed = BY_NAME["backlash"].modified(refine={})
     return fit(
         plain.equations[0].views,
         "N m",
@@ -351,5 +351,5 @@ def test_the_trial_of_an_effect_has_the_size_that_its_coefficient_states() -> No
     ]
     (best,) = best_of_each(alike, {"time_skew": term})
     assert best.shape[0] == pytest.approx(0.002, rel=0.5)
-    (longest,) = best_of_each(alike, {"time_skew": term.but(size=None)})
+    (longest,) = best_of_each(alike, {"time_skew": term.modified(size=None)})
     assert longest.shape[0] == max(c.shape[0] for c in alike)

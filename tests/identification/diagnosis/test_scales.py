@@ -77,7 +77,7 @@ def test_the_plausible_mass_grows_with_the_weights_of_the_bench() -> None:
             for v in joint.equations[0].views
         )
         equations = tuple(replace(e, views=views) for e in joint.equations)
-        heavy = replace(effect, term=effect.term.but(read=lambda *_: {"mass_kg": 300.0}))
+        heavy = replace(effect, term=effect.term.modified(read=lambda *_: {"mass_kg": 300.0}))
         reason = implausible(replace(joint, effects=(heavy,), equations=equations))
         assert (reason == "") == plausible
 
