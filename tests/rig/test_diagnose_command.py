@@ -198,7 +198,7 @@ def test_the_corrected_model_lies_beside_the_report(
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     assert "gap_rad: 0.0073" in (out / "model.yaml").read_text()
-    assert "(backlash, {'gap_rad': 0.0073" in (out / "model.py").read_text()
+    assert "'backlash': {'gap_rad': 0.0073" in (out / "model.py").read_text()
     # The campaign does not say what a simulated motor needs.
     assert "note: a simulated bench needs resistance_ohm" in capsys.readouterr().out
     assert not (out / "bench.yaml").exists()
