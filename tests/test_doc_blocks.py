@@ -139,10 +139,10 @@ def test_the_image_of_the_readme_is_small() -> None:
 
 
 def test_the_effects_page_has_every_effect() -> None:
-    from identification.diagnosis.catalogue import ENTRIES
+    from identification.effects import EFFECTS
 
     text = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
-    for name, entry in ENTRIES.items():
+    for name, entry in EFFECTS.items():
         section = text.split(f"### {name}\n", 1)[1].split("\n### ", 1)[0]
         for quantity in entry.parameters:
             assert f"| `{quantity.name}` | {quantity.unit}".rstrip() in section, json.dumps(

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from identification.diagnosis.result import Curve, Effect, Fit, Map, ResidualTrace
+from identification.diagnosis.result import Curve, Fit, IdentifiedEffect, Map, ResidualTrace
 from identification.plots.style import (
     BLACK,
     BLUE,
@@ -163,7 +163,7 @@ def curve(missing: Curve) -> Figure:
     return made
 
 
-def rivals(effect: Effect) -> Figure:
+def rivals(effect: IdentifiedEffect) -> Figure:
     """Draw the confidence of an effect and of its rivals; the bars of rivals that the data do not
     reject are filled.
     """

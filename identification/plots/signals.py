@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from identification.corrected.score import Predicted
+from identification.export.model import Predicted
 from identification.model.parameters import torque_word, unit_on
 from identification.plots.style import (
     BLACK,

@@ -15,7 +15,7 @@ import pytest
 
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis
-from identification.diagnosis.terms.memory import play
+from identification.numerics.series import play
 from identification.recording import Dataset, Recording
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.sources import load_source

@@ -76,11 +76,12 @@ def test_an_averaged_current_is_the_mean_of_the_plant() -> None:
 
 
 def test_the_plant_has_the_whole_catalogue() -> None:
-    from identification.diagnosis.catalogue import MOTION
+    from identification.effects import MOTION
 
-    assert set(PLANT.effects) == {n for n in SIZES if n in MOTION} == set(MOTION)
+    names = {e.name for e in MOTION}
+    assert set(PLANT.effects) == {n for n in SIZES if n in names} == names
     assert PLANT.outside
-    assert not PLANT.outside & MOTION.keys()
+    assert not PLANT.outside & names
 
 
 @pytest.mark.usefixtures("short")

@@ -172,9 +172,9 @@ def test_electric_effects_are_in_the_voltage(plain: tuple[World, Signals]) -> No
 def test_every_effect_plays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drawing, "LONGEST_S", drawing.SHORTEST_S)
     monkeypatch.setattr(drawing, "MOST", 3)
-    from identification.diagnosis.catalogue import MOTION
+    from identification.effects import MOTION
 
-    assert ODE.effects <= MOTION.keys()
+    assert ODE.effects <= {e.name for e in MOTION}
     for n, name in enumerate(sorted({*ODE.effects, *ODE.outside})):
         world = draw_world("one", (name,), (31, n))
         last = world.recordings[-1]

@@ -18,7 +18,7 @@ from identification.diagnosis.fit.linear import (
 )
 from identification.diagnosis.fit.stack import stack_of
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.terms.term import Context
+from identification.effects.effect import Context
 from identification.estimate.uncertainty.parameter_table import WIDEST
 from identification.numerics.spread import CONFIDENCE
 

@@ -69,7 +69,7 @@ def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple
     """
     length = LEAST_BLOCK_S
     for equation, residual in zip(equations, residuals, strict=True):
-        if equation.name == "breakaway":
+        if not equation.judges:
             continue
         for view in equation.views:
             mine = residual[equation.owner == view.index]

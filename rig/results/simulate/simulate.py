@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from identification.corrected.model import CorrectedModel
+from identification.export.model import CorrectedModel
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
 from identification.simulate.closed_loop import (

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.diagnosis.rows.recent import recent
-from identification.diagnosis.rows.view import View
 from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
+from identification.signals import central_difference
+from identification.views.view import View, recent
 
 RISE = 0.5
 """Assumed rise of static over Coulomb friction, as a share of Coulomb friction."""
@@ -30,72 +30,18 @@ LEAST_FALL = 1e-3
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
-@dataclass(frozen=True, eq=False)
-class Nominal:
-    """Values of the nominal parameters.
-
-    Instances are compared by identity, as keys of caches: hundreds of trial parameters use the same
-    series of a recording.
-
-    Attributes:
-        values: Name to value, at the joint.
-        free: Names of the estimated parameters.
-        alpha: Stribeck exponent.
-        undeclared: Load torque of identified effects that turn with the joint: coefficients of
-            sin(angle), cos(angle), angle and 1, N m. The gear transmits this torque like that of a
-            declared load.
-        zero_A: Zero offset of the logged current, from identified effects, A.
-        ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
-            the number of recordings, if each recording has its own origin of angles), and
-            coefficients; empty without ripple.
-        efficiency: Efficiency of the transmission, from identified effects.
-        fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
-            derivatives with respect to rises and Stribeck speeds; None without such an effect.
-        late_s: Delay of the torque samples relative to the angle samples, from an identified
-            effect, s; 0 without such an effect.
-        presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
-            0 without such an effect.
-        most: Name of each static level to its greatest value by the recordings; empty for no
-            limits.
+class NominalTorque:
+    """Torque of the nominal model at given values: system load (eq. 9), working load (eq. 13) and
+    inertia, of a view.
     """
 
     values: Mapping[str, float]
-    free: tuple[str, ...]
     alpha: float
-    undeclared: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    zero_A: float = 0.0
-    ripple: tuple[tuple[float, ...], ...] = ()
-    efficiency: float = 1.0
-    fitted_alpha: float | None = None
-    late_s: float = 0.0
-    presliding_stiffness: float = 0.0
-    most: Mapping[str, float] = field(default_factory=dict)
-
-    def limited(self, views: Sequence[View]) -> Nominal:
-        """Return the values with static levels limited to the greatest torque at a breakaway.
-
-        Without these limits a fit may diverge in the static levels if no row is slow.
-        """
-        unloaded = [v for v in views if not v.loaded] or views
-        most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
-        loaded = [
-            float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment))
-            for v in views
-            if v.loaded
-        ]
-        return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
-
-    def at_most(self, step: Array) -> frozenset[str]:
-        """Return the static levels that are at their limit and that ``step`` would move beyond this
-        limit.
-        """
-        return frozenset(
-            name
-            for name, change in zip(self.free, step, strict=True)
-            if name in self.most
-            and change > 0.0
-            and self.get(name) >= (1.0 - _AT_LIMIT) * self.most[name]
-        )
+    undeclared: tuple[float, float, float, float]
+    zero_A: float
+    ripple: tuple[tuple[float, ...], ...]
+    efficiency: float
+    presliding_stiffness: float
 
     def get(self, name: str) -> float:
         """Return the value of a nominal parameter; 0 if the bench has no such parameter."""
@@ -166,6 +112,85 @@ class Nominal:
         """Return the torque of the model (eq. 15), N m."""
         return _torque(self, view)
 
+    def _level(self, view: View, names: tuple[str, str, str], viscous: str) -> Array:
+        coulomb, static, omega = (self.get(n) for n in names)
+        total = coulomb + self.get(viscous) * np.abs(view.velocity)
+        if omega > 0.0:
+            total = total + (static - coulomb) * _fall(view, omega, self.alpha)[1]
+        return np.asarray(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal(NominalTorque):
+    """Values of the nominal parameters.
+
+    Instances are compared by identity, as keys of caches: hundreds of trial parameters use the same
+    series of a recording.
+
+    Attributes:
+        values: Name to value, at the joint.
+        free: Names of the estimated parameters.
+        alpha: Stribeck exponent.
+        undeclared: Load torque of identified effects that turn with the joint: coefficients of
+            sin(angle), cos(angle), angle and 1, N m. The gear transmits this torque like that of a
+            declared load.
+        zero_A: Zero offset of the logged current, from identified effects, A.
+        ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
+            the number of recordings, if each recording has its own origin of angles), and
+            coefficients; empty without ripple.
+        efficiency: Efficiency of the transmission, from identified effects.
+        fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
+            derivatives with respect to rises and Stribeck speeds; None without such an effect.
+        late_s: Delay of the torque samples relative to the angle samples, from an identified
+            effect, s; 0 without such an effect.
+        presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
+            0 without such an effect.
+        most: Name of each static level to its greatest value by the recordings; empty for no
+            limits.
+    """
+
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    alpha: float
+    undeclared: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    zero_A: float = 0.0
+    ripple: tuple[tuple[float, ...], ...] = ()
+    efficiency: float = 1.0
+    fitted_alpha: float | None = None
+    late_s: float = 0.0
+    presliding_stiffness: float = 0.0
+    most: Mapping[str, float] = field(default_factory=dict)
+
+    def without_effects(self) -> Nominal:
+        """Return the values without those of identified effects that other effects depend on."""
+        return replace(self, undeclared=(0.0, 0.0, 0.0, 0.0), zero_A=0.0, ripple=(), efficiency=1.0)
+
+    def limited(self, views: Sequence[View]) -> Nominal:
+        """Return the values with static levels limited to the greatest torque at a breakaway.
+
+        Without these limits a fit may diverge in the static levels if no row is slow.
+        """
+        unloaded = [v for v in views if not v.loaded] or views
+        most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
+        loaded = [
+            float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment))
+            for v in views
+            if v.loaded
+        ]
+        return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
+
+    def at_most(self, step: Array) -> frozenset[str]:
+        """Return the static levels that are at their limit and that ``step`` would move beyond this
+        limit.
+        """
+        return frozenset(
+            name
+            for name, change in zip(self.free, step, strict=True)
+            if name in self.most
+            and change > 0.0
+            and self.get(name) >= (1.0 - _AT_LIMIT) * self.most[name]
+        )
+
     def tangent(self, view: View) -> Array:
         """Return the torque's derivatives with respect to the free parameters, shape (len(free),
         m).
@@ -228,13 +253,6 @@ class Nominal:
                 values[speed] = omega_s
         return replace(self, values=values, free=tuple(n for n in values if n not in fixed))
 
-    def _level(self, view: View, names: tuple[str, str, str], viscous: str) -> Array:
-        coulomb, static, omega = (self.get(n) for n in names)
-        total = coulomb + self.get(viscous) * np.abs(view.velocity)
-        if omega > 0.0:
-            total = total + (static - coulomb) * _fall(view, omega, self.alpha)[1]
-        return np.asarray(total)
-
     def _direction(self, view: View, name: str) -> Array:
         load = view.moment * view.sense
         if name == "J":
@@ -296,13 +314,13 @@ def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
 
 
 @recent
-def _level(nominal: Nominal, view: View) -> Array:
+def _level(nominal: NominalTorque, view: View) -> Array:
     total = nominal._level(view, _RISES[0], "sigma_2")
     return _frozen(total + nominal.borne(view) * nominal.gear(view) if nominal._geared else total)
 
 
 @recent
-def _friction(nominal: Nominal, view: View) -> Array:
+def _friction(nominal: NominalTorque, view: View) -> Array:
     total = nominal.level(view)
     if view.loaded:
         total = total + view.moment * nominal.coefficient(view)
@@ -310,14 +328,14 @@ def _friction(nominal: Nominal, view: View) -> Array:
 
 
 @recent
-def _torque(nominal: Nominal, view: View) -> Array:
+def _torque(nominal: NominalTorque, view: View) -> Array:
     return _frozen(
         nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset")
     )
 
 
 @recent
-def _drive(nominal: Nominal, view: View) -> Array:
+def _drive(nominal: NominalTorque, view: View) -> Array:
     return _frozen(nominal.torque(view) - nominal.helping(view))
 
 
@@ -325,3 +343,15 @@ def _frozen(series: Array) -> Array:
     """Return the series, made read-only because several callers use it."""
     series.flags.writeable = False
     return series
+
+
+def winding_voltage(view: View) -> Array:
+    """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown constants count as
+    0.
+    """
+    assert view.current is not None
+    bench = view.recording.bench
+    change = central_difference(view.current, view.step)
+    resistive = (bench.resistance or 0.0) * view.current
+    emf = (bench.back_emf_constant or 0.0) * view.motor_speed
+    return np.asarray(resistive + (bench.inductance or 0.0) * change + emf)

@@ -7,15 +7,16 @@ that the mismatch passes, so that the filter does not cause an apparent effect.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 
-from identification.diagnosis.rows import marks
-from identification.diagnosis.rows.clock import run_starts
+from identification.model.parameters import LINEAR
+from identification.numerics.series import delayed_series
 from identification.prepare import (
     POSITION_BANDWIDTH,
     contact_moment,
@@ -38,6 +39,7 @@ from identification.signals import (
     smooth,
     values_at_ends,
 )
+from identification.views import marks
 
 LEAST_STEADY = 0.1
 """Samples in unsteady motion are omitted only if at least this share of all samples is in steady
@@ -47,6 +49,34 @@ SAME_ENCODER = 1e-9
 """Greatest difference of motor and joint angle, relative to the travel, at which both angles count
 as readings of one encoder.
 """
+USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
+"""Greatest torque and speed, and the travel, on the practical bench."""
+AS_COMPUTED = 1e-3
+"""Greatest difference of a recorded voltage from the voltage of the control law, relative to the
+greatest voltage, at which the recorded voltage counts as computed.
+"""
+NEEDED = ("command", "angle", "voltage", "supply_voltage")
+MEASURED = ("torque", "current")
+P = ParamSpec("P")
+R = TypeVar("R")
+KEPT = 128
+"""Number of results that are kept for each function; hundreds of trial parameters use the same
+series.
+"""
+_CACHES: list[Any] = []
+
+
+def recent(function: Callable[P, R]) -> Callable[P, R]:
+    """Keep the latest results of a function; the arguments of the function must be hashable."""
+    kept = lru_cache(maxsize=KEPT)(function)
+    _CACHES.append(kept)
+    return cast(Callable[P, R], kept)
+
+
+def forget() -> None:
+    """Remove all results from the caches."""
+    for kept in _CACHES:
+        kept.cache_clear()
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +184,19 @@ class View:
     def loaded(self) -> bool:
         """Whether a contact moment acts on the joint."""
         return bool(np.any(self.moment != 0.0))
+
+    @cached_property
+    def voltage_is_computed(self) -> bool:
+        """Whether the torque is computed from a voltage that the control law computed."""
+        return voltage_is_computed(self.recording)
+
+    def command_delay_error(self, late_s: float) -> Array:
+        """Return the error of the torque of a computed voltage for a delay of the angles, N m."""
+        return command_delay_error(self, late_s)
+
+    def with_velocity(self, velocity: Array) -> View:
+        """Return the view with another velocity of the joint."""
+        return replace(self, velocity=velocity)
 
     @property
     def kept_times(self) -> Array:
@@ -398,3 +441,130 @@ def lacks_common_origin(views: Sequence[View]) -> bool:
     """Whether only the speed was recorded, so that angles have no common origin."""
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0
+
+
+def one_clock(recordings: Sequence[Recording]) -> bool:
+    """Whether the recordings, by their starts or time stamps, follow one another as on one
+    clock.
+    """
+    spans = sorted(r.span for r in recordings)
+    return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
+
+
+def run_starts(recordings: Sequence[Recording]) -> list[float]:
+    """Return the running time at which each recording begins, s.
+
+    If starts or time stamps follow one another, running time counts from the zero of their clock,
+    at which the machine was cold, provided that this zero precedes the first recording by no more
+    than the total duration of the recordings; otherwise running time counts from the start of the
+    first recording. The order of recordings without a common clock is unknown; each recording is
+    then assumed to start cold, with running time 0.
+    """
+    if len(recordings) > 1 and one_clock(recordings):
+        first, last = (
+            min(r.span[0] for r in recordings),
+            max(r.span[1] for r in recordings),
+        )
+        zero = 0.0 if 0.0 <= first < last - first else first
+        return [r.span[0] - zero for r in recordings]
+    return [0.0] * len(recordings)
+
+
+def torque_scale(views: Sequence[View]) -> float:
+    """Return the greatest torque over that of the practical bench."""
+    return max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
+
+
+def speed_scale(views: Sequence[View]) -> float:
+    """Return the greatest speed over that of the practical bench."""
+    return max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
+
+
+def travel_scale(views: Sequence[View]) -> float:
+    """Return the travel over that of the practical bench."""
+    return max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
+
+
+def at_scale(angles_rad: Sequence[float], views: Sequence[View]) -> list[float]:
+    """Return trial values of angles of the transmission at the joint: in rad, the same for benches
+    of any size; on a linear axis in m, in proportion to the travel.
+    """
+    scale = travel_scale(views) if views[0].recording.bench.motion == LINEAR else 1.0
+    return [scale * angle for angle in angles_rad]
+
+
+def voltage_is_computed(recording: Recording) -> bool:
+    """Whether the torque of a recording is computed from a voltage that was itself computed from
+    the samples by the control law.
+    """
+    channels, loop = recording.channels, recording.controller
+    if (
+        loop is None
+        or loop.output != "duty"
+        or loop.velocity_gain
+        or any(name in channels for name in MEASURED)
+    ):
+        return False
+    if not all(name in channels for name in NEEDED):
+        return False
+    volts = channels["voltage"]
+    known = np.isfinite(volts)
+    if not known.any():
+        return False
+    greatest = float(np.max(np.abs(volts[known])))
+    return float(np.max(np.abs(volts - _law(recording, 0.0))[known])) <= AS_COMPUTED * greatest
+
+
+def command_delay_error(view: View, late_s: float) -> Array:
+    """Return the error of the torque because the command in its voltage is not delayed like the
+    angle, N m, shape (m,).
+    """
+    recording = view.recording
+    volts = np.where(np.isfinite(recording.channels["voltage"]), _law(recording, late_s), np.nan)
+    together = replace(recording, channels={**recording.channels, "voltage": volts})
+    here, there = (drive_torque(r, view.time, view.velocity) for r in (recording, together))
+    return np.asarray(here - there)
+
+
+def delayed_view(view: View, late_s: float) -> View:
+    """Return a view whose motion is delayed like the samples of the torque, for effects that depend
+    on the angle.
+
+    The view is not delayed if the torque is computed from a computed voltage. The last result is
+    cached, because most trial parameters use one delay.
+    """
+    known = view.behind.get(late_s)
+    if known is None:
+        known = view if voltage_is_computed(view.recording) else _moved(view, late_s)
+        view.behind.clear()
+        view.behind[late_s] = known
+    return known
+
+
+def _moved(view: View, late_s: float) -> View:
+    def late(series: Array) -> Array:
+        return delayed_series(series, view.step, late_s)
+
+    return replace(
+        view,
+        angle=late(view.angle),
+        velocity=late(view.velocity),
+        acceleration=late(view.acceleration),
+        known=late(view.known),
+        hanging=late(view.hanging),
+        moment=late(view.moment),
+        sense=np.clip(late(view.sense), -1.0, 1.0),
+        motor=late(view.motor),
+        motor_speed=late(view.motor_speed),
+    )
+
+
+def _law(recording: Recording, late_s: float) -> Array:
+    """Return the voltage of the control law for a command delayed by ``late_s``, V, shape (m,)."""
+    channels, loop = recording.channels, recording.controller
+    assert loop is not None
+    command = np.interp(recording.time - late_s, recording.time, channels["command"])
+    duty = loop.position_gain * (command - channels["angle"])
+    if loop.limit is not None:
+        duty = np.clip(duty, -loop.limit, loop.limit)
+    return np.asarray(channels["supply_voltage"] * duty)
