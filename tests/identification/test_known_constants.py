@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.uncertainty.known_constants import uncertain_constants
+from identification.estimate.uncertainty.covariance import uncertain_constants
 from identification.recording import Dataset, Model, Pendulum, Recording
 from identification.result import Parameter
 

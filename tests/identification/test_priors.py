@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.uncertainty.priors import with_priors
+from identification.estimate.uncertainty.covariance import with_priors
 from identification.numerics.spread import Spread
 from identification.recording import Dataset, Model
 

@@ -8,8 +8,14 @@ import pytest
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.verdict.wording import sentence
-from identification.model.parameters import UNITS_LINEAR, UNITS_ROTARY
-from identification.model.units import parameter_title, parameter_unit, torque_word, unit_on
+from identification.model.parameters import (
+    UNITS_LINEAR,
+    UNITS_ROTARY,
+    parameter_title,
+    parameter_unit,
+    torque_word,
+    unit_on,
+)
 from identification.prepare import drive_channel, torque_unit
 from identification.recording import Bench, Recording
 

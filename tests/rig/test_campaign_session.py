@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.contact_force import contact_moment
 from identification.diagnosis.rows.clock import run_starts
+from identification.prepare import contact_moment
 from identification.recording import Hoist, Model, Pendulum, Recording
 from rig.common.errors import InputError
 from rig.sources import load_source

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.paper_method import identify_paper
 from rig.cli.entry import status
 from rig.results.identify.identify import METHODS
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.ladder import climb
-from identification.estimate.transfer import transfer
+from identification.estimate.ladder import climb, transfer
 from identification.model.ladder import LADDER
 from identification.result import Identification
 from rig.results.simulate.simulate import simulate_source

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.results.prove.mujoco_plant.plant import MujocoPlant
-from rig.results.prove.worlds import draw as drawing
-from rig.results.prove.worlds.draw import draw_world
-from rig.results.prove.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
-from tests.worlds.plant import OdePlant
+from benchmarks.worlds import draw as drawing
+from benchmarks.worlds.draw import draw_world
+from benchmarks.worlds.mujoco_plant.plant import MujocoPlant
+from benchmarks.worlds.third.plant import OdePlant
+from benchmarks.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
 
 RATE_HZ = 4000
 ODE = OdePlant()

@@ -18,7 +18,7 @@ MOTION: Mapping[str, Entry] = {
     e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)
 }
 """Effects of machine and sensors; effects of the gas generator are computed by another model
-(:mod:`identification.model.gas_kernel`).
+(:mod:`identification.model.gas_generator`).
 """
 ENTRIES: Mapping[str, Entry] = {**MOTION, **{e.name: e for e in GAS}}
 """Name to entry, in the order of the catalogue."""

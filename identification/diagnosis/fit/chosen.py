@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from identification.diagnosis.fit.start import bandwidth_of
-from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
+from identification.estimate.equation_error import LEAST_MOTION, samples_in_motion
 from identification.prepare import prepare
 from identification.recording import Dataset, RecordingError
 

@@ -15,7 +15,7 @@ from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
 from identification.estimate.default import free_names, solve_stages
-from identification.estimate.equation_error.bandwidth import common_bandwidth
+from identification.estimate.equation_error import common_bandwidth
 from identification.model.ladder import LADDER, bears_load
 from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, Model, Recording

@@ -17,9 +17,9 @@ from identification.diagnosis.gas.constants import (
     nominal_constants,
 )
 from identification.diagnosis.gas.terms import GasEffect, effect_at
-from identification.model import gas_kernel as kernel
+from identification.model import gas_generator as kernel
 from identification.model.gas_generator import constants
-from identification.numerics.levenberg_marquardt import minimise
+from identification.numerics.least_squares import minimise
 from identification.recording import Array
 from identification.signals import BoolArray
 

@@ -23,7 +23,7 @@ from identification.diagnosis.rows.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import edges
 from identification.diagnosis.rows.nominal import Nominal
-from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
+from identification.estimate.equation_error import BLOCK_CORRELATION_TIMES
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from identification.model import gas_kernel as kernel
+from identification.model import gas_generator as kernel
 
 
 @dataclass(frozen=True)

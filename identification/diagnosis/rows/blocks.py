@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from identification.diagnosis.rows.equations import Equation
-from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
+from identification.estimate.equation_error import BLOCK_CORRELATION_TIMES
 from identification.numerics.compiled import compiled
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array

@@ -23,7 +23,7 @@ from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.model.units import unit_on
+from identification.model.parameters import unit_on
 from identification.recording import Array
 from identification.signals import BoolArray, central_difference, quantum
 

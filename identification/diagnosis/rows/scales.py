@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.diagnosis.rows.view import View
-from identification.model.units import LINEAR
+from identification.model.parameters import LINEAR
 
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench."""

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.contact_force import contact_moment
 from identification.diagnosis.rows import marks
 from identification.diagnosis.rows.clock import run_starts
 from identification.prepare import (
     POSITION_BANDWIDTH,
+    contact_moment,
     drive_torque,
     finer_joint,
     irregular,

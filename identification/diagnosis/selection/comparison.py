@@ -18,7 +18,7 @@ from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.device import REFERENCE_MASS_KG
 from identification.diagnosis.terms.term import Context
-from identification.model.units import LINEAR, PHASES, parameter_title
+from identification.model.parameters import LINEAR, PHASES, parameter_title
 from identification.recording import Array
 
 USUAL_CURRENT_A, USUAL_VOLTAGE_V, USUAL_INERTIA_KG_M2 = 13.0, 40.0, 0.2

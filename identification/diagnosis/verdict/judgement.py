@@ -24,7 +24,7 @@ from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.excess import Excess, excess_of
 from identification.diagnosis.verdict.reasons import Kind, Reason, reason_outside
 from identification.diagnosis.verdict.wording import finding
-from identification.model.units import parameter_unit
+from identification.model.parameters import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Array, Bench
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.rows.clock import one_clock
 from identification.diagnosis.rows.view import View, lacks_common_origin
-from identification.model.units import LINEAR
+from identification.model.parameters import LINEAR
 from identification.recording import Bench, Recording
 
 LOCAL_EFFECTS = (

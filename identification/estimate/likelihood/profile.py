@@ -20,16 +20,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import special
 
-from identification.estimate.inertia.inertia_equation import influence_on_inertia
-from identification.estimate.inertia.instruments import instruments
-from identification.estimate.likelihood.stages import Refined
+from identification.estimate.inertia import influence_on_inertia, instruments
+from identification.estimate.likelihood.searches import Refined
 from identification.estimate.uncertainty.covariance import rise_to_static
 from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
-from identification.numerics.block_arrow import Eliminated
-from identification.numerics.levenberg_marquardt import huber_cost, huber_weight
+from identification.numerics.least_squares import Eliminated, huber_cost, huber_weight
 from identification.numerics.spread import CONFIDENCE
 from identification.result import Profile
 

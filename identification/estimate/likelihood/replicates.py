@@ -25,11 +25,9 @@ from itertools import islice
 
 import numpy as np
 
-from identification.estimate.inertia.estimating_equations import segment_inflation
-from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia import Replicate, segment_inflation
 from identification.estimator_settings import DEFAULT, ReplicateSettings
-from identification.filter.breakaway_times import search_breakaway_times
-from identification.filter.likelihood import Point
+from identification.filter.likelihood import Point, search_breakaway_times
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import (
@@ -40,11 +38,10 @@ from identification.model.parameters import (
     unpack,
 )
 from identification.numerics.arrays import Array
+from identification.numerics.compiled import both
 from identification.numerics.progress import Progress, silent
-from identification.numerics.two_threads import both
 from identification.recording import Model
-from identification.simulate.drive_loop import drive_loop
-from identification.simulate.servo_loop import Loop, Response, respond
+from identification.simulate.drive_loop import Loop, Response, drive_loop, respond
 
 _SEEDS = 1 << 63
 """Upper limit of the random seeds of the noise."""

@@ -14,7 +14,7 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.diagnose import observable_effects
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.observable import Observable
-from identification.model.units import parameter_unit
+from identification.model.parameters import parameter_unit
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError

@@ -6,7 +6,7 @@ import math
 
 from identification.diagnosis.result import Diagnosis, Fit, Location
 from identification.diagnosis.verdict.wording import readable
-from identification.model.units import parameter_title
+from identification.model.parameters import parameter_title
 from rig.common.tables import number, percent
 from rig.results.document import Table
 

@@ -13,7 +13,7 @@ from identification.diagnosis.rows.view import View
 from identification.diagnosis.selection.comparison import implausible
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.model.units import LINEAR
+from identification.model.parameters import LINEAR
 
 from .benches import honest, nominal_fit
 

@@ -19,8 +19,7 @@ from identification.diagnosis.score.significance import beyond_noise, size_p_val
 from identification.diagnosis.selection.search import _Case, _missing_test
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.estimate.equation_error.bandwidth import common_bandwidth
-from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
+from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
 from identification.prepare import default_bandwidth, prepare
 from identification.signals import quantum
 from tests.identification.synthetic import sine
