@@ -1,8 +1,8 @@
 """Every fault in every phase of a run, on each transport: what happened, held against what must.
 
 As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
-the tables and writes them to docs/faults.md; with words given, it goes only through what holds one
-of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good,
+the tables and writes them to out/fault_matrix.md; with words given, it goes only through what holds
+one of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good,
 if no current flows in the simulated motor and the joint rests at the end.
 """
 
@@ -32,8 +32,7 @@ from .fault_cases_serial import SERIAL
 
 SEQUENCE = "sequence: 1\nname: matrix\nstages:\n" + EMPTY
 LOG_GAP_S = 0.2
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
-BEGIN, END = "<!-- matrix: written by tests/long/fault_matrix.py -->", "<!-- end of matrix -->"
+PAGE = Path("out/fault_matrix.md")
 
 
 TRANSPORTS: Mapping[str, Transport] = {
@@ -161,8 +160,7 @@ def state_rows(state: str, transport: Transport) -> tuple[list[dict[str, Any]], 
 
 
 def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
-    """Run everything whose name holds one of the words; return the lines of the page and the
-    problems.
+    """Run everything whose name holds one of the words; return the tables and the problems.
     """
     lines: list[str] = []
     problems: list[str] = []
@@ -207,8 +205,8 @@ def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def main() -> int:
-    """Run the matrix, print it and put it into the page; with words given, only print the rows that
-    hold one.
+    """Run the matrix, print it and write it to a file; with words given, only print the rows that hold
+    one.
     """
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
@@ -217,9 +215,8 @@ def main() -> int:
         print(problem)
     if words:
         return 1 if problems else 0
-    text = PAGE.read_text()
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    PAGE.write_text(before + BEGIN + "\n\n" + "\n".join(lines) + "\n" + END + after)
+    PAGE.parent.mkdir(exist_ok=True)
+    PAGE.write_text("\n".join(lines), encoding="utf-8")
     cells = sum(len(t.cases) * len(PHASES) + len(t.states) for t in TRANSPORTS.values())
     print(f"{cells} cells on {len(TRANSPORTS)} transports, {len(problems)} problems")
     return 1 if problems else 0
