@@ -74,6 +74,8 @@ $(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
 
 docs: $(VENV)/.docs reference
 	$(BIN)/sphinx-build -q -b html -W --keep-going docs out/docs
+	@! grep -rlE '<(script|link|img)[^>]+(src|href)="https?://' out/docs --include='*.html' \
+	  || { echo "these pages load files from a network"; exit 1; }
 	@echo "out/docs/index.html"
 
 reference: $(VENV)/.runtime

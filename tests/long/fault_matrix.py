@@ -2,8 +2,8 @@
 
 As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
 the tables and writes them to out/fault_matrix.md; with words given, it goes only through what holds
-one of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good,
-if no current flows in the simulated motor and the joint rests at the end.
+one of them, and prints. Times are simulated; "off" is when the simulated power stage went off for
+good, if no current flows in the simulated motor and the joint rests at the end.
 """
 
 from __future__ import annotations
@@ -160,8 +160,7 @@ def state_rows(state: str, transport: Transport) -> tuple[list[dict[str, Any]], 
 
 
 def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
-    """Run everything whose name holds one of the words; return the tables and the problems.
-    """
+    """Run everything whose name holds one of the words; return tables and problems."""
     lines: list[str] = []
     problems: list[str] = []
     for line, transport in TRANSPORTS.items():
@@ -205,9 +204,7 @@ def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
 
 
 def main() -> int:
-    """Run the matrix, print it and write it to a file; with words given, only print the rows that hold
-    one.
-    """
+    """Run the matrix, print and write it; with words given, only print the rows that hold one."""
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
         lines, problems = matrix(Path(folder), words or [""])
