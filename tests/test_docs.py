@@ -83,6 +83,14 @@ def test_a_decision_is_one_dated_page(page: Path) -> None:
     assert len(text.split()) <= DECISION_WORDS
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_diagrams_are_pictures_that_need_no_script(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert "```mermaid" not in text
+    for picture in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text):
+        assert (page.parent / picture).is_file(), picture
+
+
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
 
