@@ -26,7 +26,7 @@ help:
 	@echo "make profile-coverage  how often likelihood profiles and intervals hold the truth"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer, diagnoses (out/real)"
-	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
+	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds"
 	@echo "make prove     the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make prove-worlds  the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
@@ -35,16 +35,16 @@ help:
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
-	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
+	@echo "make fault-matrix  every fault in every phase of a run on each transport (out/fault_matrix.md)"
 	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
 	@echo "make masters   a second, independent CANopen master drives the simulated drives of the makes (needs Node)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
-	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
+	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)"
 	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
-	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
+	@echo "make terminal  what is on the screen, as an operator in tmux (out/terminal.md)"
 	@echo "make durand    check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
@@ -74,6 +74,8 @@ $(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
 
 docs: $(VENV)/.docs reference
 	$(BIN)/sphinx-build -q -b html -W --keep-going docs out/docs
+	@! grep -rlE '<(script|link|img)[^>]+(src|href)="https?://' out/docs --include='*.html' \
+	  || { echo "these pages load files from a network"; exit 1; }
 	@echo "out/docs/index.html"
 
 reference: $(VENV)/.runtime

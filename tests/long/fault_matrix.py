@@ -1,8 +1,8 @@
 """Every fault in every phase of a run, on each transport: what happened, held against what must.
 
 As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
-the tables and writes them to docs/faults.md; with words given, it goes only through what holds one
-of them, and prints. With the word `stops` it only writes the table of the stops. Times are
+the tables and writes them to out/fault_matrix.md; with words given, it goes only through what holds
+one of them, and prints; with the word `stops` it only prints the table of the stops. Times are
 simulated; "off" is when the simulated power stage went off for good, if no current flows in the
 simulated motor and the joint rests at the end.
 """
@@ -33,10 +33,7 @@ from .fault_cases_serial import SERIAL
 
 SEQUENCE = "sequence: 1\nname: matrix\nstages:\n" + EMPTY
 LOG_GAP_S = 0.2
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
-BEGIN, END = "<!-- matrix: written by tests/long/fault_matrix.py -->", "<!-- end of matrix -->"
-STOPS_BEGIN = "<!-- stops: written by tests/long/fault_matrix.py -->"
-STOPS_END = "<!-- end of stops -->"
+PAGE = Path("out/fault_matrix.md")
 
 
 TRANSPORTS: Mapping[str, Transport] = {
@@ -172,9 +169,7 @@ def state_rows(state: str, transport: Transport) -> tuple[list[dict[str, Any]], 
 
 
 def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
-    """Run everything whose name holds one of the words; return the lines of the page and the
-    problems.
-    """
+    """Run everything whose name holds one of the words; return tables and problems."""
     lines: list[str] = []
     problems: list[str] = []
     for line, transport in TRANSPORTS.items():
@@ -263,32 +258,23 @@ def stop_cell(transport: Transport, rows: tuple[Mapping[str, Any], ...], folder:
 
 
 def main() -> int:
-    """Run the matrix, print it and put it into the page; with words given, only print the rows that
-    hold one.
-    """
+    """Run the matrix, print and write it; with words given, only print the rows that hold one."""
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
         table = stops(Path(folder)) if words in ([], ["stops"]) else []
+        print("\n".join(table))
         if words == ["stops"]:
-            _put(STOPS_BEGIN, STOPS_END, table)
             return 0
         lines, problems = matrix(Path(folder), words or [""])
     for problem in problems:
         print(problem)
     if words:
         return 1 if problems else 0
-    _put(STOPS_BEGIN, STOPS_END, table)
-    _put(BEGIN, END, lines)
+    PAGE.parent.mkdir(exist_ok=True)
+    PAGE.write_text("\n".join([*table, "", *lines]), encoding="utf-8")
     cells = sum(len(t.cases) * len(PHASES) + len(t.states) for t in TRANSPORTS.values())
     print(f"{cells} cells on {len(TRANSPORTS)} transports, {len(problems)} problems")
     return 1 if problems else 0
-
-
-def _put(begin: str, end: str, lines: list[str]) -> None:
-    """Replace the part of the page between two marks."""
-    text = PAGE.read_text()
-    before, after = text.split(begin)[0], text.split(end)[1]
-    PAGE.write_text(before + begin + "\n\n" + "\n".join(lines) + "\n\n" + end + after)
 
 
 if __name__ == "__main__":

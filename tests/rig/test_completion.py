@@ -1,4 +1,4 @@
-"""Shell completion of the command line, as docs/completion.md sets it up."""
+"""Shell completion of the command line, as docs/guides/command_line.md sets it up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from click.shell_completion import BashComplete
 from rig.cli.entry import COMMANDS, cli, status
 
 CODE = "import sys; from rig.cli.entry import main; main()"
-PAGE = Path(__file__).parents[2] / "docs" / "completion.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "command_line.md"
 
 
 def shell(**environment: str) -> str:
