@@ -24,8 +24,10 @@ MOST_GREETING: Final = 24
 """Greatest number of WebSockets that have not sent their token yet."""
 REQUEST_S: Final = 5.0
 """Time for the first request of a connection, s."""
-BACKLOG: Final = 32
-"""Greatest number of connections that are accepted before requests are read again."""
+BACKLOG: Final = 512
+"""Greatest number of connections that wait to be accepted; the system drops further ones, and tries
+again after a second.
+"""
 
 
 def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
