@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import collections
 import http.client
 import json
 import os
@@ -114,14 +115,20 @@ class Console:
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n"
         ).encode() + _frame(json.dumps({"token": token}).encode())
         said = {"idle": b"", "requests": request}.get(kind, upgrade)
+        closed: collections.deque[float] = collections.deque([0.0] * count)
         with selectors.DefaultSelector() as open_:
             while not ending.is_set():
-                while len(open_.get_map()) < count and not ending.is_set():
-                    with suppress(OSError):
+                # A browser opens a connection again half a second after it was closed.
+                while closed and closed[0] < time.monotonic() - 0.5 and not ending.is_set():
+                    closed.popleft()
+                    try:
                         made = socket.create_connection(("127.0.0.1", self.port), timeout=1.0)
                         made.sendall(said)
-                        made.setblocking(False)
-                        open_.register(made, selectors.EVENT_READ)
+                    except OSError:
+                        closed.append(time.monotonic())
+                        continue
+                    made.setblocking(False)
+                    open_.register(made, selectors.EVENT_READ)
                 for key, _ in open_.select(0.1):
                     connection = key.fileobj
                     assert isinstance(connection, socket.socket)
@@ -133,8 +140,8 @@ class Console:
                     if not data:
                         open_.unregister(connection)
                         connection.close()
-                # A browser opens a connection that was refused half a second later.
-                time.sleep(0.05)
+                        closed.append(time.monotonic())
+                time.sleep(0.02)
             for key in list(open_.get_map().values()):
                 connection = key.fileobj
                 assert isinstance(connection, socket.socket)

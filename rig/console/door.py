@@ -1,10 +1,10 @@
 """Bounds the connections to the console, so that many of them do not delay STOP.
 
-A connection that waits costs almost nothing; only their number is bounded. A new connection is
-always accepted, because it may bring a STOP: beyond :data:`MOST_OPEN` connections, the oldest
-connection without a request in progress is closed, then the oldest of all. A connection without a
+A new connection is always accepted, because it may bring a STOP: beyond :data:`MOST_OPEN`
+connections, the oldest connection is closed that has no command in progress. A connection without a
 whole request within :data:`REQUEST_S` is closed. Pages, which cost processor time, are bounded by
-:data:`MOST_PAGES` and :data:`MOST_READERS`.
+:data:`MOST_PAGES` and :data:`MOST_READERS`; a WebSocket beyond all of them is refused before any
+other work.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-MOST_OPEN: Final = 100
+MOST_OPEN: Final = 64
 """Greatest number of HTTP connections."""
 MOST_PAGES: Final = 12
 """Greatest number of open pages with the token."""
@@ -24,8 +24,16 @@ MOST_GREETING: Final = 24
 """Greatest number of WebSockets that have not sent their token yet."""
 REQUEST_S: Final = 5.0
 """Time for the first request of a connection, s."""
-BACKLOG: Final = 32
-"""Greatest number of connections that are accepted before requests are read again."""
+BURST: Final = 32
+"""Greatest number of connections that are accepted before requests are read again. It is smaller
+than :data:`MOST_OPEN`, so that a command is read before newer connections can replace its own.
+"""
+QUEUE: Final = 1024
+"""Number of connections that wait in the system to be accepted. The system drops further ones, and
+a browser then tries again after a second.
+"""
+
+_FULL: Final = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 
 
 def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
@@ -44,8 +52,7 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
             held[self] = None
             self._expiry = self.loop.call_later(REQUEST_S, self._expire)
             if len(held) > most:
-                idle = (each for each in held if each is not self and not each.busy)
-                oldest = next(idle, next(iter(held)))
+                oldest = next((each for each in held if not each.commands), next(iter(held)))
                 del held[oldest]
                 oldest.transport.abort()
 
@@ -57,12 +64,17 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
         def handle_websocket_upgrade(self, event: Any) -> None:
             """Pass the connection to the WebSocket protocol."""
             self._leave()
+            if len(self.connections) - len(held) > MOST_PAGES + MOST_READERS + MOST_GREETING:
+                self.transport.write(_FULL)
+                self.transport.close()
+                return
             super().handle_websocket_upgrade(event)
 
         @property
-        def busy(self) -> bool:
-            """Whether a request is in progress."""
-            return self.cycle is not None and not self.cycle.response_complete
+        def commands(self) -> bool:
+            """Whether a command is in progress; a command without the token is refused at once."""
+            cycle = self.cycle
+            return bool(cycle and not cycle.response_complete and cycle.scope["method"] == "POST")
 
         def _leave(self) -> None:
             held.pop(self, None)

@@ -168,6 +168,9 @@ export class Charts {
     }
     this.first += drop;
     this.draw();
+    // The charts out of sight get the end of the recording as well.
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => this.draw(true), 1000);
   }
 
   // Charts out of sight are drawn more rarely; `all` draws them too.

@@ -678,6 +678,10 @@ def test_the_charts_hold_the_extremes_of_the_recording(
     assert found["supply_voltage"] == pytest.approx([60.0, 60.0], abs=0.1)
     # The axes of all charts are about their values, also out of sight and of a constant value.
     for name, (low, high) in found.items():
-        least, most = page.evaluate("name => window.rigConsole.axis(name)", name)
-        assert least < low <= high < most
+
+        def axis(name: str = name) -> list[float]:
+            return list(page.evaluate("name => window.rigConsole.axis(name)", name))
+
+        wait_until(lambda low=low, high=high, axis=axis: axis()[0] < low <= high < axis()[1])
+        least, most = axis()
         assert most - least < 0.3 * max(abs(low), abs(high)) + 2.0 * (high - low) + 0.01

@@ -325,7 +325,7 @@ class Wire:
         return self.aborted
 
 
-def test_a_connection_with_a_request_in_progress_is_closed_last() -> None:
+def test_a_connection_with_a_command_in_progress_is_closed_last() -> None:
     async def nothing(scope: object, receive: object, send: object) -> None:
         return None
 
@@ -338,7 +338,9 @@ def test_a_connection_with_a_request_in_progress_is_closed_last() -> None:
             wires.append(Wire())
             made[-1].connection_made(wires[-1])  # type: ignore[arg-type]
             if not number:
-                made[0].cycle = SimpleNamespace(response_complete=False)  # type: ignore[assignment]
+                made[0].cycle = SimpleNamespace(  # type: ignore[assignment]
+                    response_complete=False, scope={"method": "POST"}
+                )
         for each in made:
             each._leave()
         return [each.aborted for each in wires]
