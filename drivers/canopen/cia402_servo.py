@@ -112,10 +112,11 @@ class Cia402Servo(HomingServo):
         """Read the drive's state from the device (6041h), and end the heartbeat time-out of a drive
         that has switched off by itself.
         """
-        # A drive that does not execute the quick stop is braked by its watchdog.
-        told = self._armed and self._word != cia402.QUICK_STOP
         limit_s = _UNANSWERED_SHARE * self._watch_s
-        with self._channel.kept_alive(limit_s) if told else nullcontext():
+        feeds = self._feeds()
+        if feeds:
+            self._channel.limit_wait(None)
+        with self._channel.kept_alive(limit_s) if feeds else nullcontext():
             state = decode_state(self._channel.read(*cia402.STATUSWORD))
         if not state.energised:
             self._channel.limit_wait(None)
@@ -435,6 +436,15 @@ class Cia402Servo(HomingServo):
         for refused in refusal(self._channel.watch, self._watch_s):
             if self.watch_s is not None:
                 raise refused
+
+    def _feeds(self) -> bool:
+        """Return whether the drive may be told that the loop is alive while its state is read: a
+        drive that does not execute the quick stop is braked by its watchdog.
+        """
+        if not self._armed or self._word != cia402.QUICK_STOP:
+            return self._armed
+        sent = self.sent_state()
+        return sent is not None and not sent.energised
 
     def _release(self) -> None:
         self._channel.unwatch()

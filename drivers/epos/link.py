@@ -290,9 +290,10 @@ class EposSerialLink(Link):
         self._marks = deque((request, answer) for answer, request in marks.items())
 
     def _send(self, frame: bytes) -> None:
-        port = self._opened()
+        # The guard is told also if the port is lost: this program goes on trying.
         if self.guard is not None:
             self.guard.feed()
+        port = self._opened()
         self._decoder.clear()
         try:
             port.discard()

@@ -226,7 +226,7 @@ def _wait(wake: int, descriptor: int, seconds: float | None) -> bool:
 def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
     """Return a sentence on why the guardian acted, and on the final state of the drive."""
     why = {Cause.GONE: "is gone", Cause.LEFT: "could not take its power off"}.get(
-        cause, f"did not run for {ward.limit_s:g} s"
+        cause, f"gave no sign of life for {ward.limit_s:g} s"
     )
     return (
         f"guardian: the program that drove {ward.drive['name']} {why}; after "

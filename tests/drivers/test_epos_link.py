@@ -477,3 +477,54 @@ def test_a_drive_whose_preparation_failed_midway_cannot_be_sampled(
     monkeypatch.undo()
     with pytest.raises(StateError, match="prepare"):
         host.servo.sample()
+
+
+class Fed:
+    """A guard that counts signs of life."""
+
+    def __init__(self) -> None:
+        self.signs = 0
+
+    def arm(self, limit_s: float) -> None: ...
+
+    def feed(self) -> None:
+        self.signs += 1
+
+    def release(self) -> None: ...
+
+
+def test_a_lost_port_is_opened_again_and_the_guard_is_told_meanwhile(
+    host: SerialHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, servo, line = host.epos, enabled(host).servo, host.line
+    back: list[object] = []
+
+    def connect() -> object:
+        if not back:
+            raise FileNotFoundError(2, "No such file or directory")
+        return back.pop()
+
+    def unplugged(data: bytes) -> None:
+        raise OSError(5, "Input/output error")
+
+    fed = Fed()
+    link.guard, link._connect = fed, connect  # type: ignore[assignment]
+    monkeypatch.setattr(line, "write", unplugged)
+    # The simulated line is plugged in again below.
+    monkeypatch.setattr(line, "close", lambda: None)
+    with pytest.raises(LinkError, match=r"is gone: .*Input/output error"):
+        servo.state()
+    before = fed.signs
+    for _ in range(3):
+        with pytest.raises(LinkError, match=r"cannot be opened: .*No such file"):
+            servo.quick_stop()
+    assert fed.signs >= before + 3
+    monkeypatch.undo()
+    back.append(line)
+    servo.quick_stop()
+    servo.disable()
+    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    assert not back
+    link.close()
+    with pytest.raises(LinkError, match="is not open"):
+        servo.state()

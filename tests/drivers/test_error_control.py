@@ -399,3 +399,22 @@ def test_a_simulated_adapter_passes_guard_requests_on(host: Host) -> None:
     assert adapter.receive(b"r7011\rr70110\r") == b"\a"
     host.wait(0.001)
     assert b"t7011" in adapter.receive(b"")
+
+
+@pytest.mark.parametrize("lacks", [(), GUARDED])
+def test_a_slow_drive_that_has_stopped_does_not_fault_while_its_state_is_read(
+    tmp_path: Path, lacks: tuple[int, ...]
+) -> None:
+    """Some drives go into fault after the loss of their master also without power."""
+    host = enabled(make_host(eds=drive_eds(tmp_path, lacks)))
+    host.cycles(30)
+    host.bench.drive.sdo_delay_ns = 100_000_000
+    lost: list[int] = []
+    host.bench.drive.connection_lost = lost.append  # type: ignore[method-assign]
+    with suppress(LinkError):
+        host.servo.quick_stop()
+    host.cycles(60)
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+    host.wait(1.0)
+    assert lost == []
+    host.link.close()

@@ -90,6 +90,17 @@ def unwrapped(text: str) -> str:
     return re.sub(r"\s*[\r\n]+\s*", " ", text)
 
 
+def rig_off(bench: Path, env: Mapping[str, str]) -> str:
+    """Use `rig off`, before other programs of a busy computer; return what is wrong with its end,
+    or an empty text.
+    """
+    words = ["nice", "-n", "-5", sys.executable, *RIG, "off", str(bench)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), **env}
+    done = subprocess.run(words, capture_output=True, text=True, env=environment)
+    good = done.returncode == 0 and "read back" in done.stdout
+    return "" if good else f"rig off ended with {done.returncode}: {done.stderr[-200:]}"
+
+
 @dataclass(frozen=True)
 class Streams:
     """What standard input and output are: ``tty``, ``pipe``, ``closed``, or a path; standard error

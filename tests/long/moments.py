@@ -20,7 +20,6 @@ import os
 import queue
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -35,7 +34,7 @@ from drivers.clock import NS
 from rig.wiring.guardian import REPORT_FILE
 
 from .benches import Account, Bench, bench_process
-from .console import RIG, ROOT, START_KEY, STOP_KEY, Console
+from .console import START_KEY, STOP_KEY, Console, rig_off
 from .process_cases import ANSWER_S, BACK_S, LEFT_S, OUT_S, RIG_OFF_S
 
 OFF_S = 0.5
@@ -203,12 +202,10 @@ def _left_to_others(
         bench.plug()
     if kind == BOTH:
         console.pause(LEFT_S)
-        words = [sys.executable, *RIG, "off", str(file)]
-        env = os.environ | bench.env
-        done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, env=env)
-        if done.returncode or "read back" not in done.stdout:
-            problems.append(f"rig off ended with {done.returncode}: {done.stderr[-200:]}")
-    if not console.until(lambda: console.ended, _END_S):
+        if problem := rig_off(file, bench.env):
+            problems.append(problem)
+    # A guardian that hangs while it starts, before there is power, is waited for.
+    if not console.until(lambda: console.ended, 2.0 * _END_S):
         problems.append("the run did not end")
     report = file.parent / "run" / REPORT_FILE
     if kind == ADAPTER and powered:

@@ -29,7 +29,7 @@ from drivers.clock import NS
 from rig.wiring.guardian import REPORT_FILE
 
 from .benches import TRANSPORTS, Account, Bench, bench_process
-from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams, unwrapped
+from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams, rig_off, unwrapped
 from .process_cases import (
     ALONE,
     ASKING,
@@ -200,15 +200,8 @@ def switch_off(scene: Scene) -> None:
         scene.also.append("the drive is off although nobody was left to switch it off")
     if not re.search("killed or frozen at once", unwrapped(scene.console.text())):
         scene.also.append("the run did not say before that nothing protects then")
-    done = subprocess.run(
-        [sys.executable, *RIG, "off", str(scene.folder / "bench.yaml")],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | scene.bench.env,
-    )
-    if done.returncode or "read back" not in done.stdout:
-        scene.also.append(f"rig off: {done.returncode}: {last_words(done.stdout + done.stderr)}")
+    if problem := rig_off(scene.folder / "bench.yaml", scene.bench.env):
+        scene.also.append(problem)
 
 
 def reach(scene: Scene) -> None:

@@ -370,7 +370,7 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "did not run for 0.25 s")]
+    ("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "gave no sign of life for 0.25 s")]
 )
 def test_what_was_done_in_words(cause: Cause, why: str) -> None:
     ward = Ward({"name": "the drive"}, limit_s=0.25)

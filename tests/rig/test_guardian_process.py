@@ -267,8 +267,8 @@ def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
         ("says", SPEAKING, b"took over\n"),
         (
             "screen",
-            f"guardian: the program that drove EPOS4 at /dev/some did not run for 0.3 s; after "
-            f"0.05 s {OFF}",
+            "guardian: the program that drove EPOS4 at /dev/some gave no sign of life for 0.3 s; "
+            f"after 0.05 s {OFF}",
         ),
         ("says", SPEAKING, OFF.encode() + b"\n"),
         ("pump",),
