@@ -264,8 +264,14 @@ class CanopenLink(Link):
             self._signs()
 
     def forget(self, node_id: int) -> None:
-        """Drop the errors of a device that no exchange has raised yet."""
-        self._troubles = [trouble for trouble in self._troubles if trouble[0] != node_id]
+        """Drop the losses of a device that no exchange has raised yet. An emergency message stays
+        until the device clears it.
+        """
+        self._troubles = [
+            (origin, trouble)
+            for origin, trouble in self._troubles
+            if origin != node_id or isinstance(trouble, DriveFault)
+        ]
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
         """Receive and dispatch frames until ``ready()`` is true; return False after ``timeout_s``.

@@ -95,6 +95,10 @@ def at(phases: str, must: Must) -> dict[str, Must]:
 
 
 NO_ANSWER = Must(4, "no SDO response", WATCH_S)
+NOT_DISABLED = Must(4, "no SDO response", WATCH_S + 0.15)
+"""The command that takes the power off may be answered 0.15 s late; the signs of the control loop
+end then, and the drive stops by itself.
+"""
 REFUSED = Must(4, "refuses", BRAKE_S)
 FOUND_LATER = Must(1, "encoder against drive", 0.5)
 FOUND = Must(1, "encoder against drive", BRAKE_S)
@@ -127,11 +131,17 @@ SIGNS: Mapping[str, Case] = {
     ),
 }
 CASES: Mapping[str, Case] = {
-    "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prepare disable", NO_ANSWER)),
+    "one frame lost": Case(
+        (fault("bus", "lost"),),
+        RIDES,
+        at("prepare", NO_ANSWER) | at("disable", NOT_DISABLED),
+    ),
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),
         Must(4, "sample age", WATCH_S),
-        at("enable prepare disable", NO_ANSWER) | at("prompt", replace(NO_ANSWER, verified=False)),
+        at("enable prepare", NO_ANSWER)
+        | at("disable", NOT_DISABLED)
+        | at("prompt", replace(NO_ANSWER, verified=False)),
     ),
     "cable pulled": Case(
         (fault("bus", "lost", count=0),),
@@ -214,7 +224,7 @@ CASES: Mapping[str, Case] = {
     "SDO time-out": Case(
         (fault("drive", "sdo_timeout"),),
         Must(4, "no SDO response", LATENT_S),
-        at("prompt", RIDES) | at("prepare enable disable", NO_ANSWER),
+        at("prompt", RIDES) | at("prepare enable", NO_ANSWER) | at("disable", NOT_DISABLED),
     ),
     "encoder bit": Case(
         (fault("encoder", "bit"),), FOUND, at("prompt prepare enable disable", RIDES)
