@@ -31,8 +31,8 @@ from identification.design.simulated import (
     recorded,
     with_drives,
 )
+from identification.estimate.covariance import covariances, rise_to_static
 from identification.estimate.default import identify
-from identification.estimate.uncertainty.covariance import covariances, rise_to_static
 from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.spread import Spread
 from identification.recording import Dataset, RecordingError

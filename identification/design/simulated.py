@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from identification.estimate.covariance import matching_means, replicate_information
 from identification.estimate.inertia import Replicate, inflation_by, instruments
-from identification.estimate.uncertainty.covariance import matching_means, replicate_information
 from identification.estimator_settings import DEFAULT
 from identification.filter.likelihood import Point, optimise_breakaway_times
 from identification.filter.noise import Noise

@@ -49,7 +49,7 @@ from identification.diagnosis.verdict.statement import statement, warnings_of
 from identification.diagnosis.verdict.unexplained import unexplained, unrecorded_effects
 from identification.effects import MOTION
 from identification.effects.effect import Effect
-from identification.estimate.uncertainty.parameter_table import units_of
+from identification.estimate.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, RecordingError
 from identification.views.view import View, forget, views

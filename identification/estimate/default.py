@@ -14,6 +14,13 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import equation_error as varpro
+from identification.estimate import refinement
+from identification.estimate.bootstrap import bootstrap
+from identification.estimate.covariance import (
+    shifts_of_constants,
+    with_constants,
+    with_priors,
+)
 from identification.estimate.equation_error import (
     Stage,
     block_sandwich,
@@ -22,10 +29,17 @@ from identification.estimate.equation_error import (
     require_motion,
     unloaded_stage,
 )
-from identification.estimate.likelihood import refinement
-from identification.estimate.likelihood.bootstrap import bootstrap
-from identification.estimate.likelihood.profile import profiles
-from identification.estimate.likelihood.refinement import (
+from identification.estimate.parameter_table import (
+    fit_of,
+    least_pinned,
+    parameter_table,
+    trace_of,
+    tradeoffs,
+    typical_error,
+    units_of,
+)
+from identification.estimate.profile import profiles
+from identification.estimate.refinement import (
     Found,
     floors_of,
     joint_convergence,
@@ -34,20 +48,6 @@ from identification.estimate.likelihood.refinement import (
     refine,
     refine_pieces,
     spread_of,
-)
-from identification.estimate.uncertainty.covariance import (
-    shifts_of_constants,
-    with_constants,
-    with_priors,
-)
-from identification.estimate.uncertainty.parameter_table import (
-    fit_of,
-    least_pinned,
-    parameter_table,
-    trace_of,
-    tradeoffs,
-    typical_error,
-    units_of,
 )
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS

@@ -23,7 +23,7 @@ from identification.estimate.equation_error import (
     noise_floor,
     unloaded_stage,
 )
-from identification.estimate.uncertainty.parameter_table import fit_of
+from identification.estimate.parameter_table import fit_of
 from identification.model.ladder import LADDER, bears_load
 from identification.model.parameters import LOAD_PARAMETERS
 from identification.numerics.arrays import Array

@@ -11,7 +11,7 @@ import numpy as np
 
 from identification.estimate import equation_error as projection
 from identification.estimate.equation_error import require_motion
-from identification.estimate.uncertainty.parameter_table import fit_of, trace_of, units_of
+from identification.estimate.parameter_table import fit_of, trace_of, units_of
 from identification.model.friction import stribeck_shape, system_friction
 from identification.model.ladder import NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS

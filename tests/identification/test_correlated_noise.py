@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.likelihood.refinement import refine_recordings, refusal
+from identification.estimate.refinement import refine_recordings, refusal
 from identification.filter.noise import Noise
 from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.inertia import Replicate
-from identification.estimate.uncertainty import covariance
-from identification.estimate.uncertainty.covariance import (
+from identification.estimate import covariance
+from identification.estimate.covariance import (
     _REPLICATE_PRIOR,
     _scatter,
     _spread,
     covariances,
     not_below,
 )
+from identification.estimate.inertia import Replicate
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from identification.estimate.inertia import Replicate, _smoothed, instruments
-from identification.estimate.likelihood.searches import Refined, refine_stages
-from identification.estimate.uncertainty.covariance import (
+from identification.estimate.covariance import (
     bound,
     matching_means,
     replicate_bound,
     replicate_information,
 )
+from identification.estimate.inertia import Replicate, _smoothed, instruments
+from identification.estimate.searches import Refined, refine_stages
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion

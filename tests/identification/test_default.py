@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate import searches
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.likelihood import searches
-from identification.estimate.likelihood.refinement import refine_recordings, refusal
-from identification.estimate.likelihood.searches import innovation_statistics, refine_stages
 from identification.estimate.paper_method import identify_paper
-from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.estimate.parameter_table import typical_error
+from identification.estimate.refinement import refine_recordings, refusal
+from identification.estimate.searches import innovation_statistics, refine_stages
 from identification.estimator_settings import AcceptanceLimits
 from identification.filter.likelihood import Point
 from identification.filter.segments import motion

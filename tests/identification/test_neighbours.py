@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.likelihood import searches
-from identification.estimate.likelihood.searches import End, LoadedFit, Solved
+from identification.estimate import searches
+from identification.estimate.searches import End, LoadedFit, Solved
 from identification.filter.likelihood import Point, Searched
 from identification.filter.noise import Noise
 from identification.model.parameters import INERTIA, LOAD_RISE, MC, MU_2, OMEGA_SL, SIZE

@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
+from identification.estimate import refinement, replicates
+from identification.estimate.covariance import Covariances, bound, covariances
 from identification.estimate.default import identify
 from identification.estimate.inertia import (
     Equation,
@@ -24,15 +26,13 @@ from identification.estimate.inertia import (
     least_variance,
     replicate_instruments,
 )
-from identification.estimate.likelihood import refinement, replicates
-from identification.estimate.likelihood.refinement import Found, _unbiased
-from identification.estimate.likelihood.replicates import (
+from identification.estimate.refinement import Found, _unbiased
+from identification.estimate.replicates import (
     Bias,
     _Scored,
     likelihood_bias,
     logged_share,
 )
-from identification.estimate.uncertainty.covariance import Covariances, bound, covariances
 from identification.estimator_settings import ReplicateSettings
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.kalman import DIRECTION

@@ -17,8 +17,8 @@ from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.gas.burns import has_gas_channels
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.result import Diagnosis, Verdict
+from identification.estimate.covariance import uncertain_constants
 from identification.estimate.default import identify_any_length
-from identification.estimate.uncertainty.covariance import uncertain_constants
 from identification.export.model import refit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError

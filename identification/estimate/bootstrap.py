@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.estimate.inertia import influence_on_inertia, instruments
-from identification.estimate.likelihood.searches import Refined
+from identification.estimate.searches import Refined
 from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack

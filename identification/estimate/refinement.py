@@ -10,17 +10,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.estimate.equation_error import block_sandwich
-from identification.estimate.likelihood import searches as staged
-from identification.estimate.likelihood.replicates import Bias, likelihood_bias
-from identification.estimate.likelihood.searches import Refined
-from identification.estimate.uncertainty.covariance import (
+from identification.estimate import searches as staged
+from identification.estimate.covariance import (
     covariances,
     named_covariances,
     not_below,
     rise_to_static,
 )
-from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.estimate.equation_error import block_sandwich
+from identification.estimate.parameter_table import typical_error
+from identification.estimate.replicates import Bias, likelihood_bias
+from identification.estimate.searches import Refined
 from identification.estimator_settings import DEFAULT, AcceptanceLimits, EstimatorSettings
 from identification.filter.likelihood import (
     ROUNDS,

@@ -20,9 +20,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import special
 
+from identification.estimate.covariance import rise_to_static
 from identification.estimate.inertia import influence_on_inertia, instruments
-from identification.estimate.likelihood.searches import Refined
-from identification.estimate.uncertainty.covariance import rise_to_static
+from identification.estimate.searches import Refined
 from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack

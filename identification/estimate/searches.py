@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.estimate.covariance import covariances, named_covariances
 from identification.estimate.inertia import SOLVED, equations_chi2, fit_beside_inertia, solve
-from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.filter.experiment import Filter
 from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
 from identification.filter.noise import Noise
@@ -585,7 +585,7 @@ class Refined:
         values: Value of each parameter by name.
         covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
         floor: Cramer-Rao bound of the covariance
-            (:mod:`identification.estimate.uncertainty.covariance`), shape (p, p).
+            (:mod:`identification.estimate.covariance`), shape (p, p).
         names: Names of the fitted parameters, in the order of the covariance.
         innovation_rms: Rms of normalised innovations with variance inflation; 1 if the noise model
             is right.
