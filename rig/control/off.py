@@ -79,7 +79,7 @@ class Processes:
         """Whether a process is suspended."""
         with suppress(OSError, IndexError):
             # The name of the program, in parentheses, may contain any character.
-            status = (_PROC / str(number) / "stat").read_text(errors="replace")
+            status = (_PROC / str(number) / "stat").read_text(encoding="utf-8", errors="replace")
             return status.rpartition(")")[2].split()[0] in "Tt"
         return False
 
@@ -158,7 +158,10 @@ class Off:
             "real": not self.simulated,
             "proved": self.proved,
             "safe": None if self.safe is None else self.safe.record(),
-            "users": [vars(user) for user in self.users],
+            "users": [
+                {"pid": user.pid, "command": user.command, "ended": user.ended}
+                for user in self.users
+            ],
             "attempts": self.attempts,
             "message": self.message,
             "seconds": self.seconds,

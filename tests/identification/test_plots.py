@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from identification.diagnosis.result import Fit as EquationError
 from identification.diagnosis.result import Map, ResidualTrace
 from identification.plots import fit as fit_plots
-from identification.plots import mismatch, recording
+from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
 from identification.plots import result as opening
 from identification.plots.spread import spread
@@ -91,9 +91,9 @@ def of_one_trace(draw: Callable[..., Figure], motion: str = "rotary") -> Figure:
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
-    "response": lambda: of_one_trace(recording.response),
-    "response, linear": lambda: of_one_trace(recording.response, "linear"),
-    "residual": lambda: recording.residual(trace()[0], "rotary", "N m"),
+    "response": lambda: of_one_trace(signals.response),
+    "response, linear": lambda: of_one_trace(signals.response, "linear"),
+    "residual": lambda: signals.residual(trace()[0], "rotary", "N m"),
     "opening": lambda: opening.result(result(), {"run": 0.0}, [trace()[1]]),
     "stribeck": lambda: fit_plots.stribeck(result(), {"run": 0.0}),
     "convergence": lambda: fit_plots.convergence(result().stages[0]),
@@ -173,7 +173,7 @@ def test_texts_are_within_the_figure_and_axes_apart(name: str) -> None:
 
 def test_rest_breaks_the_fitted_line() -> None:
     one, recording = trace(samples=1001)
-    bottom = recording.response(one, recording, "N m").axes[-1]
+    bottom = signals.response(one, recording, "N m").axes[-1]
     fitted = next(line for line in bottom.lines if str(line.get_label()).startswith("model"))
     assert np.array_equal(np.isnan(np.asarray(fitted.get_ydata(), dtype=float)), one.used < 0.5)
 

@@ -262,7 +262,6 @@ def main() -> int:
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
         table = stops(Path(folder)) if words in ([], ["stops"]) else []
-        print("\n".join(table))
         if words == ["stops"]:
             return 0
         lines, problems = matrix(Path(folder), words or [""])

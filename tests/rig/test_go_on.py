@@ -46,10 +46,8 @@ def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -
     """The message of the run stands above these words on the terminal and on the page."""
     words = go_on_words(stopped, Path("runs/x"))
     assert f"{stopped.message}\n{words}".count(remedy(Check.CURRENT)) == 1
-    assert words == "go on with: rig resume runs/x"
-    untold = go_on_words(changed(stopped, message="a limit tripped"), Path("runs/x"))
-    assert untold.splitlines() == [
-        "first: look for jamming or a weight above the plan",
+    assert words.splitlines() == [
+        f"first: {remedy(Check.CURRENT)}",
         "go on with: rig resume runs/x",
     ]
 
