@@ -56,7 +56,8 @@ def require_space(path: Path, cycles: float) -> None:
         above = above.parent
     try:
         free = shutil.disk_usage(above).free
-    except OSError:
+    except (OSError, AttributeError):
+        # AttributeError: without POSIX modules; such a run is refused with its cause.
         return
     needed = round(cycles * CYCLE_BYTES) + _MARGIN_BYTES
     if free < needed:

@@ -370,6 +370,7 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     throttle = frozen.context.new_cdp_session(frozen)
     throttle.send("Emulation.setCPUThrottlingRate", {"rate": 20})
     lost = opened()
+    expect(lost.locator("#chart-angle .chart-now")).not_to_be_empty()
     lost.context.set_offline(True)
     lost.click("#stop")
     alarm = lost.locator("#alerts .alarm", has_text="STOP was NOT confirmed")
