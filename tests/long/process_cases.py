@@ -54,10 +54,10 @@ LIMITS = (
     f"{BACK_S:g} s after the adapter of the serial bench is back; {ANSWER_S:g} s after its "
     f"guardian hangs; {STOP_S:g} s after a sleep of the computer; {GONE_S + STOP_S:g} s after the "
     "run folder is deleted. A drive without a watchdog whose program and guardian are frozen or "
-    f"dead stays on: it is off {RIG_OFF_S:g} s after the start of `rig off`, and the run has said "
-    "so before its first prompt. "
-    "If the drive had power, the terminal must show the verdict within another "
-    f"{TOLD_S:g} s."
+    f"dead stays on until `rig off`, and is off within {RIG_OFF_S:g} s of its start; the run says "
+    "before its first prompt that nothing protects then. "
+    "If the drive had power, the terminal must show the last message of the run, with the state of "
+    f"the drive, within another {TOLD_S:g} s."
 )
 
 PHASES: Mapping[str, tuple[str, str, float]] = {
@@ -167,7 +167,7 @@ def _slept(transport: str, phase: str) -> Must:
 
 
 def _deleted(transport: str, phase: str) -> Must:
-    return Must((4,), GONE_S + STOP_S, words="was deleted during the run")
+    return Must((4,), GONE_S + STOP_S, words="was deleted during the run|no longer in")
 
 
 def _garbage(transport: str, phase: str) -> Must:
