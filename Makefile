@@ -42,7 +42,7 @@ help:
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
 	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
-	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
+	@echo "make moments   200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
