@@ -9,14 +9,14 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster makes masters units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
 	@echo "make proofs    the tests that measure accuracy on whole benches and recordings, which make test leaves out"
-	@echo "make structure files and floors per folder, import arrows, sizes, and the bounds they break"
+	@echo "make structure rooms, sizes and imports against their budgets"
 	@echo "make docs      build the documentation as a site (out/docs/index.html); warnings are errors"
 	@echo "make reference write the reference pages (docs/reference) from the code"
 	@echo "make docs-run  run every code block of the documentation, the long ones too"
@@ -26,26 +26,26 @@ help:
 	@echo "make profile-coverage  how often likelihood profiles and intervals hold the truth"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer, diagnoses (out/real)"
-	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
+	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds"
 	@echo "make prove     the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make prove-worlds  the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
 	@echo "make cluster   the same proof with one process, two, and a cluster of which a worker is killed: the same bytes (out/cluster)"
-	@echo "make power-map  from which size recordings show each effect, along rate, bits, encoders, loads, excitation (docs/power.md)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
-	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
+	@echo "make fault-matrix  every fault in every phase of a run on each transport (out/fault_matrix.md)"
 	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
 	@echo "make masters   a second, independent CANopen master drives the simulated drives of the makes (needs Node)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
-	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
+	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)"
 	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
-	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
+	@echo "make terminal  what is on the screen, as an operator in tmux (out/terminal.md)"
+	@echo "make durand    check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
 	@echo "make fuzz      a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format"
@@ -74,6 +74,8 @@ $(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
 
 docs: $(VENV)/.docs reference
 	$(BIN)/sphinx-build -q -b html -W --keep-going docs out/docs
+	@! grep -rlE '<(script|link|img)[^>]+(src|href)="https?://' out/docs --include='*.html' \
+	  || { echo "these pages load files from a network"; exit 1; }
 	@echo "out/docs/index.html"
 
 reference: $(VENV)/.runtime
@@ -145,26 +147,19 @@ feedforward: $(VENV)/.runtime
 
 prove: $(VENV)/.dev
 	$(BIN)/rig prove --rigs $(or $(RIGS),24) --jobs 2 --out out/proof
-	$(BIN)/rig prove $(PROVE_WORLDS) --jobs 2 --out out/proof-worlds
+	$(BIN)/python -m benchmarks.worlds out/worlds $(PROVE_WORLDS) --jobs 2
+	$(BIN)/rig prove --from out/worlds --jobs 2 --out out/proof-worlds
 
 prove-gas: $(VENV)/.runtime
 	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
 
 prove-worlds: $(VENV)/.dev
-	$(BIN)/rig prove --plant own-worlds --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-own-worlds
-	$(BIN)/rig prove --plant mujoco --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-mujoco
-	$(BIN)/python -m tests.worlds.plant out/worlds-ode --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2
-	$(BIN)/rig prove --from out/worlds-ode --jobs 2 --out out/proof-ode
+	for plant in own third mujoco; do \
+	  $(BIN)/python -m benchmarks.worlds out/worlds-$$plant --plant $$plant --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 && \
+	  $(BIN)/rig prove --from out/worlds-$$plant --jobs 2 --out out/proof-$$plant || exit 1; done
 
 cluster: $(VENV)/.dev
 	$(BIN)/python -m tests.long.cluster out/cluster --rigs $(or $(RIGS),12) --seed $(or $(SEED),1)
-
-power-map: $(VENV)/.dev
-	$(BIN)/python -m benchmarks.power out/power --machines $(or $(MACHINES),10) --jobs 2
-	$(BIN)/python -m benchmarks.power.check out/power --seal out/power-check --rigs $(or $(RIGS),20) --seed $(or $(SEED),4711) --jobs 2
-	$(BIN)/rig prove --from out/power-check --seed 3 --jobs 2 --out out/power-proof
-	$(BIN)/python -m benchmarks.power.check out/power --sealed out/power-check --proof out/power-proof
-	$(BIN)/python -m benchmarks.power.page out/power docs
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
@@ -211,6 +206,9 @@ units: $(VENV)/.dev
 
 terminal: $(VENV)/.dev
 	$(BIN)/python -m tests.long.terminal
+
+durand: $(VENV)/.dev
+	$(BIN)/python -m tests.long.durand_peer
 
 realtime: $(VENV)/.dev
 	$(BIN)/python -m tests.long.realtime

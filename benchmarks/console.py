@@ -4,6 +4,7 @@ pages that watch and without.
 python benchmarks/console.py latency [--bench BENCH ...] [--presses 100] [--realtime] [--making]
 python benchmarks/console.py latency --wire WIRE ... [--presses 100] [--making]
 python benchmarks/console.py lateness [--seconds 80] [--making]
+python benchmarks/console.py crowd [--presses 20] [--connections 300]
 
 A console, the runs and this script are processes of their own. A press is a POST request, as the
 page sends it; it goes from the console through the run's control socket to the control loop. All
@@ -234,6 +235,40 @@ def lateness(seconds: float, making: bool) -> None:
     _print_load()
 
 
+def crowds(presses: int, count: int) -> None:
+    """Print the time from STOP to its answer, without other connections and with many of each
+    kind: idle, reading pages, pages without the token, and pages with it.
+    """
+    rows = []
+    for kind in ("none", "idle", "requests", "pages", "pages with the token"):
+        with started("practical", presses, True, False, False) as desk, ExitStack() as stack:
+            if kind != "none":
+                token = desk.console.token if kind.endswith("token") else ""
+                ending = threading.Event()
+                crowd = threading.Thread(
+                    target=desk.console.crowd, args=(kind, count, token, ending)
+                )
+                crowd.start()
+                stack.callback(crowd.join)
+                stack.callback(ending.set)
+                time.sleep(3.0)
+            answers, unconfirmed = [], 0
+            for _ in range(presses):
+                run = next(desk.lines)["run"]
+                next(desk.lines)
+                words = UNKNOWN
+                while UNKNOWN in words:
+                    pressed, taken, words = desk.console.stop(run)
+                unconfirmed += words != TAKEN
+                answers.append((taken - pressed) * 1e-6)
+                next(desk.lines)
+        points = (f"{np.percentile(answers, point):.0f}" for point in (50, 90, 100))
+        rows.append([kind, str(len(answers)), *points, str(unconfirmed)])
+    heads = [f"{count} connections", "presses", "p50 ms", "p90 ms", "most ms", "not confirmed"]
+    print(table(heads, rows, right=[1, 2, 3, 4, 5]))
+    _print_load()
+
+
 def _print_load() -> None:
     print(f"load of the computer (1 min): {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores")
 
@@ -243,15 +278,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["latency", "lateness"])
+    parser.add_argument("what", choices=["latency", "lateness", "crowd"])
     parser.add_argument("--bench", action="append")
     parser.add_argument("--wire", action="append", choices=sorted(TRANSPORTS))
     parser.add_argument("--presses", type=int, default=100)
     parser.add_argument("--realtime", action="store_true")
     parser.add_argument("--making", action="store_true")
     parser.add_argument("--seconds", type=float, default=80.0)
+    parser.add_argument("--connections", type=int, default=300)
     given = parser.parse_args()
-    if given.what == "lateness":
+    if given.what == "crowd":
+        crowds(given.presses, given.connections)
+    elif given.what == "lateness":
         lateness(given.seconds, given.making)
     else:
         latencies(given)

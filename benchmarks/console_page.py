@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import collections
 import http.client
 import json
 import os
 import queue
 import re
 import select
+import selectors
 import socket
 import subprocess
 import sys
@@ -94,6 +96,56 @@ class Console:
                             keys.put(found[1].decode())
                             keys = None
         counts.append(count)
+
+    def crowd(self, kind: str, count: int, token: str, ending: threading.Event) -> None:
+        """Keep many connections open until the event, each opened again when it is closed.
+
+        Args:
+            kind: ``idle``: nothing is sent; ``requests``: the list of runs is requested again and
+                again; else a page, which reads all that it is sent.
+            count: Number of connections.
+            token: Token of the pages, or empty.
+            ending: Ends the crowd.
+        """
+        host = f"127.0.0.1:{self.port}"
+        head = f"Host: {host}\r\nOrigin: http://{host}\r\n"
+        request = f"GET /recorded HTTP/1.1\r\n{head}\r\n".encode()
+        upgrade = (
+            f"GET /live HTTP/1.1\r\n{head}Upgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n"
+        ).encode() + _frame(json.dumps({"token": token}).encode())
+        said = {"idle": b"", "requests": request}.get(kind, upgrade)
+        closed: collections.deque[float] = collections.deque([0.0] * count)
+        with selectors.DefaultSelector() as open_:
+            while not ending.is_set():
+                # A browser opens a connection again half a second after it was closed.
+                while closed and closed[0] < time.monotonic() - 0.5 and not ending.is_set():
+                    closed.popleft()
+                    try:
+                        made = socket.create_connection(("127.0.0.1", self.port), timeout=1.0)
+                        made.sendall(said)
+                    except OSError:
+                        closed.append(time.monotonic())
+                        continue
+                    made.setblocking(False)
+                    open_.register(made, selectors.EVENT_READ)
+                for key, _ in open_.select(0.1):
+                    connection = key.fileobj
+                    assert isinstance(connection, socket.socket)
+                    data = b""
+                    with suppress(OSError):
+                        data = connection.recv(1 << 16)
+                        if data and kind == "requests":
+                            connection.sendall(said)
+                    if not data:
+                        open_.unregister(connection)
+                        connection.close()
+                        closed.append(time.monotonic())
+                time.sleep(0.02)
+            for key in list(open_.get_map().values()):
+                connection = key.fileobj
+                assert isinstance(connection, socket.socket)
+                connection.close()
 
     def make(self, runs: list[str], ending: threading.Event, made: list[float]) -> None:
         """Have comparisons of runs made, one after the other, until the event; add the seconds that

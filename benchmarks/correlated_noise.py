@@ -20,9 +20,8 @@ from profile_coverage import stage
 from scipy import signal
 
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.equation_error.block_sandwich import block_sandwich
-from identification.estimate.equation_error.regression import model_torque
-from identification.model.nominal import NOMINAL
+from identification.estimate.equation_error import block_sandwich, model_torque
+from identification.model.parameters import NOMINAL
 from identification.prepare import Prepared, prepare
 from identification.recording import Array, Dataset, Model, Recording
 from rig.common.tables import table

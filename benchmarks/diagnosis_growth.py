@@ -26,8 +26,8 @@ import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.recording import Dataset
 from rig.common.tables import table
 from rig.results.prove.draw import draw
@@ -63,20 +63,20 @@ def subset(count: int) -> list[str]:
     weight can show: declaring it would change the nominal model.
     """
     always = [HIDDEN, "load_dependent_friction"]
-    others = [t.name for t in TERMS if t.name not in always]
+    others = [t.name for t in MOTION if t.name not in always]
     return (always + [others[k] for k in np.random.default_rng(0).permutation(len(others))])[:count]
 
 
 def measure(folder: Path, names: list[str]) -> None:
     """Diagnose in this process with the effects of these names; print what it took as JSON."""
     dataset = load_source(folder / CAMPAIGN_FILE)
-    others = tuple(t.name for t in TERMS if t.name not in names)
+    others = tuple(t.name for t in MOTION if t.name not in names)
     model = replace(dataset.model, terms=(*dataset.model.terms, *others))
     screened = []
 
     def count(joint: Joint) -> None:
         context = Context(joint.equations[0].views, joint.nominal)
-        screened.append(sum(len(t.shapes(context)) for t in TERMS if t.name in names))
+        screened.append(sum(len(t.shapes(context)) for t in MOTION if t.name in names))
 
     began = time.process_time()
     found = diagnose(
@@ -103,14 +103,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--recordings", type=int, nargs="+", default=[2, 4, 8, 16])
-    parser.add_argument("--effects", type=int, nargs="+", default=[5, 10, 20, len(TERMS)])
+    parser.add_argument("--effects", type=int, nargs="+", default=[5, 10, 20, len(MOTION)])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--measure", nargs="+", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.measure:
         measure(Path(arguments.measure[0]), arguments.measure[1:])
         return
-    everything = subset(len(TERMS))
+    everything = subset(len(MOTION))
     with tempfile.TemporaryDirectory() as scratch:
         folders = {n: Path(scratch) / str(n) for n in sorted({*arguments.recordings, FULL})}
         for recordings, folder in folders.items():

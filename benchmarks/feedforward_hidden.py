@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.recording import Recording
 from identification.tracking import REST_RAD_S, track
 from rig.common.result_files import IDENTIFY_SCHEMA

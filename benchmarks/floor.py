@@ -26,8 +26,8 @@ from floor_benches import of_the_model, random_bench, record
 
 import rig.config.bench
 from identification.estimate.default import identify, solve_stages
-from identification.estimate.likelihood.refinement import refine_recordings
-from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.paper_method import identify_paper
+from identification.estimate.refinement import refine_recordings
 from identification.prepare import prepare
 from identification.recording import Dataset
 from identification.result import Identification

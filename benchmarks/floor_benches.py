@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from identification.recording import Array, Bench, Dataset, Recording
-from identification.simulate.servo_loop import respond, usual_loop
+from identification.simulate.drive_loop import respond, usual_loop
 from rig.cli import entry as cli
 from rig.runs.run_record import RECORDING_FILE
 from rig.runs.truth import JOINT_FIELDS

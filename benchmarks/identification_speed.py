@@ -31,17 +31,16 @@ from scipy import optimize
 
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.plant.true_motion import simulate
+from identification.estimate import equation_error as varpro
 from identification.estimate.default import identify
-from identification.estimate.equation_error import variable_projection as varpro
-from identification.estimate.paper_method.paper import GENERATIONS, POPULATION
-from identification.estimate.paper_method.stage_problem import StageProblem
+from identification.estimate.paper_method import GENERATIONS, POPULATION, StageProblem
 from identification.filter.experiment import Experiment, Filter
+from identification.filter.likelihood import static_crossings
 from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import motion
-from identification.filter.static_limit import static_crossings
 from identification.model.parameters import pack
-from identification.numerics.levenberg_marquardt import huber
+from identification.numerics.least_squares import huber
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.common.tables import table

@@ -26,10 +26,10 @@ import numpy as np
 
 from drivers.interfaces import RawFrame
 from identification.estimate import default
-from identification.estimate.long import identify_long
-from identification.model.nominal import NOMINAL
+from identification.estimate.default import identify_long
+from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench
-from identification.simulate.servo_loop import respond, usual_loop
+from identification.simulate.drive_loop import respond, usual_loop
 from rig.common.sample import Sample
 from rig.common.tables import table
 from rig.config.bench import load_bench

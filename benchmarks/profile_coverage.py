@@ -17,10 +17,10 @@ import numpy as np
 from scipy import stats
 
 from identification.estimate.default import identify
-from identification.estimate.likelihood.profile import crossings
-from identification.model.nominal import NOMINAL
+from identification.estimate.profile import crossings
+from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench, Dataset, Recording
-from identification.simulate.servo_loop import respond, usual_loop
+from identification.simulate.drive_loop import respond, usual_loop
 from rig.common.tables import table
 
 PERIOD_S, STAGE_S = 1e-3, 10.0

@@ -22,14 +22,14 @@ from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
 from identification.diagnosis.fit.within_limits import within_limits
 from identification.diagnosis.result import Diagnosis
-from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.significance import trial_candidates
 from identification.diagnosis.selection.baselines import greedy_bic, library
 from identification.diagnosis.selection.unseen import validation_rms
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
+from identification.views.view import views
 from rig.common.tables import table
 from rig.sources.load import load_source
 
@@ -47,7 +47,7 @@ def greedy(dataset: Dataset, equation: str) -> tuple[int, float, float | None]:
     unit, bandwidth = torque_unit(fitted[0]), bandwidth_of(fitted)
     here, nominal = views_and_fit(dataset, bandwidth)
     left_out = set(dataset.model.terms)
-    terms = [t for t in TERMS if t.name not in left_out]
+    terms = [t for t in MOTION if t.name not in left_out]
     names = greedy_bic(library(nominal, terms))
     added = tuple(a for name in names if (a := _best(nominal, name)) is not None)
     free = fit(here, unit, nominal.nominal, added, nominal) if added else nominal
@@ -64,7 +64,7 @@ def _best(joint: Joint, name: str) -> Added | None:
     """Return an effect at the trial shape that explains most of the nominal model's mismatch; None
     if no shape has physical signs.
     """
-    term = next(t for t in TERMS if t.name == name)
+    term = next(t for t in MOTION if t.name == name)
     context = Context(joint.equations[0].views, joint.nominal)
     best = max(trial_candidates(joint.stack, context, [term]), key=lambda c: c.score, default=None)
     if best is None:

@@ -1,6 +1,4 @@
-"""The real recordings through the commands a user would type: what docs/real_recordings.md
-states.
-"""
+"""The real recordings through the commands a user would type (docs/measurements.md)."""
 
 from __future__ import annotations
 

@@ -13,11 +13,11 @@ from sphinx.application import Sphinx
 
 project = "loadrig"
 author = "the loadrig authors"
-extensions = ["myst_parser", "sphinxcontrib.mermaid"]
+extensions = ["myst_parser", "sphinx.ext.mathjax", "sphinx-mathjax-offline"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["generator"]
 myst_enable_extensions = ["dollarmath"]
-myst_fence_as_directive = ["math", "mermaid"]
+myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4
 html_theme = "furo"
 html_title = "loadrig"

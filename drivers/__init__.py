@@ -2,7 +2,3 @@
 
 This package knows nothing of sequences, files or fits.
 """
-
-from drivers.lean_imports import install as _install
-
-_install()

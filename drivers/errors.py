@@ -32,6 +32,7 @@ class ObjectAccessError(DeviceError):
         self.index = index
         self.subindex = subindex
         self.code = code
+        self.message = message
 
 
 class StateError(DeviceError):
@@ -53,6 +54,35 @@ class DriveFault(DeviceError):
 
 class ConfigurationError(DeviceError):
     """The device differs from the bench file: wrong identity, scale, unit or limit."""
+
+
+class RangeError(ConfigurationError):
+    """A value does not fit into an object of the device.
+
+    Args:
+        low: Least value of the object.
+        high: Greatest value of the object.
+        message: Object, value and range.
+    """
+
+    def __init__(self, low: int, high: int, message: str) -> None:
+        super().__init__(message)
+        self.low = low
+        self.high = high
+
+
+class LimitError(ConfigurationError):
+    """A drive cannot hold a limit of the bench file.
+
+    Args:
+        keys: Keys of the bench file from which the value was computed: first the limit, then its
+            units.
+        message: Limit, range of the drive, and remedy.
+    """
+
+    def __init__(self, keys: tuple[str, ...], message: str) -> None:
+        super().__init__(message)
+        self.keys = keys
 
 
 class NotDescribedError(ConfigurationError):

@@ -119,6 +119,13 @@ class Measuring(NamedTuple):
     rated_current_A: float = math.nan
 
 
+class ServoMotion(NamedTuple):
+    """Joint angle and joint speed that are read from a drive; NaN if unknown."""
+
+    angle_rad: float = math.nan
+    velocity_rad_s: float = math.nan
+
+
 class ServoSample(NamedTuple):
     """Sample of the drive in one cycle.
 
@@ -280,6 +287,23 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
     def measuring(self) -> Measuring:
         """Return how finely the drive measures. Nothing is sent."""
         return Measuring()
+
+    def motion(self) -> ServoMotion:
+        """Read angle and speed by as few requests as possible, without preparing the drive.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        return ServoMotion(velocity_rad_s=self.readings().velocity_rad_s)
+
+    def promised_deceleration(self) -> float:
+        """Return the deceleration of the quick stop at the joint, rad/s^2, as last written, else as
+        read from the drive; NaN if unknown.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        return math.nan
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault; the drive must be in fault."""

@@ -5,7 +5,8 @@ A profile uses only these interfaces, so that it is independent of the transport
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Final, ParamSpec, Protocol, TypeVar
 
@@ -19,6 +20,12 @@ VENDOR: Final = (0x1018, 1)
 PRODUCT: Final = (0x1018, 2)
 ABSENT: Final = (0x06020000, 0x06090011)
 """Abort codes of a device that lacks an object or a subindex."""
+_WRITE_ONLY: Final = 0x06010001
+CONSUMER: Final = (0x1016, 1)
+GUARD_TIME: Final = (0x100C, 0)
+LIFE_FACTOR: Final = (0x100D, 0)
+WATCHES: Final[tuple[tuple[ObjectAddress, ...], ...]] = ((CONSUMER,), (GUARD_TIME, LIFE_FACTOR))
+"""Objects by which a device monitors its master: the heartbeat consumer, or life guarding."""
 P = ParamSpec("P")
 V = TypeVar("V")
 
@@ -34,6 +41,11 @@ def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iter
         act(*args, **kwargs)
     except (ConfigurationError, ObjectAccessError) as error:
         yield error
+
+
+def watchable(has: Callable[[int, int], bool]) -> bool:
+    """Return whether a device with these objects can monitor its master."""
+    return any(all(has(*address) for address in needed) for needed in WATCHES)
 
 
 class ObjectAccess(Protocol):
@@ -140,15 +152,6 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
-    def require_watchable(self) -> None:
-        """Check by the EDS that the device can monitor the control loop, unless the transport has
-        another monitor. Nothing is sent.
-
-        Raises:
-            ConfigurationError: The device cannot monitor the control loop.
-        """
-        ...
-
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an object that must be sent even if no answer can be received; the errors are those
         of :meth:`write`.
@@ -178,11 +181,38 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
+    def accessed(
+        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
+    ) -> Iterator[ObjectAddress]:
+        """Yield the objects that :meth:`map_process_data` and :meth:`watch` read or write. Nothing
+        is sent.
+        """
+        ...
+
+    def unguarded(self, watched: bool) -> Iterator[DeviceError]:
+        """Yield an error for a device that :meth:`map_process_data` would guard by remote frames,
+        and that does not answer one. Nothing is written.
+
+        Raises:
+            LinkError: The request cannot be sent.
+        """
+        ...
+
     def map_process_data(
-        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
+        self,
+        outputs: Sequence[PdoLayout],
+        inputs: Sequence[PdoLayout],
+        cycle_s: float,
+        watched: bool = False,
     ) -> None:
         """Configure which values are exchanged and how often, and start the exchange. The device is
         not energised.
+
+        Args:
+            outputs: Objects that are sent to the device.
+            inputs: Objects that the device sends.
+            cycle_s: Control cycle, s.
+            watched: Whether the device shall be able to monitor the control loop (:meth:`watch`).
 
         Raises:
             ConfigurationError: The device lacks an object, or another device on the link has
@@ -212,7 +242,7 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     def watch(self, limit_s: float) -> None:
         """Make the device monitor the control loop: without an exchange for ``limit_s`` the device
-        stops by itself.
+        stops by itself. Nothing is done for a device that cannot monitor the control loop.
 
         Raises:
             ConfigurationError: The device did not store the time-out.
@@ -221,6 +251,12 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     def unwatch(self) -> None:
         """End the monitoring of the control loop; only for a de-energised device."""
+        ...
+
+    def kept_alive(self, limit_s: float) -> AbstractContextManager[None]:
+        """Return a context in which the signs of the control loop are sent to the device also while
+        an answer is awaited, for ``limit_s`` at most.
+        """
         ...
 
     def limit_wait(self, limit_s: float | None) -> None:
@@ -266,6 +302,37 @@ def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
                 f"{what} {stated:X}h: the device or the EDS file is the wrong one; check node "
                 "identifier and EDS file in the bench file"
             )
+
+
+def access_refusals(
+    channel: ProcessChannel,
+    outputs: Sequence[PdoLayout],
+    inputs: Sequence[PdoLayout],
+    watched: bool = False,
+    others: Iterable[ObjectAddress] = (),
+) -> Iterator[DeviceError]:
+    """Yield an error for each object of the process data that cannot be mapped by the EDS; if there
+    is none, an error for each object of a preparation that the device refuses to read.
+
+    Args:
+        channel: The device.
+        outputs: See :meth:`ProcessChannel.map_process_data`.
+        inputs: See :meth:`ProcessChannel.map_process_data`.
+        watched: See :meth:`ProcessChannel.map_process_data`.
+        others: Further objects that a preparation reads or writes.
+
+    Raises:
+        LinkError: No answer.
+    """
+    unmappable = list(refusal(channel.require_mappable, outputs, inputs))
+    yield from unmappable
+    if unmappable:
+        return
+    for address in dict.fromkeys((*others, *channel.accessed(outputs, inputs, watched))):
+        for error in refusal(channel.read, *address):
+            if not (isinstance(error, ObjectAccessError) and error.code == _WRITE_ONLY):
+                yield error
+    yield from channel.unguarded(watched)
 
 
 def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:

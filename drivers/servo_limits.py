@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
-from drivers.errors import ConfigurationError
+from drivers.errors import (
+    ConfigurationError,
+    DeviceError,
+    LimitError,
+    NotDescribedError,
+    ObjectAccessError,
+    RangeError,
+)
 from drivers.interfaces import LimitSteps, ServoLimits
-from drivers.objects import ObjectAccess, ObjectAddress
+from drivers.objects import ObjectAccess, ObjectAddress, ProcessChannel, optional, refusal
 from drivers.units import ServoScales
 
 POSITION_MIN: Final = (0x607D, 1)
@@ -19,6 +26,9 @@ MAX_CURRENT: Final = (0x6073, 0)
 FOLLOWING_WINDOW: Final = (0x6065, 0)
 QUICK_STOP_OPTION: Final = (0x605A, 0)
 QUICK_STOP_DECELERATION: Final = (0x6085, 0)
+PROFILE_SPEED: Final = (0x6081, 0)
+PROFILE_ACCELERATION: Final = (0x6083, 0)
+PROFILE_DECELERATION: Final = (0x6084, 0)
 WINDOW_OFF: Final = 0xFFFFFFFF
 NO_OPTION: Final = -1
 """Value that stands for the quick stop option of a drive without an object for this option."""
@@ -37,6 +47,34 @@ of this limit.
 """
 OBJECTS: Final = tuple(FIELDS)
 """All objects that store limits."""
+_COUNTS: Final = ("machine.gear_ratio", "servo.counts_per_motor_turn")
+_SPEEDS: Final = ("machine.gear_ratio", "servo.velocity_unit")
+_RAMPS: Final = ("machine.gear_ratio", "servo.acceleration_unit_rad_s2")
+_KEYS: Final[Mapping[ObjectAddress, tuple[str, ...]]] = {
+    POSITION_MIN: ("limits.angle_min_deg", *_COUNTS, "servo.offset_deg"),
+    POSITION_MAX: ("limits.angle_max_deg", *_COUNTS, "servo.offset_deg"),
+    MAX_SPEED: ("limits.speed_deg_s", *_SPEEDS),
+    MAX_TORQUE: ("limits.torque_N_m", "machine.gear_ratio", "servo.rated_torque_N_m"),
+    MAX_CURRENT: ("limits.current_A", "servo.rated_current_A"),
+    FOLLOWING_WINDOW: ("limits.following_error_deg", *_COUNTS),
+    QUICK_STOP_OPTION: ("servo.quick_stop_option",),
+    QUICK_STOP_DECELERATION: ("servo.quick_stop_deceleration_deg_s2", *_RAMPS),
+    PROFILE_SPEED: ("limits.speed_deg_s", *_SPEEDS),
+    PROFILE_ACCELERATION: ("servo.profile_acceleration_deg_s2", *_RAMPS),
+    PROFILE_DECELERATION: ("servo.profile_acceleration_deg_s2", *_RAMPS),
+}
+"""Object to the keys of the bench file from which its value is computed: first the limit, then its
+units. With a negative sign of the drive, the ends of the angle are exchanged.
+"""
+_UNITS: Final = {
+    "deg": ("deg", math.degrees(1.0)),
+    "deg_s": ("deg/s", math.degrees(1.0)),
+    "deg_s2": ("deg/s^2", math.degrees(1.0)),
+    "N_m": ("N m", 1.0),
+    "A": ("A", 1.0),
+    "option": ("", 1.0),
+}
+"""End of a key to its unit, and to the factor from SI."""
 
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
@@ -112,11 +150,61 @@ def _whole(units: float) -> int:
     return math.floor(units + 1e-6)
 
 
+def value_at(address: ObjectAddress, units: int, scales: ServoScales) -> float:
+    """Return the limit that a value of a limit object stands for, at the joint, in SI units."""
+    count = scales.joint_rad_per_count
+    gains = {
+        MAX_SPEED: scales.joint_speed_unit_rad_s,
+        PROFILE_SPEED: scales.joint_speed_unit_rad_s,
+        MAX_TORQUE: scales.joint_torque_unit_N_m,
+        MAX_CURRENT: scales.current_unit_A,
+        FOLLOWING_WINDOW: abs(count),
+        QUICK_STOP_OPTION: 1.0,
+    }
+    if address in (POSITION_MIN, POSITION_MAX):
+        return units * count + scales.offset_rad
+    return units * gains.get(address, scales.joint_acceleration_unit_rad_s2)
+
+
+def named(
+    address: ObjectAddress, value: int, scales: ServoScales, error: DeviceError
+) -> DeviceError:
+    """Return an error that names the keys of the bench file from which a refused value was
+    computed.
+
+    Args:
+        address: Object of the limit.
+        value: The refused value, in units of the object.
+        scales: Units of the drive.
+        error: Error of the drive or of its EDS.
+    """
+    if isinstance(error, NotDescribedError):
+        return error
+    turned = {POSITION_MIN: POSITION_MAX, POSITION_MAX: POSITION_MIN} if scales.sign < 0 else {}
+    key, *units = keys = _KEYS[turned.get(address, address)]
+    unit, factor = next(row for end, row in _UNITS.items() if key.endswith(f"_{end}"))
+
+    def at(units: int) -> float:
+        return factor * value_at(address, units, scales)
+
+    words = f"it is {key}, {at(value):.5g} {unit}".rstrip()
+    if isinstance(error, RangeError):
+        low, high = sorted((at(error.low), at(error.high)))
+        words += f", and this drive can hold {low:.5g} to {high:.5g} {unit}".rstrip()
+    words += f": change {key}" + (f", or correct {' or '.join(units)}" if units else "")
+    if isinstance(error, ObjectAccessError):
+        return ObjectAccessError(
+            error.index, error.subindex, error.code, f"{error.message}; {words}"
+        )
+    return LimitError(keys, f"{error}; {words}")
+
+
 def read(
     drive: ObjectAccess, scales: ServoScales, held: Sequence[ObjectAddress] = OBJECTS
 ) -> ServoLimits:
     """Read the limits that are stored in a drive, from those limit objects that the drive has."""
-    return decode({address: drive.read(*address) for address in held}, scales)
+    found = {address: optional(drive.read, *address) for address in held}
+    return decode({at: value for at, value in found.items() if value is not None}, scales)
 
 
 def write(
@@ -128,17 +216,39 @@ def write(
     """Write limits into those limit objects that a drive has, and verify each by reading it back.
 
     Raises:
-        ConfigurationError: A value that is read back differs from the written value, or a value
-            does not fit into its object.
+        LimitError: A value that is read back differs from the written value, or a value does not
+            fit into its object.
         ObjectAccessError: The drive refuses a value.
     """
     for address, value in encode(limits, scales).items():
         if address in held:
-            store(drive, address, value)
+            store_limit(drive, scales, address, value)
+
+
+def store_limit(
+    drive: ObjectAccess, scales: ServoScales, address: ObjectAddress, value: int
+) -> None:
+    """Write one limit object and verify it by reading it back; the errors are those of
+    :func:`write`.
+    """
+    for error in refusal(store, drive, address, value):
+        raise named(address, value, scales, error) from error
+
+
+def refusals(
+    drive: ProcessChannel, scales: ServoScales, values: Iterable[tuple[ObjectAddress, int]]
+) -> Iterator[DeviceError]:
+    """Yield an error for each value that does not fit into its limit object, without sending
+    anything.
+    """
+    for address, value in values:
+        for error in refusal(drive.require_fit, *address, value):
+            yield named(address, value, scales, error)
 
 
 def store(drive: ObjectAccess, address: ObjectAddress, value: int) -> None:
-    """Write one object and verify it by reading it back; the errors are those of :func:`write`.
+    """Write one object and verify it by reading it back; an error names the
+    object.
 
     A value that the object already has is not written, because the object may be read-only.
     """

@@ -9,12 +9,12 @@ sample at rest are omitted, because at rest friction is not a function of speed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.contact_force import contact_moment
-from identification.model.units import torque_word, unit_on
+from identification.model.parameters import torque_word, unit_on
+from identification.model.valve import impacted_area
 from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Recording, RecordingError
 from identification.signals import (
@@ -27,6 +27,57 @@ from identification.signals import (
     resample,
     smooth,
 )
+
+
+def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
+    """Return F_P on ``grid``, N, shape (n,).
+
+    If the recording has a `load_force` channel, F_P is this channel. Otherwise, in a hot firing,
+    F_P is (p_g - p_c0) A_s(theta_r) (eq. 10), with the pressure p_g of the `pressure` channel; F_P
+    is zero where p_g is below the downstream pressure p_c0. In all other cases F_P is the force of
+    the weight (eq. 17).
+
+    Args:
+        recording: The recording.
+        grid: Times, s, shape (n,).
+        angle: Valve angle at those times, rad, shape (n,).
+
+    Raises:
+        RecordingError: The recording is a hot firing and the bench has no gas generator.
+    """
+    generator = recording.bench.gas_generator
+    if "load_force" in recording.channels:
+        return resample(recording.time, recording.channels["load_force"], grid)
+    if not recording.hot_fire:
+        return np.full(len(grid), recording.contact_force)
+    if generator is None:
+        raise RecordingError(
+            f"{recording.name}: the contact force of a hot firing, F_P = (p_g - p_c0) A_s, is "
+            "computed from valve and p_c0 of bench.gas_generator, which the bench does not have"
+        )
+    pressure = resample(recording.time, recording.channels["pressure"], grid)
+    return np.asarray(
+        np.maximum(pressure - generator.p_c0, 0.0) * impacted_area(angle, generator.valve)
+    )
+
+
+def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
+    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; the arguments are
+    those of :func:`contact_force`.
+
+    Raises:
+        RecordingError: As in :func:`contact_force`; or a loaded recording has no moment arm.
+    """
+    force = contact_force(recording, grid, angle)
+    arm = recording.bench.moment_arm
+    if arm is None:
+        if np.any(force != 0.0):
+            raise RecordingError(
+                f"{recording.name}: a loaded recording needs bench.moment_arm (L1)"
+            )
+        return np.zeros(len(grid))
+    return np.asarray(force * arm)
+
 
 POSITION_BANDWIDTH = 2.5
 """Ratio of the position filter's cut-off to the bandwidth (EMPS benchmark: 100 Hz, 40 Hz)."""
@@ -386,3 +437,79 @@ def _unresolved(velocity: Array, rate: float) -> BoolArray:
     worst = np.maximum.reduce([np.roll(steps, k) for k in range(-4, 5)])
     scale = float(np.percentile(np.abs(fine), 50.0)) / rate
     return np.asarray(worst > 1e-3 * scale)
+
+
+OFF_GRID = 0.01
+"""Greatest distance of a time stamp from its time on the grid, in periods."""
+MOST_FILLED = 0.1
+"""Greatest share of interpolated samples; above this share the sampling counts as uneven."""
+SHORT_HOLE = 3
+"""Greatest number of missing samples in a row that are interpolated and used."""
+_COUNTED = ("angle", "motor_angle")
+
+
+def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
+    """Return the recording with evenly spaced samples, and a mask of the samples in gaps that are
+    too long to be used; None if the sampling is uneven.
+
+    The grid is fitted to all time stamps, because a grid with the median period would drift away
+    from the time stamps within seconds. A recording with even samples is returned unchanged.
+    """
+    time = recording.time
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    if float(np.ptp(steps)) <= OFF_GRID * period:
+        return recording, np.zeros(len(time), dtype=bool)
+    index, origin, period = _grid(time, period)
+    on = np.abs(time - origin - period * index) <= OFF_GRID * period
+    on[1:] &= np.diff(index) > 0
+    size = int(index[-1]) + 1
+    if index[0] != 0 or np.sum(on) < (1.0 - MOST_FILLED) * size:
+        return None
+    measured = np.zeros(size, dtype=bool)
+    measured[index[on]] = True
+    grid: Array = np.asarray(origin + period * np.arange(size), dtype=np.float64)
+    channels: dict[str, Array] = {"time": grid}
+    for name, values in recording.channels.items():
+        if name == "time":
+            continue
+        filled = np.interp(grid, time, values)
+        step = quantum(values) if name in _COUNTED else 0.0
+        if step > 0.0:
+            first = values[0]
+            filled = first + np.round((filled - first) / step) * step
+        filled[index[on]] = values[on]
+        channels[name] = filled
+    return replace(recording, channels=channels), _long(~measured)
+
+
+def _grid(
+    time: Array, period: float
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
+    """Return the grid index of each sample, and origin and period of the grid, s.
+
+    Origin and period are those of a straight line of time stamp over index. The line is fitted
+    twice, the second time without the samples that are far from the first line.
+    """
+    index = np.concatenate(
+        ([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))
+    ).astype(np.int64)
+    origin = float(time[0])
+    near = np.ones(len(time), dtype=bool)
+    for _ in range(2):
+        slope, origin = (float(v) for v in np.polyfit(index[near], time[near], 1))
+        period = slope
+        index = np.round((time - origin) / period).astype(np.int64)
+        near = np.abs(time - origin - period * index) <= OFF_GRID * period
+        if np.sum(near) < 2:
+            break
+    return index, origin, period
+
+
+def _long(missing: BoolArray) -> BoolArray:
+    """Return the marks in runs of more than :data:`SHORT_HOLE` missing samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], missing.astype(np.int64), [0]))))
+    out = np.zeros(len(missing), dtype=bool)
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        out[start:stop] = stop - start > SHORT_HOLE
+    return out

@@ -18,7 +18,7 @@ import psutil
 import pytest
 from hypothesis import settings
 
-from identification.numerics.two_threads import THREAD as KERNEL_THREAD
+from identification.numerics.compiled import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
 from rig.common.allocation import keep_freed_memory
 

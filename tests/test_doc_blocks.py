@@ -139,12 +139,25 @@ def test_the_image_of_the_readme_is_small() -> None:
 
 
 def test_the_effects_page_has_every_effect() -> None:
-    from identification.diagnosis.catalogue import ENTRIES
+    from identification.effects import EFFECTS
 
     text = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
-    for name, entry in ENTRIES.items():
+    for name, entry in EFFECTS.items():
         section = text.split(f"### {name}\n", 1)[1].split("\n### ", 1)[0]
         for quantity in entry.parameters:
             assert f"| `{quantity.name}` | {quantity.unit}".rstrip() in section, json.dumps(
                 [name, quantity.name]
             )
+
+
+def test_no_two_steps_of_the_first_pages_share_a_folder() -> None:
+    """A reader follows `make demo`, the README and the tutorials in one folder, in any order."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
+    written = {"runs/demo": "make demo"}
+    for block in (block for page in pages for block in blocks(page) if block.kind == "console"):
+        for command in block.text.splitlines():
+            words = shlex.split(command.removeprefix("$ "))
+            if "--out" in words:
+                folder = words[words.index("--out") + 1]
+                assert folder not in written, f"{block.place} writes {folder}: {written[folder]}"
+                written[folder] = block.place

@@ -53,8 +53,8 @@ simulator. The [guide](../guides/worlds.md) shows their use.
 
 A file with `truth: 1` alone states that the rig has no effect."""
 _FAULTS = """\
-A fault schedule injects faults on a simulated bench: `rig run SEQUENCE --faults FILE`. The page
-[faults](../faults.md) gives the measured reactions of a run.
+A fault schedule injects faults on a simulated bench: `rig run SEQUENCE --faults FILE`. The
+[guide](../guides/faults.md) shows its use.
 
 In a CSV file the first line names the columns: the keys of a row, `device` and `function` of
 `frames`, and `deenergised_within_s`, `exit_status` and `words` of `expect`."""

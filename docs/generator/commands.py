@@ -18,7 +18,8 @@ def page() -> str:
     parts = [
         "# Commands",
         "`rig` is the one command. `rig --verbose COMMAND` also shows what the bus libraries log.",
-        "Every command ends with one of six statuses: [how a command ends](../errors.md).",
+        "Every command ends with one of six statuses: "
+        "[how a command ends](../guides/command_line.md).",
     ]
     for name in cli.COMMANDS:
         parts += _command(name)

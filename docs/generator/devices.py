@@ -60,7 +60,7 @@ def page() -> str:
         (
             f"`{name}`",
             data.name,
-            f"{data.vendor_id:X}h"
+            ("`servo.device`" if data.vendor_id is None else f"{data.vendor_id:X}h")
             + "".join(f", {index:04X}h:{sub:02X}h" for index, sub in data.has),
             _speed(data),
             _acceleration(data),

@@ -10,8 +10,8 @@ from keys import table
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE
 from drivers.mock.plant.effects.table import CATALOGUE
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.entry import Entry
+from identification.effects import EFFECTS
+from identification.effects.effect import Effect
 
 _HIDDEN = {**CATALOGUE, **GAS_CATALOGUE}
 _INTRO = """\
@@ -28,16 +28,16 @@ counts the power-ons of a simulated bench from 1."""
 def page() -> str:
     """Return the page."""
     parts = ["# Catalogue of effects", _INTRO]
-    groups = list(dict.fromkeys(entry.group for entry in ENTRIES.values()))
+    groups = list(dict.fromkeys(entry.group for entry in EFFECTS.values()))
     for group in groups:
         parts.append(f"## {group.capitalize()}")
-        for entry in ENTRIES.values():
+        for entry in EFFECTS.values():
             if entry.group == group:
                 parts += _entry(entry)
     return "\n\n".join(parts) + "\n"
 
 
-def _entry(entry: Entry) -> Iterator[str]:
+def _entry(entry: Effect) -> Iterator[str]:
     yield f"### {entry.name}"
     yield table(
         ("", ""),

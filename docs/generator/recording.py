@@ -69,6 +69,11 @@ ATTACHMENTS = (
 )
 METADATA = (
     ("run", "Name, creation time, seed and operator of the run; number of this recording in it."),
+    (
+        mcap_layout.CLOCK_METADATA,
+        "`zero_ns`: start of the recording by the host's monotonic clock, ns. In a recording "
+        "without it, of an earlier version, the times of the raw frames are those of that clock.",
+    ),
     ("versions", "Version of this program, of Python and of the libraries that it uses."),
     ("sha256", "SHA-256 of bench, sequence, EDS, DBC and feed-forward files."),
     ("servo, encoder, pressure", "Identity of each device as it was read."),
@@ -108,7 +113,11 @@ def page() -> str:
         (f"`{ending.value}`", "message, phase", "The run ended in this state.") for ending in Ending
     ]
     frames = [
-        ("0", "time", "ns, signed 64-bit, on the clock of the recording"),
+        (
+            "0",
+            "time",
+            "ns, signed 64-bit, since the start of the recording; negative before it",
+        ),
         (
             "8",
             "identifier",

@@ -8,7 +8,7 @@ therefore every position must also be one that the joint can have reached
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -65,18 +65,14 @@ class PlausibilityGate:
 
     SLACK_COUNTS: Final = 2.0
     """Greatest error of the difference of two positions due to rounding to counts."""
-    PATIENCE_S: Final = 0.02
-    PATIENCE_PERIODS: Final = 3
-    """Time and number of periods without an accepted value; after the longer of these two times
-    every value is rejected until the next start, because the number of turns is no longer known.
-    """
 
     def __init__(self, speed_counts_s: float, acceleration_counts_s2: float) -> None:
         self._fastest = speed_counts_s
         self._strongest = acceleration_counts_s2
+        # After this time at the greatest speed the number of turns is ambiguous.
+        self._unambiguous_s = (COUNTS_PER_TURN / 2 - self.SLACK_COUNTS) / speed_counts_s
         self._seen_ns: int | None = None
         self._interval_s = 0.0
-        self._patience_s = 0.0
         self._speed = 0.0
         self.position = 0
 
@@ -90,15 +86,31 @@ class PlausibilityGate:
         self.position = nearest(value, COUNTS_PER_TURN, near)
         self._seen_ns = None
         self._interval_s = period_s
-        self._patience_s = max(self.PATIENCE_S, self.PATIENCE_PERIODS * period_s)
         self._speed = 0.0
 
-    def admit(self, value: int, time_ns: int) -> bool:
-        """Accept a new value into :attr:`position`, or reject it and change nothing."""
+    def admit(
+        self, value: int, time_ns: int, elsewhere: Callable[[], int | None] | None = None
+    ) -> bool:
+        """Accept a new value into :attr:`position`, or reject it and change nothing.
+
+        Args:
+            value: Position modulo a turn, counts.
+            time_ns: Time of the value.
+            elsewhere: Returns the position by another sensor, counts, to less than half a turn, or
+                None if it is unknown. This position decides the number of turns if the last
+                accepted value is older than half a turn at the greatest speed takes.
+        """
         elapsed_s = self._interval_s if self._seen_ns is None else (time_ns - self._seen_ns) / NS
-        if not 0.0 < elapsed_s <= self._patience_s:
+        if elapsed_s <= 0.0:
             return False
         half = COUNTS_PER_TURN // 2
+        if elapsed_s > self._unambiguous_s:
+            near = None if elsewhere is None else elsewhere()
+            if near is None:
+                return False
+            self.position = nearest(value, COUNTS_PER_TURN, near)
+            self._seen_ns, self._speed = time_ns, 0.0
+            return True
         moved = (value - self.position + half) % COUNTS_PER_TURN - half
         if abs(moved) > self._fastest * elapsed_s + self.SLACK_COUNTS:
             return False
@@ -130,9 +142,17 @@ class Amt21Encoder(Encoder):
             a cycle.
         scales: Direction and zero of the encoder, from the bench file; 16384 counts per turn.
         gate: Limits of plausible motion.
+        elsewhere_rad: Returns the joint angle by the motor's encoder, rad, or None while it is
+            unknown; needed after a pause in which the joint could have made half a turn.
     """
 
-    def __init__(self, line: Amt21Line, scales: EncoderScales, gate: Gate) -> None:
+    def __init__(
+        self,
+        line: Amt21Line,
+        scales: EncoderScales,
+        gate: Gate,
+        elsewhere_rad: Callable[[], float | None] | None = None,
+    ) -> None:
         if scales.counts_per_turn != COUNTS_PER_TURN:
             raise ConfigurationError(
                 f"an AMT21 encoder has {COUNTS_PER_TURN} counts per turn, but the bench file "
@@ -144,6 +164,7 @@ class Amt21Encoder(Encoder):
         self._gate = PlausibilityGate(
             gate.speed_rad_s * per_rad, gate.acceleration_rad_s2 * per_rad
         )
+        self._elsewhere_rad = elsewhere_rad
         self._asked_ns = 0
         self._fresh = False
 
@@ -239,13 +260,19 @@ class Amt21Encoder(Encoder):
         """
         self.line.collect(since_ns)
         value = decode(self.line.answer)
-        self._fresh = value is not None and self._gate.admit(value, self._asked_ns)
+        self._fresh = value is not None and self._gate.admit(value, self._asked_ns, self._elsewhere)
 
     def sample(self) -> EncoderSample:
         """Return the sample of the last exchange, with a time stamp of the host, because the
         encoder sends no time.
         """
         return EncoderSample(self._asked_ns / NS, self._angle(self._gate.position), self._fresh)
+
+    def _elsewhere(self) -> int | None:
+        angle = None if self._elsewhere_rad is None else self._elsewhere_rad()
+        if angle is None:
+            return None
+        return round((angle - self._scales.offset_rad) / self._scales.rad_per_count)
 
     def _angle(self, counts: int) -> float:
         return counts * self._scales.rad_per_count + self._scales.offset_rad

@@ -31,6 +31,7 @@ SEND_LIMIT_S: Final = 0.1
 _HIGHEST_BASE: Final = 0x7FF
 _IDENTIFIER_BITS: Final = 0x1FFFFFFF
 _MAX_BYTES: Final = 8
+_SOCKETCAND: Final = "can.interfaces.socketcand"
 
 raw_frame: Final[Callable[[tuple[int, int, bytes, bool]], RawFrame]] = partial(
     tuple.__new__, RawFrame
@@ -48,7 +49,8 @@ class FramePort(Protocol):
     """An open bus. The methods of a port raise nothing but OSError, also after :meth:`shutdown`."""
 
     def transmit(self, identifier: int, data: bytes) -> None:
-        """Send a frame; the flags of the identifier choose its format as in :class:`RawFrame`.
+        """Send a frame; the flags of the identifier choose its format as in :class:`RawFrame`. Of
+        ``data``, a remote frame contains only the length.
 
         Raises:
             OSError: The bus refuses the frame, does not accept it within :data:`SEND_LIMIT_S`, or
@@ -86,6 +88,8 @@ class PythonCanPort:
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:
         self._bus = bus
         self._clock = clock
+        # This interface would send a data frame instead of a remote frame.
+        self._remote_frames_lost = type(bus).__module__.startswith(_SOCKETCAND)
         _limit_sockets(bus)
 
     @os_errors
@@ -96,11 +100,15 @@ class PythonCanPort:
             OSError: The bus refuses the frame, does not accept it in time, or is gone.
         """
         if identifier > _HIGHEST_BASE:
+            remote = bool(identifier & REMOTE_FLAG)
+            if remote and self._remote_frames_lost:
+                raise OSError("this interface of python-can sends no remote frames; use another")
             message = can.Message(
                 arbitration_id=identifier & _IDENTIFIER_BITS,
                 is_extended_id=bool(identifier & EXTENDED_FLAG),
-                is_remote_frame=bool(identifier & REMOTE_FLAG),
-                data=data,
+                is_remote_frame=remote,
+                dlc=len(data),
+                data=None if remote else data,
             )
         else:
             message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)

@@ -47,12 +47,15 @@ MAX_LINE: Final = 64
 
 
 def encode(identifier: int, data: bytes) -> bytes:
-    """Return the line that sends a frame; the flags of the identifier choose its format."""
+    """Return the line that sends a frame; the flags of the identifier choose its format. Of
+    ``data``, a remote frame contains only the length.
+    """
     kind, digits = ("T", 8) if identifier & EXTENDED_FLAG else ("t", 3)
     if identifier & REMOTE_FLAG:
         kind = "R" if kind == "T" else "r"
     number = identifier & ~(EXTENDED_FLAG | REMOTE_FLAG)
-    return f"{kind}{number:0{digits}X}{len(data)}{data.hex().upper()}\r".encode()
+    content = "" if identifier & REMOTE_FLAG else data.hex().upper()
+    return f"{kind}{number:0{digits}X}{len(data)}{content}\r".encode()
 
 
 class LineDecoder:

@@ -8,10 +8,10 @@ from drivers import servo_limits
 from drivers.canopen import cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402_objects import Cyclic
-from drivers.canopen.motion import TORQUE_OFFSET, Motion
+from drivers.canopen.motion import TORQUE_OFFSET, Motion, ProfilePosition
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.lacks import Lacks
-from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, refusal
+from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, access_refusals, refusal
 from drivers.units import ServoScales
 
 _ONLY_HOST = "only this program, and not the drive, checks this limit in every cycle"
@@ -35,7 +35,6 @@ def description_refusals(
             yield ConfigurationError(
                 f"{error}, although the bench file names this object: correct the bench file"
             )
-    yield from refusal(channel.require_watchable)
     if sent.current is None:
         lacking = True
         yield ConfigurationError(
@@ -45,10 +44,9 @@ def description_refusals(
             "servo.current_unit_A"
         )
     if not lacking:
-        settings = (objects.CYCLE, objects.CYCLE_EXPONENT, objects.ON_ABORT)
+        settings = (address for address, _ in objects.settings(channel, 0.0))
         for address in (*held_limits(channel, motion), *settings):
-            if channel.describes(*address):
-                yield from refusal(channel.require_fit, *address, 0)
+            yield from refusal(channel.require_fit, *address, 0)
         yield from refusal(
             channel.require_mappable, objects.outputs(motion), objects.inputs(sent, channel)
         )
@@ -87,6 +85,10 @@ def lacks(
     words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
     words += [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
     words += _replaced(channel, scales, sent, cycle_s)
+    if motion.mode == ProfilePosition.mode and not channel.describes(
+        *servo_limits.PROFILE_ACCELERATION
+    ):
+        words.append("no ramps of the profile (6083h, 6084h): set them with the maker's tool")
     return Lacks(frozenset(missing), sent.temperature is None, sent.supply is None, tuple(words))
 
 
@@ -136,14 +138,21 @@ def _replaced(
             f"maker's tool",
         ),
         (
-            channel.describes(*objects.ON_ABORT) or None,
-            "no object for the reaction to a lost master (6007h), so that the drive counts as a "
-            "drive without a watchdog; if its manual states that the drive takes the power off "
-            "when the heartbeat of this program ends, set servo.stops_alone: true",
+            objects.stops_alone(channel.describes) or None,
+            f"{_watchless(channel)}, so that the drive counts as a drive without a watchdog; if "
+            "its manual states that the drive takes the power off when it receives nothing from "
+            "this program, set servo.stops_alone: true",
         ),
     ):
         if there is None:
             yield text
+
+
+def _watchless(channel: ProcessChannel) -> str:
+    """Return what a drive lacks that does not take the power off by itself."""
+    if not channel.describes(*objects.ON_ABORT):
+        return "no object for the reaction to a lost master (6007h)"
+    return "neither heartbeat consumer (1016h) nor life guarding (100Ch, 100Dh)"
 
 
 def _name(address: ObjectAddress) -> str:
@@ -152,21 +161,23 @@ def _name(address: ObjectAddress) -> str:
 
 
 def refusals(
-    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion, cycle_s: float
+    channel: ProcessChannel,
+    scales: ServoScales,
+    sent: Cyclic,
+    motion: Motion,
+    cycle_s: float,
+    watched: bool,
 ) -> Iterator[DeviceError]:
     """Yield an error for each unit that differs from the bench file, a cycle time that cannot be
-    set, and each missing object.
+    set, and each object that a run reads or writes and the drive refuses to read.
     """
     if (error := cia402_mode.not_offered(channel, motion)) is not None:
         yield error
     yield from unit_refusals(channel, scales, motion, cycle_s)
-    inputs = objects.inputs(sent, channel)
-    unmappable = list(refusal(channel.require_mappable, objects.outputs(motion), inputs))
-    yield from unmappable
-    if not unmappable:
-        for layout in inputs:
-            for address in layout.objects:
-                yield from refusal(channel.read, *address)
+    needed = (*objects.NEEDED, *motion.needed, *held_limits(channel, motion))
+    settings = (address for address, _ in objects.settings(channel, cycle_s))
+    outputs, inputs = objects.outputs(motion), objects.inputs(sent, channel)
+    yield from access_refusals(channel, outputs, inputs, watched, (*needed, *settings))
 
 
 def unit_refusals(

@@ -6,13 +6,13 @@ other objects are used if the EDS of the drive contains them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 from drivers.canopen import cia402
 from drivers.canopen.motion import OUTPUT_PDO, Motion
-from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
+from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel, watchable
 from drivers.units import ServoScales
 
 SUPPLY_EVERY: Final = 10
@@ -45,6 +45,21 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
 """Objects that every drive must have, each with its purpose; a mode of operation needs further
 objects.
 """
+
+
+def stops_alone(has: Callable[[int, int], bool]) -> bool:
+    """Return whether a drive with these objects takes the power off by itself when it loses its
+    master: it can monitor its master, and its reaction can be set.
+    """
+    return has(*ON_ABORT) and watchable(has)
+
+
+def settings(channel: ProcessChannel, cycle_s: float) -> list[tuple[ObjectAddress, int]]:
+    """Return the objects that a preparation sets, with their values, as far as the EDS contains
+    them.
+    """
+    wanted = ((CYCLE, round(cycle_s * 1e3)), (CYCLE_EXPONENT, -3), (ON_ABORT, ABORT_IS_FAULT))
+    return [(address, value) for address, value in wanted if channel.describes(*address)]
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from typing import Final
 
 from drivers import servo_limits
@@ -23,6 +23,7 @@ from drivers.interfaces import (
     Link,
     Measuring,
     ServoLimits,
+    ServoMotion,
     ServoReadings,
     ServoSample,
     ServoState,
@@ -36,6 +37,15 @@ WATCH_S: Final = 0.1
 """Time without a heartbeat of the control loop after which the drive stops by itself, s."""
 _WAIT_SHARE: Final = 0.4
 """Longest wait for an answer while the drive brakes, in units of the heartbeat time-out."""
+_ENABLE_SHARE: Final = 3.0
+"""Time in which the drive is energised at the latest, in units of the time-out of a state: the
+signs of the control loop end then.
+"""
+_UNANSWERED_SHARE, _DISABLE_SHARE = 1.5, 5.0
+"""Time in which a drive answers a request for its state or the command to switch the power off, and
+time of all further requests of this command, in units of the heartbeat time-out: the signs of the
+control loop end then at the latest, so that a drive that does not answer or obey stops by itself.
+"""
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
@@ -54,7 +64,7 @@ class Cia402Servo(HomingServo):
         state_timeout_s: Time-out for reaching a state, s.
         motion: Mode of operation; cyclic synchronous position unless given.
         stops_alone: Whether the drive takes the power off by itself when the heartbeat of the
-            control loop ends, or None to conclude this from its EDS (6007h).
+            control loop ends, or None to conclude this from its EDS (6007h, and 1016h or 100Ch).
     """
 
     def __init__(
@@ -78,7 +88,7 @@ class Cia402Servo(HomingServo):
         self._values = CyclicValues(channel, scales, self._sent, self._inputs)
         self._watch_s = watch_s
         if stops_alone is None:
-            stops_alone = channel.describes(*objects.ON_ABORT)
+            stops_alone = objects.stops_alone(channel.describes)
         self.watch_s = watch_s if stops_alone else None
         link.has_watchdog = link.has_watchdog and stops_alone
         self._timeout_s = state_timeout_s
@@ -87,6 +97,8 @@ class Cia402Servo(HomingServo):
         self._target = 0
         self._previous = 0
         self._staged_in = 0
+        self._armed = False
+        self._deceleration = math.nan
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
@@ -97,10 +109,21 @@ class Cia402Servo(HomingServo):
         yield from identity_doubts(self._channel)
 
     def state(self) -> ServoState:
-        """Read the drive's state from the device (6041h)."""
-        state = decode_state(self._channel.read(*cia402.STATUSWORD))
+        """Read the drive's state from the device (6041h), and end the heartbeat time-out of a drive
+        that has switched off by itself.
+        """
+        limit_s = _UNANSWERED_SHARE * self._watch_s
+        feeds = self._feeds()
+        if feeds:
+            self._channel.limit_wait(None)
+        with self._channel.kept_alive(limit_s) if feeds else nullcontext():
+            state = decode_state(self._channel.read(*cia402.STATUSWORD))
         if not state.energised:
             self._channel.limit_wait(None)
+            if self._armed:
+                # Without power the loop may pause, but a drive may go into fault then, too.
+                with suppress(DeviceError):
+                    self._release()
         return state
 
     def sent_state(self) -> ServoState | None:
@@ -141,23 +164,28 @@ class Cia402Servo(HomingServo):
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
         """Yield an error for each limit that does not fit into its object."""
-        for address, value in servo_limits.encode(limits, self._scales).items():
-            if address in self._held:
-                yield from refusal(self._channel.require_fit, *address, value)
-        for address, value in self._motion.settings(limits):
-            yield from refusal(self._channel.require_fit, *address, value)
+        encoded = servo_limits.encode(limits, self._scales).items()
+        values = [(address, value) for address, value in encoded if address in self._held]
+        values += [
+            (address, value)
+            for address, value in self._motion.settings(limits)
+            if self._channel.describes(*address)
+        ]
+        yield from servo_limits.refusals(self._channel, self._scales, values)
 
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
 
         Raises:
-            ConfigurationError: A value that is read back differs from the written value, or a limit
-                does not fit into its object.
+            LimitError: A value that is read back differs from the written value, or a limit does
+                not fit into its object.
             ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
+        self._deceleration = limits.quick_stop_deceleration_rad_s2
         for address, value in self._motion.settings(limits):
-            servo_limits.store(self._channel, address, value)
+            if self._channel.describes(*address):
+                servo_limits.store_limit(self._channel, self._scales, address, value)
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
@@ -174,6 +202,22 @@ class Cia402Servo(HomingServo):
         step_A = math.nan if sent.current is None else sent.current_unit_A
         step_rad = abs(scales.joint_rad_per_count)
         return Measuring(step_rad, scales.gear_ratio, step_A, scales.rated_current_A)
+
+    def motion(self) -> ServoMotion:
+        """Read position and, if the drive has it, speed by SDO."""
+        scales, speed = self._scales, math.nan
+        angle = scales.joint_angle_rad(self._channel.read(*objects.POSITION))
+        if self._channel.describes(*objects.SPEED_ACTUAL):
+            units = self._channel.read(*objects.SPEED_ACTUAL)
+            speed = units * scales.joint_speed_unit_rad_s * scales.sign
+        return ServoMotion(angle, speed)
+
+    def promised_deceleration(self) -> float:
+        """Return the deceleration of the quick stop (6085h) as last written, else as read."""
+        if math.isnan(self._deceleration) and servo_limits.QUICK_STOP_DECELERATION in self._held:
+            units = self._channel.read(*servo_limits.QUICK_STOP_DECELERATION)
+            self._deceleration = units * self._scales.joint_acceleration_unit_rad_s2
+        return self._deceleration
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""
@@ -197,16 +241,22 @@ class Cia402Servo(HomingServo):
             yield ConfigurationError(
                 f"mode {self._motion.words} needs a drive that takes the power off when the "
                 "messages of this program end, because the drive would continue to execute the "
-                "last command; this drive has no object 6007h for this: if its manual states that "
-                "it takes the power off, set servo.stops_alone: true"
+                "last command; this drive lacks the objects for this (6007h, and 1016h or 100Ch "
+                "with 100Dh): if its manual states that it takes the power off, set "
+                "servo.stops_alone: true"
             )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield an error for each unit that differs from the bench file, a cycle time that cannot
-        be set, and each missing object.
+        be set, and each object that the drive refuses to read.
         """
         yield from cia402_checks.refusals(
-            self._channel, self._scales, self._sent, self._motion, cycle_s
+            self._channel,
+            self._scales,
+            self._sent,
+            self._motion,
+            cycle_s,
+            self.watch_s is not None,
         )
 
     def prepare(self, cycle_s: float) -> None:
@@ -232,22 +282,19 @@ class Cia402Servo(HomingServo):
         channel = self._channel
         for error in cia402_checks.unit_refusals(channel, self._scales, self._motion, cycle_s):
             raise error
-        for address, value in (
-            (objects.CYCLE, round(cycle_s * 1e3)),
-            (objects.CYCLE_EXPONENT, -3),
-            (objects.ON_ABORT, objects.ABORT_IS_FAULT),
-        ):
-            if channel.describes(*address):
-                servo_limits.store(channel, address, value)
+        for address, value in objects.settings(channel, cycle_s):
+            servo_limits.store(channel, address, value)
         self._motion.offset = 0
         outputs = objects.outputs(self._motion)
-        channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s)
+        watched = self.watch_s is not None
+        channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s, watched=watched)
         self._cycle_ns = round(cycle_s * NS)
         self.prepared = True
         self._values.begin(self._cycle_ns)
         self._motion.begin(cycle_s)
-        channel.watch(self._watch_s)
-        channel.unwatch()
+        with channel.kept_alive(_ENABLE_SHARE * self._timeout_s):
+            self._arm()
+            self._release()
         self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
@@ -267,10 +314,11 @@ class Cia402Servo(HomingServo):
         controlword(state, Command.ENABLE)
         self._motion.reset()
         try:
-            self._channel.watch(self._watch_s)
-            self._word = cia402.DISABLE_VOLTAGE
-            self._stage(self._channel.read(*objects.POSITION))
-            self._walk(in_mode=self._select_mode())
+            with self._channel.kept_alive(_ENABLE_SHARE * self._timeout_s):
+                self._arm()
+                self._word = cia402.DISABLE_VOLTAGE
+                self._stage(self._channel.read(*objects.POSITION))
+                self._walk(in_mode=self._select_mode())
         except DeviceError:
             with suppress(DeviceError):
                 self.disable()
@@ -284,11 +332,16 @@ class Cia402Servo(HomingServo):
             StateError: The drive still reports an energised state.
             LinkError: The drive cannot be reached; it stops by itself after its heartbeat time-out.
         """
-        self._command(Command.DISABLE)
-        self._await(lambda state: not state.energised, "a de-energised state")
-        if self._motion.takes_offset:
-            self._channel.write(*TORQUE_OFFSET, 0)
-        self._channel.unwatch()
+        channel = self._channel
+        with channel.kept_alive(_UNANSWERED_SHARE * self._watch_s):
+            self._command(Command.DISABLE)
+        # The drive has accepted the command.
+        with channel.kept_alive(_DISABLE_SHARE * self._watch_s):
+            self._await(lambda state: not state.energised, "a de-energised state")
+            if self._motion.takes_offset:
+                channel.write(*TORQUE_OFFSET, 0)
+            if self._armed or not self._cycle_ns:
+                self._release()
 
     def quick_stop(self, *, at_once: bool = True) -> None:
         """Order the drive to brake with its own ramp (605Ah, 6085h).
@@ -374,6 +427,28 @@ class Cia402Servo(HomingServo):
         self._channel.limit_wait(_WAIT_SHARE * self._watch_s if brakes else None)
         send = self._channel.insist if at_once else self._channel.announce
         send(*cia402.CONTROLWORD, self._word)
+
+    def _arm(self) -> None:
+        """Make the drive monitor the control loop; a drive that counts as a drive without a
+        watchdog may refuse this.
+        """
+        self._armed = True
+        for refused in refusal(self._channel.watch, self._watch_s):
+            if self.watch_s is not None:
+                raise refused
+
+    def _feeds(self) -> bool:
+        """Return whether the drive may be told that the loop is alive while its state is read: a
+        drive that does not execute the quick stop is braked by its watchdog.
+        """
+        if not self._armed or self._word != cia402.QUICK_STOP:
+            return self._armed
+        sent = self.sent_state()
+        return sent is not None and not sent.energised
+
+    def _release(self) -> None:
+        self._channel.unwatch()
+        self._armed = False
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)

@@ -8,7 +8,14 @@ from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Identity, PressureSample, PressureTransmitter
-from drivers.objects import VENDOR, PdoLayout, ProcessChannel, read_identity, refusal
+from drivers.objects import (
+    VENDOR,
+    PdoLayout,
+    ProcessChannel,
+    access_refusals,
+    read_identity,
+    refusal,
+)
 
 FRAMES: Final = ((5, 1),)
 """Data bytes of the PDO and its period in cycles."""
@@ -68,10 +75,7 @@ class Cia404Transmitter(PressureTransmitter):
         """
         yield from refusal(self._require_unit)
         yield from refusal(self._require_valid)
-        unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
-        yield from unmappable
-        if not unmappable:
-            yield from refusal(self._channel.read, *_VALUE)
+        yield from access_refusals(self._channel, (), _INPUTS)
 
     def prepare(self, cycle_s: float) -> None:
         """Compare the unit with 6131h and 6132h, check the status and map process data.

@@ -13,6 +13,7 @@ from drivers.objects import (
     ObjectAddress,
     PdoLayout,
     ProcessChannel,
+    access_refusals,
     identity_doubts,
     optional,
     read_identity,
@@ -91,12 +92,7 @@ class Cia406Encoder(Encoder):
         yield from refusal(self._require_resolution)
         yield from refusal(self._require_no_alarm)
         yield from refusal(self._modulus)
-        unmappable = list(
-            refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
-        )
-        yield from unmappable
-        if not unmappable:
-            yield from refusal(self._channel.read, *_VALUE)
+        yield from access_refusals(self._channel, (), [self._inputs(stamped=False)])
 
     def lacks(self) -> Iterator[str]:
         """Yield a text for each value that this encoder does not report; an encoder of class 1 has

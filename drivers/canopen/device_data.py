@@ -41,7 +41,7 @@ class DeviceData(BaseModel):
     Attributes:
         name: Maker and family.
         source: Documents of the maker in which these data are stated.
-        vendor_id: Vendor of the drives, 1018h:01h.
+        vendor_id: Vendor of the drives, 1018h:01h; empty for data that only the bench file selects.
         product_codes: Product codes of the drives, 1018h:02h; empty if the vendor and ``has``
             identify the family.
         has: Objects by which the family is distinguished from other families of the vendor.
@@ -65,6 +65,7 @@ class DeviceData(BaseModel):
         rated_torque_object_unit_N_m: Unit of this object, or of 6076h, N m.
         mode: Mode of operation in which the drive is commanded, or None for cyclic synchronous
             position.
+        unlike: Objects of CiA 402 that have another meaning in these drives, and are not used.
         remarks: Sentences with what the operator must know of these drives.
     """
 
@@ -72,7 +73,7 @@ class DeviceData(BaseModel):
 
     name: str
     source: str
-    vendor_id: _U32
+    vendor_id: _U32 | None = None
     product_codes: tuple[_U32, ...] = ()
     has: tuple[Address, ...] = ()
     velocity_unit: VelocityUnit | None = None
@@ -92,6 +93,7 @@ class DeviceData(BaseModel):
     rated_torque_object: Address | None = None
     rated_torque_object_unit_N_m: _Unit | None = None
     mode: ModeName | None = None
+    unlike: tuple[Address, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @model_validator(mode="after")
@@ -117,7 +119,7 @@ class DeviceData(BaseModel):
         """Return the stated units and objects as text for the operator."""
         stated = self.model_dump(
             exclude={"name", "source", "vendor_id", "product_codes", "has", "remarks"},
-            exclude_none=True,
+            exclude_defaults=True,
         )
         shown = (f"{field} {_shown(value)}" for field, value in stated.items())
         return ", ".join(shown) or "nothing that differs from CiA 402"
@@ -132,6 +134,8 @@ class DeviceData(BaseModel):
 
 
 def _shown(value: object) -> str:
+    if isinstance(value, tuple) and value and isinstance(value[0], tuple):
+        return " ".join(map(_shown, value))
     if isinstance(value, tuple):
         index, subindex = value
         return f"{index:04X}h:{subindex:02X}h"

@@ -1,5 +1,5 @@
-"""Reads the object dictionary of a CANopen device from its EDS or DCF file, as far as possible also
-from a faulty file.
+"""Reads the object dictionary of a CANopen device from its EDS, DCF, XDD or XDC file, as far as
+possible also from a faulty file.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from canopen.objectdictionary import (
     datatypes,
 )
 
+from drivers.canopen import xdd_text
 from drivers.canopen.eds_text import Section, decode, integer, sections
 from drivers.errors import ConfigurationError
 from drivers.plain_file import require_plain
@@ -56,7 +57,7 @@ def read_eds(eds: Path, node_id: int) -> Described:
     this function.
 
     Args:
-        eds: The file; EDS or DCF.
+        eds: The file: EDS or DCF (CiA 306), or XDD or XDC (CiA 311).
         node_id: Node identifier, for values that depend on it.
 
     Raises:
@@ -64,16 +65,23 @@ def read_eds(eds: Path, node_id: int) -> Described:
     """
     try:
         require_plain(eds)
-        text = decode(eds.read_bytes())
+        content = eds.read_bytes()
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(
             f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the EDS file of this "
             "device"
         ) from error
-    dictionary = _Reader(eds, node_id, sections(text)).dictionary()
+    xml = xdd_text.is_xml(content)
+    try:
+        found = xdd_text.sections(content) if xml else sections(decode(content))
+    except ValueError as error:
+        line, reason = error.args
+        raise ConfigurationError(f"{eds}:{line}: {reason}; use the file of this device") from error
+    dictionary = _Reader(eds, node_id, found).dictionary()
     if not len(dictionary):
-        why = next(iter(dictionary.faults.values()), f"{eds}:1: there is no section like [1000]")
+        expected = "element CANopenObject" if xml else "section like [1000]"
+        why = next(iter(dictionary.faults.values()), f"{eds}:1: there is no {expected}")
         raise ConfigurationError(
             f"EDS file {eds} of node {node_id} describes no object: {why}; use the EDS file of "
             "this device"

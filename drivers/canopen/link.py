@@ -17,12 +17,14 @@ import canopen
 from drivers.can.port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
 from drivers.can.slcan_port import open_slcan
 from drivers.can.timing import ANSWER_SHARE
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.emergency import explain
 from drivers.canopen.node import (
     INITIALISING,
     NMT_NAMES,
     OPERATIONAL,
+    SIGN_S,
     CanopenNode,
     require_node,
 )
@@ -34,8 +36,7 @@ from drivers.port_errors import close_all, is_gone, opened, require_one_cycle, w
 MASTER_ID: Final = 0x7F
 """Node identifier of this program's own heartbeat."""
 _FRAMES_KEPT: Final = 1 << 16
-_MASTER_HEARTBEAT_S: Final = 0.025
-_MASTER_HEARTBEAT_NS: Final = round(_MASTER_HEARTBEAT_S * NS)
+_SIGN_NS: Final = round(SIGN_S * NS)
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
 _SYNC: Final = 0x080
 _SDO_ANSWER: Final = 0x580
@@ -70,6 +71,8 @@ class CanopenLink(Link):
         cycle: Number of exchanges so far.
         sync_ns: Time of the last SYNC.
         exchanged: Whether the last exchange sent all outputs and SYNC.
+        alive_until_ns: Time until which the signs of the control loop are sent also while an SDO
+            answer is awaited; 0 to send them in exchanges only.
     """
 
     def __init__(
@@ -84,6 +87,7 @@ class CanopenLink(Link):
         self.cycle = 0
         self.sync_ns = 0
         self.exchanged = False
+        self.alive_until_ns = 0
         self.master_id = master_id
         self.sdo_timeout_s = sdo_timeout_s
         self._name = name
@@ -128,8 +132,13 @@ class CanopenLink(Link):
         name = f"{interface} {channel} at {bitrate} bit/s"
         return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)
 
-    def add_node(self, node_id: int, eds: Path) -> CanopenNode:
+    def add_node(self, node_id: int, eds: Path, axis: Axis = ONE_AXIS) -> CanopenNode:
         """Declare a device on the bus.
+
+        Args:
+            node_id: Node identifier.
+            eds: Its EDS file.
+            axis: The axis that is used of a device with several axes.
 
         Raises:
             ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
@@ -137,7 +146,7 @@ class CanopenLink(Link):
         """
         require_node(node_id, {self.master_id, *self._nodes})
         dictionary = read_eds(eds, node_id)
-        node = CanopenNode(node_id, dictionary, self)
+        node = CanopenNode(node_id, dictionary, self, axis)
         self._network.add_node(node.remote)
         self._nodes[node_id] = node
         return node
@@ -169,14 +178,15 @@ class CanopenLink(Link):
         require_one_cycle(self._cycle_s, cycle_s, who)
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
-        self._heartbeat_every = max(1, int(_MASTER_HEARTBEAT_S / cycle_s))
+        self._heartbeat_every = max(1, int(SIGN_S / cycle_s))
 
     def exchange(self) -> None:
         """Send every device's outputs and SYNC, and collect the inputs.
 
-        Only this method sends heartbeats of the master (except the first heartbeat, which starts
-        the time-out in a device), so that the heartbeat ends when the control loop stops. The
-        method waits for process data at most 80 % of the cycle.
+        Only this method sends heartbeats of the master and guard requests (except the first, which
+        starts the time-out in a device, and those of :meth:`CanopenNode.kept_alive`), so that they
+        end when the control loop stops. The method waits for process data at most 80 % of the
+        cycle.
 
         Raises:
             LinkError: The bus failed, or a device was lost, stopped or restarted. Such a device is
@@ -193,8 +203,8 @@ class CanopenLink(Link):
             node.cycle = self.cycle
             node.missing = node.expected
         for node in self._nodes.values():
-            if node.monitored and now - node.heard_ns > node.silence_ns:
-                self._lose(node, self._silence(node))
+            if node.monitored and node.silent_ns(now) > node.silence_ns:
+                self._lose(node, self._silence(node, now))
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
             node.sent()
@@ -202,9 +212,9 @@ class CanopenLink(Link):
         self.sync_ns = self.clock.now_ns()
         self.send(_SYNC, b"")
         self.exchanged = True
-        late = now - self._heartbeat_ns > _MASTER_HEARTBEAT_NS
+        late = now - self._heartbeat_ns > _SIGN_NS
         if late or self.cycle % self._heartbeat_every == 0:
-            self.heartbeat()
+            self._signs()
         deadline = self.clock.now_ns() + self._answer_ns
         while self._missing and (left := deadline - self.clock.now_ns()) > 0:
             self._receive(left / NS)
@@ -240,6 +250,28 @@ class CanopenLink(Link):
         """Send the master's heartbeat."""
         self._heartbeat_ns = self.clock.now_ns()
         self.send(0x700 + self.master_id, _OPERATIONAL_HEARTBEAT)
+
+    def _signs(self) -> None:
+        """Send the master's heartbeat and the guard requests."""
+        self.heartbeat()
+        for node in self._nodes.values():
+            node.request()
+
+    def keep_alive(self) -> None:
+        """Send the signs of the control loop that are due, until :attr:`alive_until_ns`."""
+        now = self.clock.now_ns()
+        if now < self.alive_until_ns and now - self._heartbeat_ns >= _SIGN_NS:
+            self._signs()
+
+    def forget(self, node_id: int) -> None:
+        """Drop the losses of a device that no exchange has raised yet. An emergency message stays
+        until the device clears it.
+        """
+        self._troubles = [
+            (origin, trouble)
+            for origin, trouble in self._troubles
+            if origin != node_id or isinstance(trouble, DriveFault)
+        ]
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
         """Receive and dispatch frames until ``ready()`` is true; return False after ``timeout_s``.
@@ -318,7 +350,7 @@ class CanopenLink(Link):
         if function == 0x080 and len(data) == 8:
             self._emergency(node, data)
         elif function == 0x700 and len(data) == 1:
-            self._heard(node, data[0] & 0x7F, time_ns)
+            self._heard(node, data[0], time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
             # Only these frames need the dispatcher of the library canopen, whose callbacks raise
             # errors on shorter frames. A frame that a callback rejects counts as lost; a request
@@ -339,7 +371,11 @@ class CanopenLink(Link):
                 if origin != node.node_id or isinstance(trouble, LinkError)
             ]
 
-    def _heard(self, node: CanopenNode, state: int, time_ns: int) -> None:
+    def _heard(self, node: CanopenNode, word: int, time_ns: int) -> None:
+        state = word & 0x7F
+        # The boot-up message of a device is no answer to a guard request.
+        if node.guarding is not None and state != INITIALISING and not node.guarding.accepts(word):
+            return
         node.heard_ns = time_ns
         node.nmt_state = state
         if node.monitored and state != OPERATIONAL:
@@ -356,10 +392,10 @@ class CanopenLink(Link):
         node.monitored = False
         self._troubles.append((node.node_id, LinkError(words)))
 
-    def _silence(self, node: CanopenNode) -> str:
-        silent_s = (self.clock.now_ns() - node.heard_ns) / NS
+    def _silence(self, node: CanopenNode, now_ns: int) -> str:
+        sign = "heartbeat" if node.guarding is None else "answer to guard requests"
         return (
-            f"{node.label} sent no heartbeat for {silent_s:.3f} s "
+            f"{node.label} sent no {sign} for {node.silent_ns(now_ns) / NS:.3f} s "
             f"(limit {node.silence_ns / NS:g} s); check its supply and the bus cable"
         )
 

@@ -31,9 +31,6 @@ TARGET_POSITION: Final = (0x607A, 0)
 TARGET_SPEED: Final = (0x60FF, 0)
 TARGET_TORQUE: Final = (0x6071, 0)
 TORQUE_OFFSET: Final = (0x60B2, 0)
-PROFILE_SPEED: Final = (0x6081, 0)
-PROFILE_ACCELERATION: Final = (0x6083, 0)
-PROFILE_DECELERATION: Final = (0x6084, 0)
 STALE_CYCLES: Final = 3
 """Number of successive exchanges without a complete answer after which the commanded speed or
 torque is 0.
@@ -362,17 +359,15 @@ class ProfilePosition(Motion):
         """Objects that the mode needs, each with its purpose."""
         return {
             **super().needed,
-            PROFILE_SPEED: "it limits the speed of the profile",
-            PROFILE_ACCELERATION: "it is the acceleration of the profile",
-            PROFILE_DECELERATION: "it is the deceleration of the profile",
+            servo_limits.PROFILE_SPEED: "it limits the speed of the profile",
         }
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
         """Yield speed, acceleration and deceleration of the profile."""
         unit = self._scales.joint_speed_unit_rad_s
         if not math.isnan(limits.speed_rad_s):
-            yield PROFILE_SPEED, math.floor(limits.speed_rad_s / unit + 1e-6)
-            for address in (PROFILE_ACCELERATION, PROFILE_DECELERATION):
+            yield servo_limits.PROFILE_SPEED, math.floor(limits.speed_rad_s / unit + 1e-6)
+            for address in (servo_limits.PROFILE_ACCELERATION, servo_limits.PROFILE_DECELERATION):
                 units = self._acceleration / self._scales.joint_acceleration_unit_rad_s2
                 yield address, max(1, round(units))
 

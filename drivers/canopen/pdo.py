@@ -5,16 +5,17 @@ values.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from canopen.objectdictionary import ObjectDictionary, datatypes
 from canopen.sdo.exceptions import SdoAbortedError
 
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.sdo import variable
 from drivers.errors import ConfigurationError, ObjectAccessError
-from drivers.objects import PdoLayout, optional
+from drivers.objects import ObjectAddress, PdoLayout, optional
 
 _MAX_BYTES: Final = 8
 PDO_BITS: Final = 8 * _MAX_BYTES
@@ -69,7 +70,9 @@ class Input:
         self.cycle = -1
 
 
-def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
+def packing(
+    dictionary: ObjectDictionary, layout: PdoLayout, axis: Axis = ONE_AXIS
+) -> struct.Struct:
     """Return the binary format of a PDO, from the types of its objects in the device's EDS.
 
     Raises:
@@ -77,7 +80,7 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
             bytes.
     """
     codes = "<"
-    for index, subindex in layout.objects:
+    for index, subindex in (axis.at(dictionary, *address) for address in layout.objects):
         item = variable(dictionary, index, subindex)
         if item.data_type not in _CODES:
             raise ConfigurationError(
@@ -85,7 +88,8 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
                 "bits, so that it cannot be mapped into a PDO: remove the object from the bench "
                 "file"
             )
-        codes += _CODES[item.data_type]
+        share = axis.share(dictionary, index, subindex)
+        codes += _CODES[item.data_type] if share is None else ("H2x", "2xH")[share]
     packed = struct.Struct(codes)
     if packed.size > _MAX_BYTES:
         raise ConfigurationError(
@@ -139,7 +143,11 @@ def numbers(dictionary: ObjectDictionary, direction: Direction) -> list[int]:
 
 
 def plan(
-    dictionary: ObjectDictionary, label: str, direction: Direction, layouts: Sequence[PdoLayout]
+    dictionary: ObjectDictionary,
+    label: str,
+    direction: Direction,
+    layouts: Sequence[PdoLayout],
+    axis: Axis = ONE_AXIS,
 ) -> dict[int, struct.Struct]:
     """Return the binary formats of the PDOs of one direction, by number. Nothing is sent.
 
@@ -153,7 +161,14 @@ def plan(
             f"{index + _MAPPING:04X}h), but the cyclic values need {len(layouts)} "
             f"{direction.name}s"
         )
-    return {layout.number: packing(dictionary, layout) for layout in layouts}
+    return {layout.number: packing(dictionary, layout, axis) for layout in layouts}
+
+
+def accessed(direction: Direction, layouts: Sequence[PdoLayout]) -> Iterator[ObjectAddress]:
+    """Yield the objects with which :func:`configure` begins the settings of each PDO."""
+    for layout in layouts:
+        index = direction.communication + layout.number - 1
+        yield from ((index, 1), (index, 2), (index + _MAPPING, 0))
 
 
 def configure(
@@ -161,6 +176,7 @@ def configure(
     dictionary: ObjectDictionary,
     direction: Direction,
     layouts: Sequence[PdoLayout],
+    axis: Axis = ONE_AXIS,
 ) -> list[tuple[int, struct.Struct]]:
     """Write the mapping of all PDOs of one direction into a device, and disable all other PDOs.
 
@@ -172,6 +188,7 @@ def configure(
         device: The device, in PRE-OPERATIONAL.
         dictionary: Objects of the device.
         direction: Direction of the PDOs.
+        axis: The axis whose objects are mapped.
         layouts: Objects to map; a PDO is synchronous, with every ``layout.every``-th SYNC.
 
     Returns:
@@ -183,8 +200,13 @@ def configure(
         ObjectAccessError: The device refuses a setting; the message names the object.
         LinkError: No answer.
     """
-    packings = plan(dictionary, device.label, direction, layouts)
-    wanted = {layout.number: layout for layout in layouts}
+    packings = plan(dictionary, device.label, direction, layouts, axis)
+    wanted = {
+        layout.number: replace(
+            layout, objects=tuple(axis.at(dictionary, *address) for address in layout.objects)
+        )
+        for layout in layouts
+    }
     identifiers: dict[int, int] = {}
     for number in numbers(dictionary, direction):
         index = direction.communication + number - 1

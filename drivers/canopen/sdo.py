@@ -8,11 +8,18 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 import canopen
-from canopen.objectdictionary import ObjectDictionary
+from canopen.objectdictionary import ObjectDictionary, datatypes
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from drivers.errors import ConfigurationError, LinkError, NotDescribedError, ObjectAccessError
+from drivers.clock import Clock
+from drivers.errors import (
+    ConfigurationError,
+    LinkError,
+    NotDescribedError,
+    ObjectAccessError,
+    RangeError,
+)
 
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
@@ -21,6 +28,8 @@ _LATE_ANSWERS = 64
 """Number of answers to other requests that are skipped before the server counts as not
 answering.
 """
+_STEP_S = 0.01
+"""Longest wait for a response before a sign of the control loop may be due, s."""
 _INITIATE = (1, 2)
 """Command specifiers with which a client starts a download or an upload (CiA 301, 7.2.4.3)."""
 
@@ -28,7 +37,9 @@ _INITIATE = (1, 2)
 class Wire(Protocol):
     """Interface of the link that a node uses."""
 
+    clock: Clock
     sdo_timeout_s: float
+    alive_until_ns: int
     cycle: int
     master_id: int
     sync_ns: int
@@ -46,6 +57,14 @@ class Wire(Protocol):
 
     def heartbeat(self) -> None:
         """Send the master's heartbeat."""
+        ...
+
+    def keep_alive(self) -> None:
+        """Send the signs of the control loop that are due, until ``alive_until_ns``."""
+        ...
+
+    def forget(self, node_id: int) -> None:
+        """Drop the errors of a device that no exchange has raised yet."""
         ...
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
@@ -85,7 +104,7 @@ class PumpedSdoClient(SdoClient):
         """
         for _ in range(_LATE_ANSWERS):
             wait_s = self._wire.sdo_timeout_s if self.limit_s is None else self.limit_s
-            if not self._wire.pump(lambda: not self.responses.empty(), wait_s):
+            if not self._wait(wait_s):
                 raise SdoCommunicationError(f"no SDO response within {wait_s:g} s")
             response: bytes = self.responses.get_nowait()
             if (
@@ -99,6 +118,19 @@ class PumpedSdoClient(SdoClient):
         raise SdoCommunicationError(
             f"the first {_LATE_ANSWERS} SDO responses belong to other requests"
         )
+
+    def _wait(self, wait_s: float) -> bool:
+        """Wait for a response; the signs of the control loop are sent meanwhile if the link keeps
+        the devices alive.
+        """
+        wire = self._wire
+        wire.keep_alive()
+        while wire.alive_until_ns and wait_s > _STEP_S:
+            if wire.pump(lambda: not self.responses.empty(), _STEP_S):
+                return True
+            wait_s -= _STEP_S
+            wire.keep_alive()
+        return wire.pump(lambda: not self.responses.empty(), wait_s)
 
 
 class PumpedNode(canopen.RemoteNode):
@@ -145,6 +177,26 @@ def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
             f"node {node_id}, object {index:04X}h:{subindex:02X}h: {error}; "
             "check power, cabling, termination, bit rate and node identifier"
         ) from error
+
+
+def unfit(label: str, item: Any, value: int) -> ConfigurationError:
+    """Return the error for a value that cannot be packed into an object.
+
+    Args:
+        label: Name of the device.
+        item: The object, as :func:`variable` returns it.
+        value: The value.
+    """
+    what = (
+        f"{label}: the value {value} does not fit into object "
+        f"{item.index:04X}h:{item.subindex:02X}h ({item.name})"
+    )
+    signed = item.data_type in datatypes.SIGNED_TYPES
+    if not (signed or item.data_type in datatypes.UNSIGNED_TYPES):
+        return ConfigurationError(f"{what}, which is no integer")
+    span = 1 << len(item)
+    low, high = (-span // 2, span // 2 - 1) if signed else (0, span - 1)
+    return RangeError(low, high, f"{what}, which holds {low} to {high}")
 
 
 def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from drivers.dbc.wiring import BoundLimit, BoundQuantity, Images, Wiring
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LimitError
 from drivers.interfaces import Identity, LimitSteps, ServoLimits
 
 FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -145,7 +145,7 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
     becomes wider.
 
     Raises:
-        ConfigurationError: A limit does not fit into its signal.
+        LimitError: A limit does not fit into its signal.
     """
     frames = {name: bytes(message.size) for name, message in wiring.settings.items()}
     for name, limit in wiring.limits.items():
@@ -153,11 +153,24 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
         try:
             bits = quantity.signal.pack(_tighter(name, quantity, wanted[name]))
         except (ValueError, OverflowError) as error:
-            raise ConfigurationError(
-                f"limit {name}: {error}; state a tighter limit in the bench file"
+            keys = _keys(name)
+            raise LimitError(
+                keys,
+                f"limit {name}: {error}; change {_either(keys[:-1])}, or correct {keys[-1]}",
             ) from error
         frames[quantity.message] = quantity.signal.insert(frames[quantity.message], bits)
     return frames
+
+
+def _keys(name: str) -> tuple[str, ...]:
+    """Return the keys of the bench file from which a limit of the map is computed: the limits
+    first, then the gear ratio.
+    """
+    return (*(f"limits.{_HELD[field]}" for field in FIELDS[name]), "machine.gear_ratio")
+
+
+def _either(keys: tuple[str, ...]) -> str:
+    return " or ".join(keys)
 
 
 def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
@@ -197,7 +210,8 @@ def verify(
         unit = abs(limits[name].set.gain)
         room = found - wanted[name] if name in _LOWER else wanted[name] - found
         if not -_ROUNDING * max(1.0, abs(wanted[name])) <= room <= 2 * unit:
-            wrong.append(f"{name} reads {found:g} after {wanted[name]:g} was written")
+            key = _either(_keys(name)[:-1])
+            wrong.append(f"{name} ({key}) reads {found:g} after {wanted[name]:g} was written")
     if wrong:
         raise ConfigurationError(
             f"{who} does not accept these limits (at the motor, SI units): {'; '.join(wrong)}; "
@@ -222,7 +236,7 @@ def require_room(
         ("current", limits.current_A, held.current_A, "A"),
     )
     tight = [
-        f"{name} {wanted:g} {unit} (drive: {own:g} {unit})"
+        f"{name} ({_either(_keys(name)[:-1])}) {wanted:g} {unit} (drive: {own:g} {unit})"
         for name, wanted, own, unit in rows
         if name not in settable and not wanted <= own * (1 + _ROUNDING)
     ]

@@ -22,6 +22,7 @@ from drivers.interfaces import (
     Measuring,
     Servo,
     ServoLimits,
+    ServoMotion,
     ServoReadings,
     ServoSample,
     ServoState,
@@ -187,6 +188,16 @@ class DbcServo(Servo):
         )
         limit_A = self._drive.held.current_A
         return Measuring(step_rad / gear, gear, effort / self._effort_per_A, limit_A)
+
+    def motion(self) -> ServoMotion:
+        """Wait for the next frames that contain position and speed."""
+        position, velocity = self._feedback.unasked("position", "velocity")
+        gear = self._drive.gear_ratio
+        return ServoMotion(position / gear + self._drive.offset_rad, velocity / gear)
+
+    def promised_deceleration(self) -> float:
+        """Return the deceleration of the drive's ramp that the bench file states."""
+        return self._drive.held.quick_stop_deceleration_rad_s2
 
     def fault(self) -> DriveFault:
         """Return the fault that the drive reports."""

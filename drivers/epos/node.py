@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from itertools import chain
 from itertools import cycle as endless
 from typing import Final
@@ -15,7 +16,7 @@ from drivers.canopen.cia402 import CONTROLWORD
 from drivers.clock import NS
 from drivers.epos.frames import ERROR, NMT, OBJECT, Opcode, encode
 from drivers.epos.object_access import VALUE_BYTES, Line, ObjectAccess
-from drivers.errors import ConfigurationError, StateError
+from drivers.errors import ConfigurationError, DeviceError, StateError
 from drivers.objects import ObjectAddress, PdoLayout
 
 CYCLE_WRITES: Final = 1
@@ -177,8 +178,24 @@ class EposSerialNode(ObjectAccess):
             if address != _HOST_TIME:
                 self._packing(*address)
 
+    def accessed(
+        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
+    ) -> Iterator[ObjectAddress]:
+        """Yield the objects of a cycle."""
+        for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
+            if address != _HOST_TIME:
+                yield address
+
+    def unguarded(self, watched: bool) -> Iterator[DeviceError]:
+        """Yield nothing: the protocol has no remote frames."""
+        yield from ()
+
     def map_process_data(
-        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
+        self,
+        outputs: Sequence[PdoLayout],
+        inputs: Sequence[PdoLayout],
+        cycle_s: float,
+        watched: bool = False,
     ) -> None:
         """Start the node, and store the list of the objects that every cycle writes and reads.
 
@@ -266,6 +283,10 @@ class EposSerialNode(ObjectAccess):
         """Disarm the guard."""
         if self._line.guard is not None:
             self._line.guard.release()
+
+    def kept_alive(self, limit_s: float) -> AbstractContextManager[None]:
+        """Return an empty context: the guard is fed during every wait."""
+        return nullcontext()
 
     def limit_wait(self, limit_s: float | None) -> None:
         """Do nothing: the drive has no watchdog, and the guard is fed during every wait."""

@@ -10,10 +10,10 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.pdo import packing
-from drivers.canopen.sdo import described, variable
+from drivers.canopen.sdo import described, unfit, variable
 from drivers.clock import Clock
 from drivers.epos.frames import ERROR, LAST, OBJECT, SEGMENT_BYTES, TOGGLE, TOTAL, Opcode, segment
-from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.errors import LinkError, ObjectAccessError
 from drivers.objects import PdoLayout
 
 IDENTITY: Final = 0x1018
@@ -175,11 +175,6 @@ class ObjectAccess:
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
 
-    def require_watchable(self) -> None:
-        """Do nothing, because the guard of the link replaces the watchdog, which the protocol
-        lacks.
-        """
-
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object and that a value fits the type of the object; the errors
         are those of :meth:`write`.
@@ -209,11 +204,8 @@ class ObjectAccess:
         try:
             data = self._packing(index, subindex).pack(value)
         except struct.error as error:
-            name = variable(self._dictionary, index, subindex).name
-            raise ConfigurationError(
-                f"{self.label}: the value {value} does not fit into object "
-                f"{index:04X}h:{subindex:02X}h ({name})"
-            ) from error
+            item = variable(self._dictionary, index, subindex)
+            raise unfit(self.label, item, value) from error
         return OBJECT.pack(self.node_id, index, subindex) + data.ljust(VALUE_BYTES, b"\0")
 
     def write_bytes(self, index: int, subindex: int, data: bytes) -> None:

@@ -122,6 +122,7 @@ class SimulatedDrive(SimulatedNode):
         self.traits = traits or Traits()
         self._own = OwnObjects(self.traits)
         self._own.add_to(self.objects)
+        self.remote_frames = self.traits.remote_frames
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
         self.current_sign = 1
@@ -365,7 +366,7 @@ class SimulatedDrive(SimulatedNode):
             word |= _REMOTE
         if self.power_state is State.OPERATION_ENABLED:
             word |= self._mover.flags
-        self._values[_STATUSWORD] = word
+        self._values[_STATUSWORD] = word << 16 * (self.traits.status_share or 0)
 
     def _greatest(self, per_mille_A: float) -> int:
         """Return the current limit of the control loops in thousandths, rounded up to the drive's

@@ -16,7 +16,6 @@ ENCODER_EDS: Final = Path(__file__).with_name("encoder.eds")
 EXACT_COUNTS: Final = 1 << 22
 """Counts per turn of an exact sensor."""
 
-_OPERATING: Final = key(0x6000)
 _POSITION: Final = key(0x6004)
 _SPEED: Final = key(0x6030, 1)
 _COUNTER_CLOCKWISE: Final = 0x01

@@ -13,12 +13,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.device_data import identity
-from drivers.canopen.eds_file import addresses
+from drivers.canopen.eds_file import addresses, read_eds
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.traits import HM, PP, Shown, Traits, current_A, supply_V, temperature_C
 
@@ -113,6 +115,8 @@ LACKS: Final[Mapping[str, frozenset[int]]] = {name: make.lacks for name, make in
 _HEAD: Final = re.compile(r"\[([0-9A-Fa-f]{4})(?:sub[0-9A-Fa-f]+)?\]\s*$")
 _STANDARD: Final = frozenset({(0x6078, 0)})
 """Objects of CiA 402 that drives of some make have in another unit."""
+_ERROR_CONTROL: Final = ((0x100C, 0), (0x100D, 0), (0x1017, 0), (0x1029, 1))
+"""Objects whose value after power-on a simulated drive takes from its EDS."""
 _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 """Struct code to data type of CiA 301."""
 
@@ -140,19 +144,47 @@ def description(make: str) -> str:
     )
 
 
-def described_drive(dictionary: ObjectDictionary) -> Traits:
+def described_drive(dictionary: ObjectDictionary, axis: Axis = ONE_AXIS) -> Traits:
     """Return the kind of simulated drive for an EDS: the make follows from vendor and objects in
-    the EDS, and the drive has only the objects of the EDS.
+    the EDS, and the drive has only the objects of the EDS, and its values of NMT error control.
+
+    Args:
+        dictionary: The EDS.
+        axis: The axis that the simulated drive is, of a device with several axes.
     """
     vendor, product = identity(dictionary)
-    shown = addresses(dictionary)
+    usual, described = _usual(), addresses(dictionary)
+    single = {(index, sub) for index, sub in usual if sub or (index, 1) not in usual}
+    at = {own: axis.at(dictionary, *own) if own in single else own for own in usual | described}
+    shown = frozenset(own for own, on_bus in at.items() if on_bus in described)
+    places = {on_bus: own for own, on_bus in at.items() if own in usual and on_bus != own}
     found = [
         make
         for make in MAKES.values()
         if make.vendor_id == vendor and all(own.address in shown for own in make.own)
     ]
     traits = max(found, key=lambda make: len(make.own), default=Traits())
-    return replace(traits, product_code=product or traits.product_code, shown=shown)
+    stated = {
+        address: variable.default
+        for address in _ERROR_CONTROL
+        if address in shown
+        and (variable := dictionary.get_variable(*address)) is not None
+        and isinstance(variable.default, int)
+    }
+    code = product or traits.product_code
+    return replace(
+        traits,
+        product_code=code,
+        shown=shown,
+        defaults=stated,
+        places=places,
+        status_share=axis.share(dictionary, 0x6041, 0),
+    )
+
+
+@lru_cache(maxsize=1)
+def _usual() -> frozenset[tuple[int, int]]:
+    return addresses(read_eds(DRIVE_EDS, 1))
 
 
 def _record(index: int) -> str:

@@ -12,6 +12,8 @@ from typing import Final
 from drivers.mock import sensor_faults
 from drivers.mock.bench import SimulatedBench
 from drivers.mock.canopen.dictionary import key
+from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock.plant.machine import Loop
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import Command
 
@@ -28,11 +30,29 @@ class Mistake:
         spoil: Function that injects the mistake into the devices of a bench, of which the used
             joint encoder is an argument.
         change: Function that injects the mistake into the machine.
+        signs: Parts of the drive that have the wrong sign.
     """
 
     words: str
     spoil: Callable[[SimulatedBench, sensor_faults.Sensor], None] | None = None
     change: Callable[[Machine], Machine] | None = None
+    signs: tuple[Loop, ...] = ()
+
+    @property
+    def any_drive(self) -> bool:
+        """Whether the mistake is possible with drives of every kind."""
+        return self.spoil is None and self.change is None
+
+    def build_into(
+        self, bench: SimulatedBench | SimulatedDbcBench, encoder: sensor_faults.Sensor
+    ) -> None:
+        """Inject the mistake into the devices of a bench, of which ``encoder`` is the used joint
+        encoder.
+        """
+        for loop in self.signs:
+            bench.machine.reverse(loop)
+        if self.spoil is not None and isinstance(bench, SimulatedBench):
+            self.spoil(bench, encoder)
 
 
 def _in_rpm(bench: SimulatedBench, _: sensor_faults.Sensor) -> None:
@@ -56,6 +76,15 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
     "another_device": Mistake(
         "the drive on the node is of another product than its EDS file",
         lambda bench, _: bench.drive.objects.values.__setitem__(_PRODUCT, 0x0999),
+    ),
+    "position_sign": Mistake("the drive's position loop has the wrong sign", signs=("position",)),
+    "velocity_sign": Mistake("the drive's speed loop has the wrong sign", signs=("velocity",)),
+    "phases_swapped": Mistake("two phases of the motor are swapped", signs=("phases",)),
+    # The joint encoder shows the true direction; the machine is the mirror image.
+    "motor_encoder": Mistake(
+        "the motor encoder counts the other way",
+        lambda _, encoder: sensor_faults.reverse(encoder),
+        signs=("phases",),
     ),
     "zero_off": Mistake(
         "the joint encoder reads 5 deg at zero",

@@ -4,8 +4,8 @@ modes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
-from dataclasses import dataclass, field
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass, field, replace
 
 from drivers.mock.canopen.dictionary import DeviceDictionary, Entry, key
 from drivers.mock.plant.machine import Reading
@@ -67,6 +67,13 @@ class Traits:
         rated_torque_unit_N_m: Unit of the rated torque 6076h, N m.
         modes: Modes of operation, the value of 6502h.
         shown: Addresses of the objects that can be accessed over the bus, or None for all objects.
+        defaults: Values after power-on that differ from those of the usual simulated drive, by
+            index and subindex.
+        remote_frames: Whether the drive answers guard requests, which are remote frames.
+        places: Index and subindex on the bus of each object of a second axis, or of an object with
+            a member for each axis, to those of the usual simulated drive.
+        status_share: Number, from 0, of those 16 bits of a statusword of 32 bits that belong to
+            this axis, or None for a statusword of 16 bits.
     """
 
     vendor_id: int = 0x7FF
@@ -80,6 +87,10 @@ class Traits:
     rated_torque_unit_N_m: float = 1e-3
     modes: int = PP | HM | CSP | CSV | CST
     shown: Container[tuple[int, int]] | None = None
+    defaults: Mapping[tuple[int, int], int] = field(default_factory=dict)
+    remote_frames: bool = True
+    places: Mapping[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
+    status_share: int | None = None
 
     def speed_unit(self, counts_per_turn: float) -> float:
         """Return the unit of the drive's speeds, counts per second."""
@@ -119,12 +130,17 @@ class OwnObjects:
                 self.measured.append((number, shown.quantity, shown.unit))
         if self.traits.shown is not None:
             objects.remove_except(self.traits.shown)
+        objects.places = {key(*on_bus): key(*own) for on_bus, own in self.traits.places.items()}
+        if self.traits.status_share is not None:
+            status = objects.entries[key(0x6041)]
+            objects.entries[key(0x6041)] = replace(status, code="I")
 
     def restore(self, values: dict[int, int], rated_current_A: float) -> None:
         """Set the values that do not change."""
         values[key(0x1018, 1)] = self.traits.vendor_id
         values[key(0x1018, 2)] = self.traits.product_code
         values[key(0x6502)] = self.traits.modes
+        values.update((key(*address), value) for address, value in self.traits.defaults.items())
         for shown in self.traits.own:
             if shown.quantity is None:
                 values[key(*shown.address)] = round(rated_current_A / shown.unit)

@@ -14,11 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.at_values import nominal_at
-from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.intervals import identifiable
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
+from identification.diagnosis.fit.joint import Joint, nominal_at
+from identification.diagnosis.fit.start import choose, fit_from_estimate, views_and_fit
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -27,12 +25,9 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.rows.recent import forget
-from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.locate import curve
-from identification.diagnosis.score.observable import Observable, observable
+from identification.diagnosis.score.observable import Observable, collinear_effects, observable
 from identification.diagnosis.score.single_recordings import crowded_recordings, rests_under_torque
 from identification.diagnosis.selection.held_out import (
     DROPPED,
@@ -42,10 +37,6 @@ from identification.diagnosis.selection.held_out import (
 from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Options, Progress, Search, search
 from identification.diagnosis.selection.unseen import validation_rms
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import on_the_joint
-from identification.diagnosis.verdict.excess import explains_nearly_all
 from identification.diagnosis.verdict.judgement import (
     Judged,
     effects_of,
@@ -53,17 +44,16 @@ from identification.diagnosis.verdict.judgement import (
     verdict_of,
     without_unlogged,
 )
+from identification.diagnosis.verdict.reasons import explains_nearly_all
 from identification.diagnosis.verdict.statement import statement, warnings_of
-from identification.diagnosis.verdict.unexplained import unexplained
-from identification.diagnosis.verdict.unrecorded import unrecorded_effects
-from identification.estimate.uncertainty.parameter_table import units_of
+from identification.diagnosis.verdict.unexplained import unexplained, unrecorded_effects
+from identification.effects import MOTION
+from identification.effects.effect import Effect
+from identification.estimate.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, RecordingError
+from identification.views.view import View, forget, views
 
-FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
-"""Effects with which valve and motor move differently, so that the friction at the valve is a
-function of the motion of the joint encoder and not of the motor encoder.
-"""
 Maps = tuple[Map, ...]
 Estimate = Callable[[Dataset], tuple[Mapping[str, float | None], tuple[str, ...]]]
 """Function that estimates the nominal parameters of a dataset; it returns name to value, None for a
@@ -174,7 +164,7 @@ class _Outcome(NamedTuple):
         return self.judged.verdict
 
 
-def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
+def _searches(task: _Task, terms: Sequence[Effect]) -> _Outcome:
     """Search, validate and judge. While the verdict is *outside the catalogue*, search again
     without the dropped effects, because a dropped effect may have been selected in place of others.
     If no search ends with another verdict, fit the effects for which no score could be computed;
@@ -197,7 +187,7 @@ def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
     return taken._replace(judged=without_unlogged(taken.judged, taken.found))
 
 
-def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Outcome:
+def _outcome(task: _Task, terms: Sequence[Effect], thorough: bool = False) -> _Outcome:
     """Search for effects, validate them on unused recordings, and judge the result, once."""
     here, searched, flexible = _search_sides(task, terms, thorough)
     aside = _validation_views(task.dataset, task.bandwidth, flexible)
@@ -282,7 +272,7 @@ def _findings(
 
 def _still_valve(found: Search, every: Sequence[View]) -> tuple[str, ...]:
     """Return a text if the motion of a valve behind a flexible transmission is not used."""
-    flexible = any(e.term.name in FLEXIBLE for e in found.final.effects)
+    flexible = any(e.term.flexible for e in found.final.effects)
     if not flexible or any(np.any(v.twist) for v in every):
         return ()
     return (
@@ -292,7 +282,7 @@ def _still_valve(found: Search, every: Sequence[View]) -> tuple[str, ...]:
 
 
 def _search_sides(
-    task: _Task, terms: Sequence[Term], thorough: bool
+    task: _Task, terms: Sequence[Effect], thorough: bool
 ) -> tuple[tuple[View, ...], Search, bool]:
     """Search for effects with friction as a function of the motor's motion. If this search finds a
     flexible transmission, search again with friction as a function of the valve's motion; if the
@@ -302,32 +292,34 @@ def _search_sides(
         Views of the last search, its result, and whether the transmission is flexible.
     """
     fitted, model = task.dataset.part("fit"), task.dataset.model
-    options = Options(FLEXIBLE, model.fixed, thorough)
+    options = Options(True, model.fixed, thorough)
     found = search(task.here, task.unit, task.first, terms, task.rng, task.report, options)
-    if not any(e.term.name in FLEXIBLE for e in found.final.effects):
+    if not any(e.term.flexible for e in found.final.effects):
         return task.here, found, False
     task.report("search on the valve's side", 0.0)
-    options = replace(options, until=())
+    options = replace(options, until_flexible=False)
     here = views(fitted, task.bandwidth, True, task.dataset.recordings)
     try:
         again = fit_from_estimate(here, task.unit, task.first.nominal, model)
     except RecordingError:
         found = search(task.here, task.unit, task.first, terms, task.rng, task.report, options)
         return task.here, found, False
-    found = search(here, task.unit, again, on_the_joint(terms), task.rng, task.report, options)
+    found = search(
+        here, task.unit, again, [t.on_the_joint() for t in terms], task.rng, task.report, options
+    )
     return here, found, True
 
 
 def _effects_to_search(
     dataset: Dataset, here: Sequence[View]
-) -> tuple[list[Term], tuple[str, ...]]:
+) -> tuple[list[Effect], tuple[str, ...]]:
     """Return the effects that the search may select, and warnings that state why others are
     excluded.
     """
     fitted = dataset.part("fit")
     excluded, why = unrecorded_effects(fitted, here)
     left_out = {*dataset.model.terms, *excluded}
-    return [t for t in TERMS if t.name not in left_out], why
+    return [t for t in MOTION if t.name not in left_out], why
 
 
 def _validation_views(dataset: Dataset, bandwidth: float, flexible: bool) -> tuple[View, ...]:

@@ -13,17 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.diagnose import FLEXIBLE
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.rows.view import views
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.score.significance import trial_candidates
 from identification.diagnosis.selection.unseen import validation_rms
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context, Term
-from identification.diagnosis.terms.transmission import on_the_joint
+from identification.effects import EFFECTS, MOTION
+from identification.effects.effect import Context, Effect
 from identification.prepare import torque_unit
 from identification.recording import Dataset
+from identification.views.view import views
 
 
 @dataclass(frozen=True)
@@ -67,10 +65,12 @@ def oracle(
     if not held:
         return None
     unit = torque_unit(fitted[0])
-    gives = any(name in FLEXIBLE for name in names)
+    gives = any(EFFECTS[name].flexible for name in names)
     here = views(fitted, bandwidth_Hz, gives, dataset.recordings)
     baseline = fit(here, unit, first.nominal)
-    left = {t.name: t for t in (on_the_joint(TERMS) if gives else TERMS) if t.name in names}
+    left = {
+        t.name: t for t in (e.on_the_joint() if gives else e for e in MOTION) if t.name in names
+    }
     joint = baseline
     while left:
         best = _best_candidate(joint, list(left.values()))
@@ -80,11 +80,7 @@ def oracle(
         joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
     aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
     before, after = validation_rms(baseline, aside, unit), validation_rms(joint, aside, unit)
-    # The breakaway equation is not used: it has one row per rest, and its noise is large because
-    # the instant of a breakaway is known only to within one sample.
-    noise = {
-        e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"
-    }
+    noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.judges}
     if not noise:
         return None
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
@@ -107,7 +103,7 @@ def _remaining_strength(without: Joint, joint: Joint, equations: Sequence[str]) 
     return math.sqrt(max(0.0, *beyond))
 
 
-def _best_candidate(joint: Joint, terms: Sequence[Term]) -> Candidate | None:
+def _best_candidate(joint: Joint, terms: Sequence[Effect]) -> Candidate | None:
     """Return the effect, at one set of trial parameters, that explains most of the remaining
     mismatch.
     """

@@ -13,33 +13,53 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.estimate.equation_error import variable_projection as varpro
-from identification.estimate.equation_error.bandwidth import common_bandwidth
-from identification.estimate.equation_error.regression import (
+from identification.estimate import equation_error as varpro
+from identification.estimate import refinement
+from identification.estimate.bootstrap import bootstrap
+from identification.estimate.covariance import (
+    shifts_of_constants,
+    with_constants,
+    with_priors,
+)
+from identification.estimate.equation_error import (
     Stage,
+    block_sandwich,
+    common_bandwidth,
     loaded_stage,
     require_motion,
     unloaded_stage,
 )
-from identification.estimate.likelihood.bootstrap import bootstrap
-from identification.estimate.likelihood.profile import profiles
-from identification.estimate.likelihood.refinement import Found, noise_of, refine
-from identification.estimate.uncertainty.known_constants import (
-    shifts_of_constants,
-    with_constants,
-)
-from identification.estimate.uncertainty.parameter_table import (
+from identification.estimate.parameter_table import (
     fit_of,
+    least_pinned,
     parameter_table,
     trace_of,
+    tradeoffs,
+    typical_error,
     units_of,
 )
-from identification.estimate.uncertainty.priors import with_priors
-from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
+from identification.estimate.profile import profiles
+from identification.estimate.refinement import (
+    Found,
+    floors_of,
+    joint_convergence,
+    noise_of,
+    partly_used,
+    refine,
+    refine_pieces,
+    spread_of,
+)
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.progress import Progress, silent
-from identification.prepare import Prepared, prepare, torque_unit
+from identification.prepare import (
+    Prepared,
+    default_bandwidth,
+    joint_angle,
+    prepare,
+    resting,
+    torque_unit,
+)
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Convergence, Identification, Profile, Resampled
 
@@ -264,3 +284,126 @@ def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
     absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}
     absent -= {speed for names in falling if names not in flat for speed in names[2:]}
     return tuple(n for n in values if n not in model.fixed and n not in absent)
+
+
+LONG_SAMPLES = 200_000
+"""Number of samples to fit, over all recordings, above which recordings are processed in pieces;
+with fewer samples, processing without pieces is faster.
+"""
+PIECE_SAMPLES = 60_000
+_SEARCH_SAMPLES = 6000
+"""Number of samples before the end of a piece in which a rest is searched, at which the recording
+is cut.
+"""
+
+
+def identify_any_length(
+    dataset: Dataset,
+    *,
+    bandwidth_Hz: float | None = None,
+    rng: np.random.Generator | None = None,
+    progress: Progress | None = None,
+    profile: bool = False,
+    draws: int = 0,
+) -> Identification:
+    """Identify by the default method, piece by piece if the recordings are long; the arguments are
+    those of :func:`default.identify`.
+
+    Raises:
+        RecordingError: The recordings do not determine the model; the message says what is missing.
+    """
+    fitted = dataset.part("fit")
+    if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
+        return identify(
+            dataset,
+            bandwidth_Hz=bandwidth_Hz,
+            rng=rng,
+            progress=progress,
+            profile=profile,
+            draws=draws,
+        )
+    found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
+    if profile or draws:
+        limit = (
+            "no profiles and no bootstrap: these are computed only if all recordings together have "
+            f"at most {LONG_SAMPLES} samples; use shorter recordings"
+        )
+        found = replace(found, warnings=(*found.warnings, limit))
+    return found
+
+
+def pieces(recording: Recording) -> list[Recording]:
+    """Cut a recording into pieces of about ``PIECE_SAMPLES`` samples, at rests if possible; the
+    channels of a piece are views of those of the recording.
+    """
+    n, start = len(recording.time), 0
+    found = []
+    while start < n:
+        stop = n if n - start < 1.5 * PIECE_SAMPLES else _cut(recording, start + PIECE_SAMPLES)
+        found.append(
+            replace(recording, channels={c: v[start:stop] for c, v in recording.channels.items()})
+        )
+        start = stop
+    return found
+
+
+def identify_long(
+    dataset: Dataset, *, bandwidth_Hz: float | None = None, progress: Progress | None = None
+) -> Identification:
+    """Identify piece by piece; memory in addition to the recordings grows by 14 bytes per sample.
+
+    Traces cover the first piece of each recording only.
+
+    Raises:
+        RecordingError: The recordings do not determine the model; the message says what is missing.
+    """
+    started = perf_counter()
+    tell = progress or silent
+    model = dataset.model
+    cut = [(r, pieces(r)) for r in dataset.recordings]
+    heads = [parts[0] for r, parts in cut if r.role == "fit"]
+    if bandwidth_Hz is None:
+        bandwidth_Hz = min(default_bandwidth(head) for head in heads)
+    tell("unloaded", 0.0)
+    prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
+    fit = [p for r, parts in prepared if r.role == "fit" for p in parts]
+    values, stages = solve_stages(*by_load(fit), model, tell)
+    names = free_names(values, model)
+    tell("joint", 0.0)
+    every = [part for r, parts in cut if r.role == "fit" for part in parts]
+    refined, fault = refinement.try_refinements(
+        lambda correlated: refine_pieces(
+            heads, every, values, names, model, lambda share: tell("joint", share), correlated
+        ),
+        lambda v: typical_error(fit, v, model.alpha),
+        values,
+    )
+    if refined is None or fault:
+        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
+        found = Found(values, block_sandwich(fit, values, names, model.alpha), warnings=(kept,))
+    else:
+        floors = floors_of(refined.names, refined.floor)
+        partly = partly_used(refined.left_out)
+        found = Found(dict(refined.values), spread_of(refined), floors, refined, warnings=partly)
+    if refined is not None:
+        stages = [*stages, joint_convergence(refined)]
+        found = replace(found, starts=refined.starts)
+    tell("joint", 1.0)
+    result = identification(dataset, prepared, replace(found, stages=tuple(stages)))
+    return replace(result, seconds=perf_counter() - started)
+
+
+def _cut(recording: Recording, near: int) -> int:
+    """Return the sample at which a recording is cut: the middle of the last rest shortly before the
+    sample ``near``, or ``near`` if there is no rest.
+    """
+    window = slice(near - _SEARCH_SAMPLES, near)
+    angle = joint_angle(
+        replace(recording, channels={c: v[window] for c, v in recording.channels.items()})
+    )
+    if angle is None:
+        return near
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], resting(angle).astype(np.int64), [0]))))
+    if not edges.size:
+        return near
+    return near - _SEARCH_SAMPLES + int((edges[-2] + edges[-1]) // 2)

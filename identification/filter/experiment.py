@@ -9,13 +9,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.filter.kalman import DEVIATION, ERROR, FILTERED, innovations
-from identification.filter.lanes import AT_ONCE, LANES
-from identification.filter.noise import Noise
-from identification.filter.segment_table import (
+from identification.filter.kalman import (
     ANGLE,
+    AT_ONCE,
     BEFORE,
+    DEVIATION,
+    ERROR,
+    FILTERED,
     FIRST,
+    LANES,
     LAST,
     MOMENT,
     SAMPLE_COLUMNS,
@@ -24,12 +26,14 @@ from identification.filter.segment_table import (
     TIME,
     TORQUE,
     UNSURE,
+    innovations,
+    sensitivities,
 )
+from identification.filter.noise import Noise
 from identification.filter.segments import Motion
-from identification.filter.sensitivity import sensitivities
 from identification.model.parameters import COULOMB_OF, INDEX
 from identification.numerics.arrays import Array
-from identification.numerics.two_threads import both, idle
+from identification.numerics.compiled import both, idle
 from identification.recording import Model
 
 COST_OF_SENSITIVITIES = 3
@@ -140,7 +144,7 @@ class Experiment:
     @cached_property
     def table(self) -> Array:
         """Table of all segments, shape (m, 7), with the columns of
-        :mod:`identification.filter.segment_table`; the samples of the segments are rows of
+        :mod:`identification.filter.kalman`; the samples of the segments are rows of
         :attr:`table_of_samples`.
         """
         parts = []
@@ -258,7 +262,7 @@ class Filter:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
             noise: Noise of torque and angle, which is constant.
-            seeds: Directions, shape (d, :data:`identification.filter.tangents.SEEDS`).
+            seeds: Directions, shape (d, :data:`identification.filter.kalman.SEEDS`).
         """
         place = _place(p, times, noise)
         if self._slopes is not None and self._slopes[0] == place:

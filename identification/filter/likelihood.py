@@ -9,18 +9,71 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.filter.bounded_slopes import bounded
 from identification.filter.experiment import Experiment, Filter, Heads
+from identification.filter.kalman import DIRECTION, SEEDS, START
 from identification.filter.noise import Noise
-from identification.filter.segment_table import DIRECTION
 from identification.filter.segments import Motion
-from identification.filter.static_limit import static_crossings, static_limit, static_slopes
-from identification.filter.tangents import SEEDS, START
-from identification.model.parameters import ALPHA, LOGARITHMIC, OFFSET
+from identification.model.parameters import (
+    ALPHA,
+    LOAD_RISE,
+    LOGARITHMIC,
+    MC,
+    MU_C,
+    OFFSET,
+    SYSTEM_RISE,
+)
 from identification.numerics.arrays import Array
-from identification.numerics.block_arrow import BlockArrow
-from identification.numerics.levenberg_marquardt import huber
+from identification.numerics.compiled import compiled
+from identification.numerics.least_squares import BlockArrow, huber, huber_weight
 from identification.recording import Model
+
+
+def bounded(slopes: Array, ties: Array, scale: Array, bound: Array) -> tuple[Array, Array]:
+    """Return the derivatives of innovations, shape (r - m, d), and of ties, shape (m, d), divided
+    by the scale of their row and limited to the bound of their column; undefined derivatives become
+    zero. The result has the columns of the parameters, shape (r, d - 1), and the column of the
+    breakaway time, shape (r,).
+    """
+    parameters, own = np.empty((len(scale), len(bound) - 1)), np.empty(len(scale))
+    cut = len(slopes)
+    _limit(slopes, scale[:cut], bound, parameters[:cut], own[:cut])
+    _limit(ties, scale[cut:], bound, parameters[cut:], own[cut:])
+    return parameters, own
+
+
+@compiled
+def _limit(slopes: Array, scale: Array, bound: Array, parameters: Array, own: Array) -> None:
+    """Fill ``parameters`` and ``own`` as described in :func:`bounded`."""
+    last = slopes.shape[1] - 1
+    for r in range(len(slopes)):
+        for j in range(last + 1):
+            slope = slopes[r, j] / scale[r]
+            slope = min(max(slope, -bound[j]), bound[j]) if slope == slope else 0.0
+            if j < last:
+                parameters[r, j] = slope
+            else:
+                own[r] = slope
+
+
+def static_limit(p: Array, m: Motion) -> Array:
+    """Return the static limit Ms + F_P L1 mu_s (M3) at each breakaway, N m, shape (m,)."""
+    return np.asarray(p[MC] + p[SYSTEM_RISE] + m.breakaway_moment * (p[MU_C] + p[LOAD_RISE]))
+
+
+def static_slopes(seeds: Array, m: Motion) -> Array:
+    """Return the derivative of the static limit (M3) at each breakaway in each direction of the
+    parameters, N m, shape (m, d); ``seeds`` of shape (d, parameters).
+    """
+    load = (seeds[:, MU_C] + seeds[:, LOAD_RISE])[None] * m.breakaway_moment[:, None]
+    return np.asarray((seeds[:, MC] + seeds[:, SYSTEM_RISE])[None] + load)
+
+
+def static_crossings(p: Array, motions: Sequence[Motion]) -> tuple[Array, ...]:
+    """Return the time at which the torque first reaches the static limit at each breakaway, s, one
+    array per recording.
+    """
+    return tuple(m.static_crossing(static_limit(p, m)) for m in motions)
+
 
 _FARTHEST_LOG = 6.0
 """Greatest change of a logarithmic parameter in one fit, so that the filter does not overflow."""
@@ -390,3 +443,94 @@ class Searched(NamedTuple):
 
     point: Point
     iterations: int
+
+
+ROUNDS = 4
+"""Greatest number of Gauss-Newton steps for a breakaway time."""
+LONGEST_STEP_MS = 2.0
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Normal equations of some recordings with the breakaway times eliminated; p parameters, m
+    segments.
+
+    Attributes:
+        normal: Fisher information of the residuals (unit variance), shape (p, p).
+        scores: Gradient of half the sum of squares of each segment's residuals, shape (m, p).
+        squares: Sum of squared residuals.
+        neighbours: Sum of products of neighbouring residuals.
+        count: Number of residuals.
+    """
+
+    normal: Array
+    scores: Array
+    squares: float
+    neighbours: float
+    count: int
+
+
+def optimise_breakaway_times(
+    point: Point, threshold: float = np.inf, rounds: int = ROUNDS
+) -> Point:
+    """Return the point at which each breakaway time minimises its segment's Huber cost; the
+    parameters stay fixed.
+
+    The method is Gauss-Newton with one step length per segment: a step that raises the Huber cost
+    of its segment is undone and shortened.
+    """
+    count = len(point.free)
+    held = point.weighted()
+    x = point.origin()
+    near = held.near_breakaways(x, held.residuals(x))
+    residual = near.here
+    cost = near.costs(residual, threshold)
+    length = np.ones(point.breakaways)
+    for _ in range(rounds):
+        there = x.copy()
+        there[count:] += 1e-3
+        along = (near.residuals(there) - residual) / 1e-3
+        weight = huber_weight(residual, threshold)
+        own = near.by_segment(weight * along * along)
+        step = -near.by_segment(weight * along * residual) / np.where(own > 0.0, own, np.inf)
+        trial = x.copy()
+        trial[count:] += length * np.clip(step, -LONGEST_STEP_MS, LONGEST_STEP_MS)
+        tried = near.residuals(trial)
+        tried_cost = near.costs(tried, threshold)
+        better = tried_cost < cost
+        x[count:] = np.where(better, trial[count:], x[count:])
+        length = np.where(better, 1.0, 0.25 * length)
+        residual = np.where(better[near.owners], tried, residual)
+        cost = np.where(better, tried_cost, cost)
+    return replace(point, breakaway_times=point.times(x))
+
+
+def search_breakaway_times(point: Point, threshold: float) -> Point:
+    """Return the point at which the Huber cost of each segment has the least of its local minima
+    over the breakaway time, with fixed parameters.
+    """
+    there, moved = (
+        optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
+    )
+    return optimise_breakaway_times(there, threshold) if moved else there
+
+
+def reduce(point: Point, threshold: float = np.inf) -> Reduced:
+    """Return the normal equations at a point, with the breakaway times eliminated (M12).
+
+    Args:
+        point: Recordings, free parameters, breakaway times and noise.
+        threshold: Residual size beyond which Huber's weight is below one.
+    """
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
+    found = held.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))
+    inside = residual[: len(residual) - point.breakaways]
+    return Reduced(
+        normal=found.matrix,
+        scores=found.scores,
+        squares=float(inside @ inside),
+        neighbours=float(inside[1:] @ inside[:-1]),
+        count=len(inside),
+    )

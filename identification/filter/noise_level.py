@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize
 
+from identification.filter.kalman import DIRECTION, FIRST, LAST
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
-from identification.filter.segment_table import DIRECTION, FIRST, LAST
 from identification.filter.segments import Motion
 from identification.numerics.arrays import Array
 

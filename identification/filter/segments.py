@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.contact_force import contact_moment
-from identification.even_sampling import evened
-from identification.filter.segment_table import DIRECTION, FIRST, LAST, TORQUE_RATE
+from identification.filter.kalman import DIRECTION, FIRST, LAST, TORQUE_RATE
 from identification.numerics.arrays import Array, BoolArray
-from identification.prepare import drive_torque, joint_angle, resting
+from identification.prepare import contact_moment, drive_torque, evened, joint_angle, resting
 from identification.recording import Recording
 from identification.signals import quantum
 
@@ -65,7 +63,7 @@ class Motion:
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Rate of change of the torque within that period, N m/s.
         moment: Mean contact moment F_P L1 over that period, N m.
-        table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
+        table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.kalman`.
         seen: First sample of visible motion of each segment, shape (m,).
         steps: Number of integration steps in the period that ends at each sample.
         unsure: Variance that is added to the variance of the speed at each sample, (rad/s)^2.

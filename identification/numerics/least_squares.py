@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
 
 from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 
 LEAST_EIGENVALUE_RATIO = 1e-8
 """Least ratio of the smallest to the greatest eigenvalue of the correlation matrix of the columns
@@ -57,3 +65,513 @@ def equilibrated(normal: Array) -> tuple[Array, Array]:
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
     return normal / np.outer(scale, scale), scale
+
+
+@dataclass(frozen=True)
+class Design:
+    """A bounded linear problem: minimise |columns x - target|^2 with low <= x <= high.
+
+    Attributes:
+        columns: Shape (n, p).
+        target: Shape (n,).
+        low: Least value of each coefficient, shape (p,).
+        high: Greatest value of each coefficient, shape (p,).
+    """
+
+    columns: Array
+    target: Array
+    low: Array
+    high: Array
+
+
+def bounded_least_squares(design: Design) -> tuple[Array, float]:
+    """Solve least squares within the bounds; return (coefficients, sum of squared residuals).
+
+    A QR decomposition first reduces the problem, so that the cost keeps full precision on
+    noise-free data.
+    """
+    p = design.columns.shape[1]
+    scale = np.linalg.norm(design.columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    reduced: Array = np.asarray(
+        np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r")
+    )
+    matrix, right = reduced[:p, :p], reduced[:p, p]
+    rest = float(reduced[p, p] ** 2) if reduced.shape[0] > p else 0.0
+    low, high = design.low * scale, design.high * scale
+    solution = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    if np.any(solution < low) or np.any(solution > high):
+        solution = optimize.lsq_linear(matrix, right, bounds=(low, high), method="bvls").x
+    misfit = matrix @ solution - right
+    return solution / scale, float(misfit @ misfit) + rest
+
+
+_Known = TypeVar("_Known")
+_EASIER, _HARDER = 0.2, 4.0
+_FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
+
+
+class Slope(Protocol):
+    """A Jacobian of shape (n, p) that is not stored as a dense array."""
+
+    def product(self, weight: Array, /) -> Array:
+        """Return the normal matrix J.T diag(weight) J, shape (p, p)."""
+
+    def back(self, vector: Array, /) -> Array:
+        """Return J.T times a vector of shape (n,), shape (p,)."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """End of a search.
+
+    Attributes:
+        x: Point at which the search ended, shape (p,).
+        cost: Cost at this point.
+        steps: Number of steps tried.
+        beaten: Whether the search was stopped because it would not have reached the cost ``reach``
+            of another search.
+    """
+
+    x: Array
+    cost: float
+    steps: int
+    beaten: bool = False
+
+
+def huber(residual: Array, threshold: float | Array) -> Array:
+    """Return the Huber cost of each residual r, an array of the shape of ``residual``: r^2/2 within
+    the threshold, and threshold (|r| - threshold/2) beyond. ``threshold`` is one value for all
+    residuals, or one value for each residual.
+    """
+    size = np.minimum(np.abs(residual), threshold)
+    return np.asarray(size * (np.abs(residual) - 0.5 * size))
+
+
+def huber_weight(residual: Array, threshold: float | Array) -> Array:
+    """Return Huber's weight of each residual r, an array of the shape of ``residual``: 1 within the
+    threshold, and threshold / |r| beyond.
+    """
+    return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
+
+
+def huber_cost(residual: Array, threshold: float) -> float:
+    """Return the sum of the Huber costs (:func:`huber`) of the residuals."""
+    return float(np.sum(huber(residual, threshold)))
+
+
+def negative_log_likelihood(error: Array, deviation: Array, threshold: float) -> float:
+    """Return the negative log likelihood of errors with these standard deviations, shape (n,) each
+    (M23), up to a constant; for errors beyond the threshold Huber's cost replaces the square.
+    """
+    return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation)))
+
+
+def minimise(
+    residuals: Callable[[Array], Array],
+    jacobian: Callable[[Array, Array], Array | Slope],
+    start: Array,
+    *,
+    threshold: float,
+    tolerance: float,
+    most_steps: int = 25,
+) -> Minimum:
+    """Minimise the Huber cost of ``residuals``.
+
+    Args:
+        residuals: Function of x that returns the residuals, shape (n,).
+        jacobian: Function of x and of the residuals at x that returns the Jacobian, shape (n, p).
+        start: Start values, shape (p,).
+        threshold: Residual size up to which the cost is quadratic.
+        tolerance: The search ends when a step decreases the cost by less than this share.
+        most_steps: Greatest number of steps that are tried.
+    """
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        residual = residuals(x)
+        return huber_cost(residual, threshold), residual
+
+    def linearise(x: Array, residual: Array) -> tuple[Array, Array]:
+        slope = jacobian(x, residual)
+        weight = huber_weight(residual, threshold)
+        return _normal(slope, weight), _back(slope, weight * residual)
+
+    found, _ = _descend(
+        evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps
+    )
+    return found
+
+
+def minimise_deviance(
+    predictions: Callable[[Array], tuple[Array, Array]],
+    derivatives: Callable[[Array, Array, Array], tuple[Array, Array] | tuple[Slope, Slope]],
+    start: Array,
+    *,
+    threshold: float,
+    tolerance: float,
+    most_steps: int = 25,
+    reach: float = math.inf,
+) -> Minimum:
+    """Minimise the negative log likelihood of errors whose standard deviations depend on x too
+    (M23), by the scoring method with damping.
+
+    For errors beyond the threshold, Huber's cost replaces the square.
+
+    Args:
+        predictions: Function of x that returns the errors and their standard deviations, shape (n,)
+            each.
+        derivatives: Function of x and of the errors and deviations at x that returns two Jacobians
+            of shape (n, p): of the errors, divided by their deviations, and of the logarithms of
+            the deviations.
+        start: Shape (p,).
+        threshold: Error over deviation up to which the cost is quadratic.
+        tolerance: The search ends when a step decreases the cost by no more than this value.
+        most_steps: Greatest number of steps that are tried.
+        reach: Cost that another search reached. The search ends when ``most_steps`` steps, each
+            with the decrease of the last step, would not reach this cost.
+    """
+
+    def evaluate(x: Array) -> tuple[float, tuple[Array, Array]]:
+        error, deviation = predictions(x)
+        return negative_log_likelihood(error, deviation, threshold), (error, deviation)
+
+    def linearise(x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
+        mean, spread = derivatives(x, *here)
+        ratio = here[0] / here[1]
+        weight = huber_weight(ratio, threshold)
+        normal = _normal(mean, weight) + 2.0 * _normal(spread, np.ones_like(weight))
+        return normal, _back(mean, weight * ratio) + _back(spread, 1.0 - weight * ratio**2)
+
+    def beaten(gain: float, cost: float) -> bool:
+        return cost - reach > most_steps * gain
+
+    found, gain = _descend(
+        evaluate,
+        linearise,
+        start,
+        lambda gain, cost: gain <= tolerance or beaten(gain, cost),
+        most_steps,
+    )
+    return replace(found, beaten=beaten(gain, found.cost))
+
+
+def _normal(slope: Array | Slope, weight: Array) -> Array:
+    """Return the normal matrix of weighted rows, shape (p, p)."""
+    if isinstance(slope, np.ndarray):
+        return np.asarray(slope.T @ (slope * weight[:, None]))
+    return slope.product(weight)
+
+
+def _back(slope: Array | Slope, vector: Array) -> Array:
+    """Return the transpose of ``slope`` times a vector, shape (p,)."""
+    return np.asarray(slope.T @ vector) if isinstance(slope, np.ndarray) else slope.back(vector)
+
+
+def _descend(
+    evaluate: Callable[[Array], tuple[float, _Known]],
+    linearise: Callable[[Array, _Known], tuple[Array, Array]],
+    start: Array,
+    settled: Callable[[float, float], bool],
+    most_steps: int,
+) -> tuple[Minimum, float]:
+    """Take damped steps until ``settled`` returns true; return the end point and the decrease of
+    the cost in the last step.
+
+    Args:
+        evaluate: Function of x that returns its cost and the data that ``linearise`` needs at x.
+        linearise: Function of x and of these data that returns the normal matrix, shape (p, p), and
+            the gradient, shape (p,).
+        start: Shape (p,).
+        settled: Function of the decrease of the cost in a step, and of the cost after the step; it
+            returns whether the search ends.
+        most_steps: Greatest number of steps that are tried.
+    """
+    x = start.copy()
+    cost, here = evaluate(x)
+    damping = _FIRST_DAMPING
+    steps, gain = 0, 0.0
+    while steps < most_steps:
+        normal, gradient = linearise(x, here)
+        normal, scale = equilibrated(normal)
+        gain = 0.0
+        while steps < most_steps and damping < _LAST_DAMPING:
+            steps += 1
+            step = np.linalg.solve(normal + damping * np.eye(len(x)), -gradient / scale) / scale
+            value, there = evaluate(x + step)
+            if value < cost:
+                gain, x, cost, here = cost - value, x + step, value, there
+                damping *= _EASIER
+                break
+            damping *= _HARDER
+        # A cost of NaN is not less than the present cost, so that the gain stays zero.
+        if not gain > 0.0 or settled(gain, cost):
+            break
+    return Minimum(x, cost, steps), gain
+
+
+_BOUNDED_DESCENT_FIRST_DAMPING, _BOUNDED_DESCENT_LAST_DAMPING = 1e-3, 1e6
+_RIDGE = 1e-12
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounds of the parameters, both of shape (p,)."""
+
+    low: Array
+    high: Array
+
+    def clip(self, x: Array) -> Array:
+        """Return the nearest point within the bounds."""
+        return np.clip(x, self.low, self.high)
+
+
+def minimise_within(
+    residuals: Callable[[Array], Array],
+    jacobian: Callable[[Array, Array], Array],
+    start: Array,
+    box: Box,
+    *,
+    threshold: Array,
+    tolerance: float,
+    most_steps: int = 40,
+) -> Minimum:
+    """Minimise the sum of the Huber costs of ``residuals`` within bounds.
+
+    Args:
+        residuals: Function of x that returns the residuals, shape (n,).
+        jacobian: Function of x and of the residuals at x that returns the Jacobian, shape (n, p).
+        start: Start values, shape (p,); values beyond a bound are moved to the bound.
+        box: The bounds.
+        threshold: Size up to which each residual's cost is quadratic, shape (n,); infinite for
+            least squares.
+        tolerance: The search ends when a step decreases the cost by less than this share.
+        most_steps: Greatest number of steps that are tried.
+    """
+    x = box.clip(start)
+    here = residuals(x)
+    cost = float(np.sum(huber(here, threshold)))
+    damping, steps = _BOUNDED_DESCENT_FIRST_DAMPING, 0
+    while steps < most_steps:
+        slope = jacobian(x, here)
+        weight = huber_weight(here, threshold)
+        normal = slope.T @ (slope * weight[:, None])
+        gradient = slope.T @ (weight * here)
+        gain = 0.0
+        while steps < most_steps and damping < _BOUNDED_DESCENT_LAST_DAMPING:
+            steps += 1
+            trial = box.clip(x + bounded_step(normal, gradient, damping, x, box))
+            there = residuals(trial)
+            value = float(np.sum(huber(there, threshold)))
+            if value < cost:
+                gain, x, cost, here = cost - value, trial, value, there
+                damping = max(damping * _EASIER, _RIDGE)
+                break
+            damping *= _HARDER
+        # A cost of NaN is not less than the present cost, so that the gain stays zero.
+        if not gain > tolerance * (cost + gain):
+            break
+    return Minimum(x, cost, steps)
+
+
+def bounded_step(normal: Array, gradient: Array, damping: float, x: Array, box: Box) -> Array:
+    """Return the step that minimises the damped quadratic model within the bounds, shape (p,).
+
+    Args:
+        normal: Normal matrix, shape (p, p).
+        gradient: Shape (p,).
+        damping: Share of the diagonal that is added to the diagonal.
+        x: The point, shape (p,).
+        box: The bounds.
+    """
+    even, scale = equilibrated(normal)
+    factor = np.linalg.cholesky(even + (damping + _RIDGE) * np.eye(len(x)))
+    right = -np.linalg.solve(factor, gradient / scale)
+    low, high = (box.low - x) * scale, (box.high - x) * scale
+    step = np.linalg.solve(factor.T, right)
+    if np.any(step < low) or np.any(step > high):
+        step = optimize.lsq_linear(factor.T, right, bounds=(low, high + 1e-300), method="bvls").x
+    return np.asarray(step / scale)
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Normal equations with the extra unknowns eliminated; p parameters, m blocks.
+
+    Attributes:
+        matrix: Schur complement of the extra unknowns in the normal matrix, shape (p, p).
+        scores: Gradient of half the sum of squares of each block, shape (m, p).
+        cross: Part of the normal matrix with extra unknowns as rows and parameters as columns,
+            shape (m, p).
+        pull: Gradient with respect to each extra unknown, shape (m,).
+        held: Diagonal elements of the extra unknowns, shape (m,); infinite if a block does not
+            depend on its extra unknown, so that this unknown keeps its value.
+    """
+
+    matrix: Array
+    scores: Array
+    cross: Array
+    pull: Array
+    held: Array
+
+    def own_step(self, step: Array) -> Array:
+        """Return the step of the extra unknowns for a ``step`` of the parameters, shape (m,)."""
+        return -(self.pull + self.cross @ step) / self.held
+
+
+@dataclass(frozen=True)
+class BlockArrow:
+    """Jacobian of r rows in p parameters and m extra unknowns; as a dense matrix, shape (r, p + m).
+
+    Attributes:
+        parameters: Derivatives with respect to the parameters, shape (r, p).
+        own: Derivative of each row with respect to the extra unknown of its block, shape (r,).
+        owners: Block of each row, shape (r,).
+        blocks: Number of blocks, m.
+    """
+
+    parameters: Array
+    own: Array
+    owners: NDArray[np.int64]
+    blocks: int
+
+    def product(self, weight: Array | None = None, other: BlockArrow | None = None) -> Array:
+        """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other`` defaults to
+        self.
+        """
+        found = self._products(weight, self if other is None else other)
+        p = self.parameters.shape[1]
+        out = np.zeros((p + self.blocks, p + self.blocks))
+        out[:p, :p] = np.sum(found[:, :p, :p], axis=0)
+        out[p:, :p], out[:p, p:] = found[:, p, :p], found[:, :p, p].T
+        at = p + np.arange(self.blocks)
+        out[at, at] = found[:, p, p]
+        return out
+
+    def back(self, vector: Array) -> Array:
+        """Return ``self.T @ vector`` for a vector of shape (r,), shape (p + m,)."""
+        times = np.bincount(self.owners, self.own * vector, self.blocks)
+        return np.concatenate([self.parameters.T @ vector, times])
+
+    def along(self, directions: Array) -> Array:
+        """Return ``self @ directions``, the change of every row, for ``directions`` of shape (p +
+        m,) or (p + m, k).
+        """
+        p = self.parameters.shape[1]
+        own = self.own if directions.ndim == 1 else self.own[:, None]
+        return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
+
+    def eliminated(self, residual: Array, weight: Array) -> Eliminated:
+        """Return the normal equations of weighted residuals of shape (r,) with the extra unknowns
+        eliminated.
+
+        Each row is read once. The normal equations of two sets of rows without common blocks may be
+        added.
+        """
+        p = self.parameters.shape[1]
+        whole = self.product(weight)
+        cross, own = whole[p:, :p], np.diag(whole)[p:]
+        pull = np.asarray(
+            np.bincount(self.owners, self.own * weight * residual, self.blocks), dtype=np.float64
+        )
+        held = np.where(own > 0.0, own, np.inf)
+        share = cross / held[:, None]
+        scores = self.by_block(weight * residual, self.parameters) - share * pull[:, None]
+        return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
+
+    def information_by_block(self) -> Array:
+        """Return each block's information on the parameters, with its extra unknown eliminated
+        (M12), shape (m, p, p).
+        """
+        p = self.parameters.shape[1]
+        found = self._products(None, self)
+        cross, own = found[:, p, :p], found[:, p, p]
+        share = cross / np.where(own > 0.0, own, np.inf)[:, None]
+        return np.asarray(found[:, :p, :p] - cross[:, :, None] * share[:, None, :])
+
+    def scaled(self, weight: Array) -> BlockArrow:
+        """Return the Jacobian with every row multiplied by its weight."""
+        return replace(self, parameters=self.parameters * weight[:, None], own=self.own * weight)
+
+    def mixed(self, share: Array, other: BlockArrow) -> BlockArrow:
+        """Return ``share * self + (1 - share) * other``, row by row."""
+        return replace(
+            self,
+            parameters=other.parameters + (self.parameters - other.parameters) * share[:, None],
+            own=other.own + (self.own - other.own) * share,
+        )
+
+    def without(self, column: int) -> BlockArrow:
+        """Return the Jacobian without the column of one parameter."""
+        return replace(self, parameters=np.delete(self.parameters, column, axis=1))
+
+    def dense(self) -> Array:
+        """Return the dense matrix, shape (r, p + m)."""
+        p = self.parameters.shape[1]
+        out = np.zeros((len(self.own), p + self.blocks))
+        out[:, :p] = self.parameters
+        out[np.arange(len(self.own)), p + self.owners] = self.own
+        return out
+
+    def by_block(self, factor: Array, columns: Array) -> Array:
+        """Return the sum of ``factor`` times each column over the rows of every block, for columns
+        of shape (r, k), shape (m, k).
+        """
+        out = np.zeros((self.blocks, columns.shape[1]))
+        _add_by_block(np.ascontiguousarray(columns), factor, self.owners, out)
+        return out
+
+    def _products(self, weight: Array | None, other: BlockArrow) -> Array:
+        """Return for each block the weighted sum over its rows of the products of two elements of a
+        row, with the extra unknown last, shape (m, p + 1, p + 1).
+        """
+        weight = np.ones(len(self.own)) if weight is None else weight
+        size, width = self.parameters.shape[1] + 1, other.parameters.shape[1] + 1
+        out = np.zeros((self.blocks, size, width))
+        rows = (np.ascontiguousarray(j.parameters) for j in (self, other))
+        left, right = rows
+        _add_products(left, self.own, right, other.own, weight, self.owners, out)
+        return out
+
+
+@compiled
+def _add_by_block(columns: Array, factor: Array, owners: NDArray[np.int64], out: Array) -> None:
+    """Add each row of ``columns``, shape (r, k), times the factor of the row, to the row of its
+    block in ``out``.
+    """
+    for r in range(len(columns)):
+        row, scale = out[owners[r]], factor[r]
+        for j in range(columns.shape[1]):
+            row[j] += scale * columns[r, j]
+
+
+@compiled
+def _add_products(
+    left: Array,
+    left_own: Array,
+    right: Array,
+    right_own: Array,
+    weight: Array,
+    owners: NDArray[np.int64],
+    out: Array,
+) -> None:
+    """Add the products of two elements of each row, with the extra unknown last, to the sums of the
+    row's block.
+
+    Args:
+        left: Shape (r, p).
+        left_own: Shape (r,).
+        right: Shape (r, q).
+        right_own: Shape (r,).
+        weight: Weight of each row, shape (r,).
+        owners: Block of each row, shape (r,).
+        out: Sums, shape (m, p + 1, q + 1).
+    """
+    p, q = left.shape[1], right.shape[1]
+    for r in range(len(left)):
+        sums = out[owners[r]]
+        for i in range(p + 1):
+            scale = weight[r] * (left[r, i] if i < p else left_own[r])
+            row = sums[i]
+            for j in range(q):
+                row[j] += scale * right[r, j]
+            row[q] += scale * right_own[r]

@@ -7,13 +7,171 @@ costs or residuals of the problem.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import optimize
 
 from identification.numerics.arrays import Array
-from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticSettings
+
+
+@dataclass(frozen=True)
+class GeneticSettings:
+    """Settings of a search; the defaults are those of the paper (Sec. 4.2) or, where the paper
+    gives none, those of the toolbox.
+
+    Attributes:
+        population: Number of individuals per generation.
+        crossover_fraction: Share of the children, elite individuals excluded, that crossover makes;
+            mutation makes the remaining children.
+        elite: Number of best individuals that pass to the next generation unchanged.
+        mutation_scale: Standard deviation of the first generation's mutation over the width of the
+            box.
+        mutation_shrink: Share by which the standard deviation of the mutation falls, linearly, up
+            to the last generation.
+        generations: Number of generations, the first random generation included, after which the
+            search stops.
+
+    Raises:
+        ValueError: A setting is out of range.
+    """
+
+    population: int = 40
+    crossover_fraction: float = 0.8
+    elite: int = 2
+    mutation_scale: float = 1.0
+    mutation_shrink: float = 1.0
+    generations: int = 1000
+
+    def __post_init__(self) -> None:
+        if (
+            not 0 <= self.elite < self.population
+            or not 0.0 <= self.crossover_fraction <= 1.0
+            or self.generations < 1
+        ):
+            raise ValueError(
+                f"population {self.population}, elite {self.elite}, crossover fraction "
+                f"{self.crossover_fraction}, generations {self.generations}: need 0 <= elite < "
+                f"population, a fraction in 0..1 and at least 1 generation"
+            )
+
+
+class GeneticAlgorithm:
+    """Minimise a cost over a box: ``costs = f(ga.ask()); ga.tell(costs)`` is repeated until
+    ``ga.stop``.
+
+    Args:
+        low: Lower bounds, shape (d,).
+        high: Upper bounds, shape (d,); above ``low``.
+        rng: Source of all randomness.
+        settings: Population, operators and number of generations, or None for the settings of the
+            paper.
+
+    Raises:
+        ValueError: The bounds differ in shape, or a lower bound is not below its upper bound.
+    """
+
+    def __init__(
+        self,
+        low: ArrayLike,
+        high: ArrayLike,
+        rng: np.random.Generator,
+        settings: GeneticSettings | None = None,
+    ) -> None:
+        self.low = np.array(low, dtype=float)
+        self.high = np.array(high, dtype=float)
+        if self.low.ndim != 1 or self.low.shape != self.high.shape or self.low.size == 0:
+            raise ValueError(
+                f"bounds have shapes {self.low.shape} and {self.high.shape}; give two arrays of "
+                "one shape (d,)"
+            )
+        if not np.all(np.isfinite(self.low) & np.isfinite(self.high) & (self.low < self.high)):
+            raise ValueError(
+                f"lower bounds {self.low} must be finite and below the upper bounds {self.high}"
+            )
+        settings = settings or GeneticSettings()
+        bred = settings.population - settings.elite
+        self.generations = settings.generations
+        self.generation = 0
+        self.best = np.full(self.low.size, np.nan)
+        self.best_cost = np.inf
+        self._elite = settings.elite
+        self._crossed = round(settings.crossover_fraction * bred)
+        self._mutants = bred - self._crossed
+        self._scale = settings.mutation_scale
+        self._shrink = settings.mutation_shrink
+        self._rng = rng
+        self._genes = rng.uniform(self.low, self.high, (settings.population, self.low.size))
+
+    @property
+    def stop(self) -> bool:
+        """Whether all generations are done."""
+        return self.generation >= self.generations
+
+    def ask(self) -> Array:
+        """Return the individuals to be evaluated, shape (population, d)."""
+        return self._genes.copy()
+
+    def tell(self, costs: ArrayLike) -> None:
+        """Accept the costs of the individuals that :meth:`ask` returned last, and compute the next
+        generation.
+
+        Args:
+            costs: Shape (population,); infinite for an individual that cannot be evaluated.
+
+        Raises:
+            ValueError: Wrong shape, or NaN.
+        """
+        judged = np.asarray(costs, dtype=float)
+        if judged.shape != (len(self._genes),):
+            raise ValueError(f"costs have shape {judged.shape}; expected ({len(self._genes)},)")
+        if np.isnan(judged).any():
+            raise ValueError("a cost is NaN; give inf for an individual that cannot be evaluated")
+        order = np.argsort(judged, kind="stable")
+        if judged[order[0]] < self.best_cost:
+            self.best_cost = float(judged[order[0]])
+            self.best = self._genes[order[0]].copy()
+        self.generation += 1
+        self._genes = self._breed(self._genes[order])
+
+    def _breed(self, ranked: Array) -> Array:
+        """Return the next generation from the present generation ``ranked``, whose best individual
+        comes first.
+        """
+        parents = ranked[_select(len(ranked), 2 * self._crossed + self._mutants, self._rng)]
+        mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
+        inherit = self._rng.random(mothers.shape) < 0.5
+        children = np.where(inherit, mothers, fathers)
+        deviation = (
+            self._scale
+            * (1.0 - self._shrink * self.generation / self.generations)
+            * (self.high - self.low)
+        )
+        originals = parents[2 * self._crossed :]
+        mutants = originals + deviation * self._rng.standard_normal(originals.shape)
+        return np.vstack([ranked[: self._elite], children, _reflect(mutants, self.low, self.high)])
+
+
+def _select(
+    count: int, wanted: int, rng: np.random.Generator
+) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return ``wanted`` shuffled ranks by stochastic uniform selection on rank-scaled fitness."""
+    expectation = 1.0 / np.sqrt(np.arange(1, count + 1))
+    line = np.cumsum(expectation) / expectation.sum()
+    line[-1] = 1.0
+    marks = (rng.random() + np.arange(wanted)) / max(wanted, 1)
+    chosen = np.searchsorted(line, marks, side="right").astype(np.intp)
+    return rng.permutation(chosen)
+
+
+def _reflect(genes: Array, low: Array, high: Array) -> Array:
+    """Return the genes reflected back into the box, repeatedly if needed."""
+    width = high - low
+    folded = np.mod(genes - low, 2.0 * width)
+    return np.clip(low + np.minimum(folded, 2.0 * width - folded), low, high)
+
 
 POPULATION, GENERATIONS = 40, 1000
 """Settings of the genetic algorithm (paper, Sec. 4.2)."""

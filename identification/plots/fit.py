@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identification.model.friction import load_coefficient, system_friction
-from identification.model.units import torque_word, unit_on
+from identification.model.parameters import torque_word, unit_on
 from identification.numerics.arrays import Array
 from identification.plots.style import (
     BLACK,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.likelihood.profile import LEVEL
+from identification.estimate.profile import LEVEL
 from identification.numerics.arrays import Array
 from identification.plots.fit import LABELS
 from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure, plain_numbers

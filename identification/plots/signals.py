@@ -1,4 +1,4 @@
-"""Draws the figures of one recording: its signals, and the residual of the fit."""
+"""Draws the signals of recordings: measured, fitted, predicted, simulated, and the residual."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from identification.model.units import torque_word, unit_on
+from identification.export.model import Predicted
+from identification.model.parameters import torque_word, unit_on
 from identification.plots.style import (
     BLACK,
     BLUE,
     ORANGE,
     VERMILION,
     broken,
+    continuing,
     figure,
     legend_above,
     mosaic,
     moving,
     thinned,
 )
+from identification.prepare import Prepared, joint_angle, torque_unit
 from identification.recording import Recording
 from identification.result import Trace
+from identification.simulate.closed_loop import Response, simulated_torque
 
 
 def response(trace: Trace, recording: Recording, unit: str) -> Figure:
@@ -104,4 +108,74 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
         axis.set_ylabel(f"measured - model ({unit})")
     word = torque_word(motion)
     made.suptitle(f"{trace.recording}: {word} residual ({trace.role}, {trace.stage})", fontsize=11)
+    return made
+
+
+def predicted(part: Predicted, unit: str) -> Figure:
+    """Draw the measured side, the predicted side and the residual of one equation against time.
+
+    Args:
+        part: One equation of one recording.
+        unit: Unit of the equation.
+    """
+    made, (top, bottom) = figure(2, height=5.0, sharex=True)
+    few = thinned(len(part.time))
+    time = part.time[few]
+    joined = continuing(time)
+    measured, model = (broken(side[few], joined) for side in (part.measured, part.model))
+    top.plot(
+        time, measured, color=BLUE, linewidth=2.0, alpha=0.55, label="measured, where it moves"
+    )
+    top.plot(time, model, color=VERMILION, linewidth=0.9, label="model")
+    top.set_ylabel(f"{part.equation} ({unit})")
+    bottom.plot(time, measured - model, color=BLUE, linewidth=0.8)
+    if part.error.size:
+        level = float(np.sqrt(np.mean(part.error**2)))
+        bottom.axhspan(
+            -level, level, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {level:.3g} {unit}"
+        )
+    bottom.axhline(0.0, color=BLACK, linewidth=0.8)
+    bottom.set_ylabel(f"measured - model ({unit})")
+    bottom.set_xlabel("time (s)")
+    for axis in (top, bottom):
+        legend_above(axis, 2)
+    return made
+
+
+def simulated(prepared: Prepared, response: Response) -> Figure:
+    """Draw angle, angle error and drive torque against time, measured and simulated."""
+    recording = prepared.recording
+    rotary = recording.bench.motion == "rotary"
+    large, small = (np.rad2deg(1.0), 1e3) if rotary else (1e3, 1e6)
+    made, (top, middle, bottom) = figure(3, height=7.0, sharex=True)
+    few = thinned(len(recording.time))
+    time = recording.time[few]
+    measured = joint_angle(recording)
+    if measured is not None:
+        top.plot(
+            time, measured[few] * large, color=BLUE, linewidth=2.0, alpha=0.55, label="measured"
+        )
+        middle.plot(time, (response.angle - measured)[few] * small, color=BLACK, linewidth=0.8)
+    top.plot(time, response.angle[few] * large, color=VERMILION, linewidth=0.9, label="simulated")
+    top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
+    middle.set_ylabel("simulated - measured\n" + ("(mrad)" if rotary else "(um)"))
+    few = thinned(len(prepared.time))
+    bottom.plot(
+        prepared.time[few],
+        prepared.drive_torque[few],
+        color=BLUE,
+        linewidth=2.0,
+        alpha=0.55,
+        label="measured",
+    )
+    torque = simulated_torque(prepared, response)
+    bottom.plot(prepared.time[few], torque[few], color=VERMILION, linewidth=0.9, label="simulated")
+    bottom.set_ylabel(f"{torque_word(recording.bench.motion)} ({torque_unit(recording)})")
+    bottom.set_xlabel("time (s)")
+    for axis in (top, bottom):
+        legend_above(axis, 2)
+    made.suptitle(
+        f"{recording.name}: closed loop simulated from its first sample ({recording.role})",
+        fontsize=11,
+    )
     return made

@@ -3,17 +3,124 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from identification.contact_force import contact_moment
-from identification.model.parameters import INERTIA, STEADY, WEIGHT, ZERO, pack
+from identification.model.friction import friction
+from identification.model.parameters import GEAR_DRIVE, INERTIA, OFFSET, STEADY, WEIGHT, ZERO, pack
 from identification.numerics.arrays import Array
-from identification.prepare import joint_angle
+from identification.numerics.compiled import compiled
+from identification.prepare import (
+    POSITION_BANDWIDTH,
+    Prepared,
+    contact_moment,
+    joint_angle,
+    uniform_grid,
+)
 from identification.recording import Controller, Recording, RecordingError
-from identification.simulate import closed_loop_kernel as kernel
+from identification.signals import resample, smooth
+
+# Loop: output = clip(position_gain (command - angle) - velocity_gain speed, limit), times the
+# signal `scale`, plus `added`; torque = per_output output - damping speed.
+POSITION_GAIN, VELOCITY_GAIN, LIMIT, PER_OUTPUT, DAMPING = range(5)
+
+_ITERATIONS = 20
+_EXACT = 1e-12
+
+
+@compiled
+def next_speed(
+    speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array
+) -> float:
+    """Return the speed after ``h`` seconds under ``torque``, N m, which excludes friction and
+    damping.
+    """
+    inertia = body[INERTIA]
+    side = 1.0 if speed > 0.0 else -1.0
+    if speed == 0.0:
+        side = 1.0 if torque > 0.0 else -1.0
+        if abs(torque) <= friction(0.0, moment, gear, body)[0]:
+            return 0.0
+    start = abs(speed)
+    before = friction(start, moment, gear, body)[0] + damping * start
+    # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2 has a root above 0 unless the joint
+    # stops.
+    rest = inertia / h * start + side * torque - 0.5 * before
+    if rest <= 0.5 * friction(0.0, moment, gear, body)[0]:
+        return 0.0
+    v = start
+    for _ in range(_ITERATIONS):
+        force, slope = friction(v, moment, gear, body)
+        grade = max(inertia / h + 0.5 * (slope + damping), 0.25 * inertia / h)
+        change = (rest - inertia / h * v - 0.5 * (force + damping * v)) / grade
+        v = max(v + change, 0.0)
+        if abs(change) <= _EXACT * (1.0 + v):
+            break
+    return side * v
+
+
+@compiled
+def closed_loop(
+    time: Array,
+    command: Array,
+    scale: Array,
+    added: Array,
+    moment: Array,
+    body: Array,
+    loop: Array,
+    step: float,
+    angle: Array,
+    speed: Array,
+    torque: Array,
+) -> None:
+    """Fill ``angle``, ``speed`` and the drive's ``torque`` at ``time``; the first samples of angle
+    and speed are the initial state.
+
+    Args:
+        time: s, shape (n,), increasing, not necessarily evenly.
+        command: rad, shape (n,); linear between samples.
+        scale: Factor on the controller's output, shape (n,): supply voltage, or 1; held between
+            samples.
+        added: Signal added to the scaled output, shape (n,); held between samples.
+        moment: F_P L1, N m, shape (n,); held between samples.
+        body: Vector of :mod:`identification.model.parameters`; its inertia includes that of the
+            loads.
+        loop: Parameters of controller and drive, shape (5,).
+        step: Greatest integration step, s.
+        angle: rad, shape (n,).
+        speed: rad/s, shape (n,).
+        torque: N m, shape (n,).
+    """
+    q, w = angle[0], speed[0]
+    for k in range(len(time)):
+        span = time[k + 1] - time[k] if k + 1 < len(time) else step
+        count = max(math.ceil(span / step - 1e-9), 1)
+        h = span / count
+        for j in range(count):
+            share = (j + 0.5) / count
+            wanted = command[k]
+            if k + 1 < len(time):
+                wanted += share * (command[k + 1] - command[k])
+            middle = q + 0.5 * h * w
+            output = loop[POSITION_GAIN] * (wanted - middle) - loop[VELOCITY_GAIN] * w
+            output = min(max(output, -loop[LIMIT]), loop[LIMIT]) * scale[k] + added[k]
+            drive = loop[PER_OUTPUT] * output
+            if j == 0:
+                torque[k] = drive - loop[DAMPING] * w
+                if k + 1 == len(time):
+                    return
+            hanging = body[STEADY] - body[WEIGHT] * math.sin(middle - body[ZERO])
+            gear = abs(hanging - body[GEAR_DRIVE] * (drive - loop[DAMPING] * w))
+            w_next = next_speed(
+                w, drive + hanging - body[OFFSET], moment[k], gear, loop[DAMPING], h, body
+            )
+            q += 0.5 * h * (w + w_next)
+            w = w_next
+        angle[k + 1] = q
+        speed[k + 1] = w
+
 
 STEP_S = 2.5e-4
 """Greatest integration step; the integration error is far below the noise of recordings.
@@ -164,9 +271,7 @@ def simulate(
         np.ascontiguousarray(column)
         for column in (inputs.time, inputs.command, inputs.scale, inputs.added, inputs.moment)
     )
-    kernel.closed_loop(
-        time, command, scale, added, moment, body, loop, step, angles, speeds, torques
-    )
+    closed_loop(time, command, scale, added, moment, body, loop, step, angles, speeds, torques)
     return Response(inputs.time, angles, speeds, torques)
 
 
@@ -192,3 +297,113 @@ def replay(
         )
     loop = loop_of(recording.controller, recording)
     return simulate(body_of(values, recording, alpha), loop, inputs, float(measured[0]), 0.0, step)
+
+
+FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
+"""Parameters that are proportional to the friction as a whole; Stribeck speeds, inertia and offset
+are not.
+"""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums of squares over all samples, including samples at rest, from which rms errors are
+    computed.
+
+    Attributes:
+        torque_error: Sum of squares of simulated less measured drive torque at the bandwidth.
+        torque: Sum of squares of the measured drive torque at the bandwidth.
+        torque_samples: Number of torque samples.
+        angle_error: Sum of squares of simulated less measured angle at the recording's time stamps.
+        angle_samples: Number of angle samples.
+        angle_absolute: Sum of absolute errors of the angle at the recording's time stamps.
+    """
+
+    torque_error: float = 0.0
+    torque: float = 0.0
+    torque_samples: int = 0
+    angle_error: float = 0.0
+    angle_samples: int = 0
+    angle_absolute: float = 0.0
+
+    @property
+    def torque_rms(self) -> float:
+        """Rms torque error, N m (N)."""
+        return math.sqrt(self.torque_error / max(self.torque_samples, 1))
+
+    @property
+    def torque_relative(self) -> float:
+        """Norm of the torque error over the norm of the torque."""
+        return math.sqrt(self.torque_error / self.torque) if self.torque > 0.0 else 0.0
+
+    @property
+    def angle_rms(self) -> float:
+        """Rms angle error, rad (m)."""
+        return math.sqrt(self.angle_error / max(self.angle_samples, 1))
+
+    @property
+    def angle_mae(self) -> float:
+        """Mean absolute angle error, rad (m)."""
+        return self.angle_absolute / max(self.angle_samples, 1)
+
+
+def pooled(parts: Iterable[Sums]) -> Sums:
+    """Return the sums over several recordings."""
+    total = Sums()
+    for s in parts:
+        total = Sums(
+            total.torque_error + s.torque_error,
+            total.torque + s.torque,
+            total.torque_samples + s.torque_samples,
+            total.angle_error + s.angle_error,
+            total.angle_samples + s.angle_samples,
+            total.angle_absolute + s.angle_absolute,
+        )
+    return total
+
+
+def compare(prepared: Prepared, response: Response) -> Sums:
+    """Return the sums of squared errors of a simulated response against its recording.
+
+    Simulated and measured torque are filtered to the same bandwidth before they are compared.
+
+    Raises:
+        RecordingError: The recording has no angle.
+    """
+    angle = joint_angle(prepared.recording)
+    if angle is None:
+        raise RecordingError(
+            f"{prepared.recording.name}: the recording has no angle channel, "
+            "with which the simulated angle is compared; add a channel `angle` or `motor_angle`"
+        )
+    off = response.angle - angle
+    error = simulated_torque(prepared, response) - prepared.drive_torque
+    return Sums(
+        torque_error=float(error @ error),
+        torque=float(prepared.drive_torque @ prepared.drive_torque),
+        torque_samples=len(error),
+        angle_error=float(off @ off),
+        angle_samples=len(off),
+        angle_absolute=float(np.sum(np.abs(off))),
+    )
+
+
+def simulated_torque(prepared: Prepared, response: Response) -> Array:
+    """Return the simulated drive torque after the filter of the fit, N m, at
+    ``prepared.time``.
+    """
+    recording = prepared.recording
+    series = resample(recording.time, response.torque, uniform_grid(recording))
+    if prepared.filter.half:
+        series = smooth(series, 1.0 / recording.period, POSITION_BANDWIDTH * prepared.bandwidth_Hz)
+    return np.asarray(prepared.filter(series))
+
+
+def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
+    """Return the parameter values with all friction multiplied by ``share``; the error of the model
+    with these values is a scale for the error of the fitted model.
+    """
+    return {
+        name: value * (share if name in FRICTION_PARAMETERS else 1.0)
+        for name, value in values.items()
+    }

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from identification.recording import Dataset
 from rig.cli.crash import note_drive
 from rig.cli.entry import BAD_VERDICT, CRASHED, DEVICE_FAILED, DONE, STOPPED
 from rig.common.errors import StorageError
@@ -26,6 +27,7 @@ from rig.runs.seal import SEAL_FILE, seal_run
 from rig.terminal.output import complain, reader_gone
 from rig.terminal.screen import Screen
 from rig.weighing.label_check import comparable, off_label
+from rig.weighing.load_change import changed_loads
 
 STATUS: Mapping[Ending, int] = {
     Ending.DONE: DONE,
@@ -61,17 +63,19 @@ def conclude(
         BaseException: An unexpected exception during the run.
     """
     record = folder.record
-    wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
+    gone = not folder.recording.exists()
+    wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE and not gone else 0
     if wrong:
         with suppress(
             StorageError
         ):  # The run has ended, and the warnings are shown even if they cannot be stored.
             folder.save()
-    _tell(folder, screen)
+    _tell(folder, screen, gone)
     screen.drain()
-    write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
-    seal_folder(folder.path, record, lambda words, good: screen.say(words, err=not good))
-    screen.drain()
+    if not gone:
+        write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
+        seal_folder(folder.path, record, lambda words, good: screen.say(words, err=not good))
+        screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
     if outcome.error is not None:
         note_drive(outcome.error, outcome.safe.message)
@@ -88,41 +92,52 @@ def conclude(
 
 
 def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
-    """Record the stages whose measured mass differs from the label; return the number of these
-    stages.
+    """Record the stages whose load changed, and those whose measured mass differs from the label;
+    return the number of these stages.
     """
     record = folder.record
-    if reference is None and not _worth_reading(record):
+    if not any(stage.stage == "loaded" for stage in record.stages) and reference is None:
         return 0
     dataset = load_run(folder.path)
-    if not comparable(dataset, reference):
-        return 0
-    found = off_label(dataset, reference)
+    changed = changed_loads(dataset, [stage.name for stage in record.stages], reference)
+    for stage in record.stages:
+        if stage.name in changed:
+            stage.load_change_kg = changed[stage.name][0].mass_kg
+    steady = Dataset(
+        tuple(r for r in dataset.recordings if r.name.partition("[")[0] not in changed)
+    )
+    found = [weighing for _, weighing in changed.values()]
+    if comparable(steady, reference):
+        found += off_label(steady, reference)
     for weighing in found:
         folder.weighed(weighing)
         record.warnings.append(weighing.message)
     return len(found)
 
 
-def _worth_reading(record: RunRecord) -> bool:
-    masses = [stage.weight_kg for stage in record.stages]
-    return len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
-
-
-def _tell(folder: RunFolder, screen: Screen) -> None:
+def _tell(folder: RunFolder, screen: Screen, gone: bool) -> None:
     record = folder.record
-    rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
+    rows = [
+        [
+            s.name,
+            s.stage,
+            f"{s.weight_kg:g}",
+            s.state if s.load_change_kg is None else f"{s.state}, load changed",
+        ]
+        for s in record.stages
+    ]
     screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
     part = record.parts[-1]
     clock = "in simulated time: " if record.simulated and not record.realtime else ""
     screen.say(
-        f"{part.cycles} cycles; recorded in {folder.recording}\n{clock}{summary(part.timing)}",
+        f"{part.cycles} cycles; {'no longer in' if gone else 'recorded in'} {folder.recording}\n"
+        f"{clock}{summary(part.timing)}",
         err=False,
     )
     for warning in record.warnings:
         if warning not in folder.told:
             screen.say(f"warning: {warning}")
-    if words := go_on_words(record, folder.path):
+    if not gone and (words := go_on_words(record, folder.path)):
         screen.say(words)
 
 

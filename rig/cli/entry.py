@@ -116,6 +116,19 @@ class LazyGroup(click.Group):
         assert isinstance(command, click.Command)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the subcommand; the error for an unknown name suggests the nearest name."""
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
+            # Imported here, because only this error needs it.
+            from rig.config.configuration import nearest
+
+            raise click.UsageError(
+                f"no such command {args[0]!r}; {nearest(args[0], list(COMMANDS))}", ctx
+            )
+        return super().resolve_command(ctx, args)
+
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete names of subcommands from the table, without importing a subcommand, and the
         options of the group.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,36 @@ import click
 from rig.common.text import valid
 
 Decorator = Callable[[Any], Any]
+
+
+class Number(click.FloatRange):
+    """Type of every option that takes a real number: NaN and infinity are bad input.
+
+    The comparisons of :class:`click.FloatRange` let NaN pass, and infinity where an end is open.
+    """
+
+    def __init__(
+        self, min: float | None = None, max: float | None = None, min_open: bool = False
+    ) -> None:
+        super().__init__(min, max, min_open)
+        if min is None and max is None:
+            self.name = "float"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number.
+
+        Raises:
+            click.BadParameter: The value is not a finite number inside the range.
+        """
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+    def _describe_range(self) -> str:
+        return "" if self.min is None and self.max is None else super()._describe_range()
 
 
 def result_file(command: Any) -> Any:
@@ -49,7 +80,7 @@ def simulated_seed(command: Any) -> Any:
 def bandwidth(words: str) -> Decorator:
     """Return a decorator that adds ``--bandwidth``, Hz."""
     return click.option(
-        "--bandwidth", metavar="HZ", type=click.FloatRange(min=0.0, min_open=True), help=words
+        "--bandwidth", metavar="HZ", type=Number(min=0.0, min_open=True), help=words
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from drivers.errors import DeviceError
-from rig.commissioning import moving, still
+from rig.commissioning import moving, signs, still
 from rig.commissioning.homing import announced, homing
 from rig.commissioning.interview import Interview
 from rig.commissioning.patch import patched
@@ -57,6 +57,7 @@ STEPS: Final = (
     Step("readings", f"Reads values, state and settings. {STILL}", still.readings, asks=False),
     Step("zero", f"Compares both angles with the true angle. {STILL}", still.zero, asks=False),
     Step("limits", f"Writes low limits into the drive and reads them back. {STILL}", still.limits),
+    Step("signs", signs.ANNOUNCED, signs.signs),
     Step(
         "hold",
         f"The drive is energised for {2 * moving.HOLD_S:g} s and holds the joint at rest. "

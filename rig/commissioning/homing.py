@@ -55,6 +55,7 @@ UNSET: Final = (
 _LOOK_FOR: Final[Mapping[Check, str]] = {
     Check.ANGLE: "look for a switch that does not close within the limits of the bench",
     Check.SAMPLE_AGE: "check the cable, its plugs and the load of the bus",
+    Check.PAUSE: "look for other programs that load this computer",
     Check.LATENESS: "look for other programs that load this computer",
     Check.SLEEP: "switch the sleep of this computer off",
     Check.DRIVE_STATE: "read the drive's error code (603Fh) and remove its cause",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Final
 
 from drivers.clock import NS
@@ -172,6 +173,30 @@ def stop(setup: Setup, step: StepRecord) -> None:
     step.words = "the drive stops and is off"
 
 
+@contextmanager
+def explained(setup: Setup, witness: MotionWitness) -> Iterator[None]:
+    """Explain a trip or a fault of a motion by its samples, where a value of the bench file
+    explains it.
+
+    Raises:
+        WrongError: A value of the bench file, or a unit of a device, caused the trip or fault.
+    """
+    try:
+        yield
+    except (TripError, DeviceError) as error:
+        too_fast = isinstance(error, TripError) and error.trip.check is Check.SPEED
+        cause = witness.hint(too_fast) or next(iter(witness.prove().contradictions), None)
+        if cause is None:
+            raise
+        named = cause.words in str(error)
+        if isinstance(error, TripError) and error.trip.check is Check.RUNAWAY:
+            named = True  # by a wrong ratio or sign of the joint encoder
+        words = cause.words if named else f"{error}; {cause.words}"
+        raise WrongError(words, cause.changes) from error
+    finally:
+        setup.cycle.units = None
+
+
 def _brake(setup: Setup, step: StepRecord) -> ServoState:
     """Stop the drive by its quick stop; return the state in which it ended, and record the errors.
 
@@ -245,21 +270,11 @@ def _move(
     assert nominal is not None
     setup.cycle.units = witness = MotionWitness(setup.devices.servo, nominal)
     speed = math.radians(min(speed_deg_s, _fastest_deg_s(setup)))
-    try:
-        with setup.power("move") as here:
-            end = here + _way(setup, here, size_deg)
-            for _ in range(2):
-                setup.go(here, end, speed)
-                setup.go(end, here, speed)
-    except (TripError, DeviceError) as error:
-        too_fast = isinstance(error, TripError) and error.trip.check is Check.SPEED
-        cause = witness.hint(too_fast) or next(iter(witness.prove().contradictions), None)
-        if cause is None:
-            raise
-        words = cause.words if cause.words in str(error) else f"{error}; {cause.words}"
-        raise WrongError(words, cause.changes) from error
-    finally:
-        setup.cycle.units = None
+    with explained(setup, witness), setup.power("move") as here:
+        end = here + _way(setup, here, size_deg)
+        for _ in range(2):
+            setup.go(here, end, speed)
+            setup.go(end, here, speed)
     proof = witness.prove(tolerance)
     step.measured.clear()
     step.measure("move", size_deg, "deg")

@@ -56,7 +56,7 @@ class StepRecord:
 
     def measure(self, name: str, value: object, unit: str = "") -> None:
         """Store a value; floats are shown with four digits."""
-        shown = f"{value + 0.0:.4g}" if isinstance(value, float) else str(value)
+        shown = f"{value:z.4g}" if isinstance(value, float) else str(value)
         self.measured.append(Measured(name, shown, unit))
 
     def record(self) -> dict[str, Any]:

@@ -115,6 +115,7 @@ class Setup:
         """Return the setup of a bench whose link is open."""
         limits = low_limits(bench, fastest_deg_s)
         cycle = Cycle(limits, bench.cycle_ns, devices, recorder, stop, lambda *_: None)
+        recorder.begin(cycle.start_ns)
         return cls(bench, devices, interview, stop, recorder, limits, cycle, home=home)
 
     @cached_property
@@ -138,13 +139,19 @@ class Setup:
         """The low limits, as written into the drive."""
         return servo_limits(self.limits, self.bench)
 
-    def prepare(self) -> None:
+    def prepare(self, share: float = 1.0) -> None:
         """Map process data and write the low limits into the drive; nothing is energised.
+
+        Args:
+            share: Limits of torque and current, as a share of the low limits.
 
         Raises:
             DeviceError: A device differs from the bench file, or rejects a limit.
         """
-        servo, bench, wanted = self.devices.servo, self.bench, self.wanted
+        servo, bench, low = self.devices.servo, self.bench, self.wanted
+        wanted = dataclasses.replace(
+            low, torque_N_m=share * low.torque_N_m, current_A=share * low.current_A
+        )
         self.devices.prepare(bench.cycle_s)
         if self.own is None:
             own, unheld = servo.read_limits(), servo.lacks(bench.cycle_s).limits
@@ -154,15 +161,16 @@ class Setup:
         require_written(servo, wanted, bench.cycle_s)
 
     @contextmanager
-    def power(self, what: str) -> Iterator[float]:
+    def power(self, what: str, share: float = 1.0) -> Iterator[float]:
         """Energise the drive, hold the joint, and switch the power off at the end in any case;
-        yields the joint angle that is held, rad.
+        yields the joint angle that is held, rad. The drive gives at most a ``share`` of the low
+        limits of torque and current.
 
         Raises:
             WrongError: The drive could not be verified to be without power.
         """
         cycle, servo = self.cycle, self.devices.servo
-        with self._energised(what, servo.enable):
+        with self._energised(what, servo.enable, share):
             here = servo.sample().motor_angle_rad / self.bench.machine.gear_ratio
             cycle.ask_reset()
             cycle.begin(here)
@@ -210,7 +218,9 @@ class Setup:
                 step.measure("mode of operation afterwards, 6061h", f"{shown}{later}")
 
     @contextmanager
-    def _energised(self, what: str, energise: Callable[[], None]) -> Iterator[None]:
+    def _energised(
+        self, what: str, energise: Callable[[], None], share: float = 1.0
+    ) -> Iterator[None]:
         """Energise, and take the power off at the end, also after an error.
 
         Raises:
@@ -220,7 +230,7 @@ class Setup:
         self.recorder.event(cycle.now_ns, "power on", step=what)
         done = False
         try:
-            self.prepare()
+            self.prepare(share)
             energise()
             yield
             done = True

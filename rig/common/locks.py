@@ -230,7 +230,7 @@ def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> 
     except BaseException:
         Lock(held, owner=owner).release()
         raise
-    return Lock(held, "\n".join(taken_over) or None, owner)
+    return Lock(held, "\n".join(dict.fromkeys(taken_over)) or None, owner)
 
 
 def _take(place: _Place) -> tuple[_Held, bytes]:

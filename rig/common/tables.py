@@ -39,13 +39,13 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
 
 
 def number(value: float | None, digits: int = 5) -> str:
-    """Return a number with ``digits`` significant digits, or a dash for None."""
-    return "-" if value is None else f"{value:.{digits}g}"
+    """Return a number with ``digits`` significant digits, or a dash for None; zero has no sign."""
+    return "-" if value is None else f"{value:z.{digits}g}"
 
 
 def interval(low: float | None, high: float | None) -> str:
     """Return an interval in brackets, or a dash if there is no interval."""
-    return "-" if low is None or high is None else f"[{low:.4g}, {high:.4g}]"
+    return "-" if low is None or high is None else f"[{low:z.4g}, {high:z.4g}]"
 
 
 def percent(value: float | None) -> str:
@@ -54,4 +54,4 @@ def percent(value: float | None) -> str:
     """
     if value is None:
         return "-"
-    return f"{value:.0f} %" if abs(value) >= 1000.0 else f"{value:.3g} %"
+    return f"{value:.0f} %" if abs(value) >= 1000.0 else f"{value:z.3g} %"

@@ -2,55 +2,78 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from itertools import accumulate, pairwise
+from typing import Any, Final
 
-EDGES_US = (0, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
-"""Upper ends of the bins, microseconds; a further bin is for longer durations."""
-_EDGES_NS = tuple(edge * 1000 for edge in EDGES_US)
+EDGES_US: Final = (0, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
+"""Upper ends of the recorded bins, microseconds; a further bin is for longer durations."""
+RESOLUTION: Final = 0.01
+"""Greatest relative error of a quantile above 1 us and below 1 s."""
+
+
+def _fine_edges() -> Iterator[int]:
+    """Yield the upper ends of the bins in memory, ns; a recorded bin is a whole number of them."""
+    yield 0
+    yield 1000
+    for low, high in pairwise((1, *EDGES_US[1:], 1_000_000)):
+        count = math.ceil(math.log(high / low) / math.log1p(RESOLUTION))
+        yield from (round(1000 * low * (high / low) ** (k / count)) for k in range(1, count + 1))
+
+
+_FINE_NS: Final = tuple(_fine_edges())
+_ENDS: Final = tuple(_FINE_NS.index(1000 * edge) + 1 for edge in EDGES_US)
+"""Number of the bins in memory up to each recorded end."""
 
 
 class Histogram:
-    """Histogram of durations, with the longest duration.
+    """Histogram of durations, with the longest duration; its memory does not grow.
 
     Attributes:
-        counts: Counts per bin of :data:`EDGES_US`, and one for longer durations.
         worst_ns: Longest duration, ns.
     """
 
     def __init__(self) -> None:
-        self.counts = [0] * (len(EDGES_US) + 1)
+        self._counts = [0] * (len(_FINE_NS) + 1)
         self.worst_ns = 0
+
+    @property
+    def counts(self) -> list[int]:
+        """Counts per bin of :data:`EDGES_US`, and one for longer durations."""
+        return [sum(self._counts[a:b]) for a, b in pairwise((0, *_ENDS, len(self._counts)))]
 
     def note(self, duration_ns: int) -> None:
         """Count one duration."""
-        self.counts[bisect_left(_EDGES_NS, duration_ns)] += 1
+        self._counts[bisect_left(_FINE_NS, duration_ns)] += 1
         self.worst_ns = max(self.worst_ns, duration_ns)
 
-    def share_within_us(self, share: float) -> float | None:
-        """Return the upper end of the bin at the quantile ``share``, or the longest duration if the
-        quantile is beyond the last bin.
+    def quantile_us(self, share: float) -> float | None:
+        """Return the duration that the share ``share`` of the durations does not exceed, us, to
+        :data:`RESOLUTION`; None if no duration was counted.
 
-        The result is None if no duration was counted.
+        Within a bin the durations are taken as evenly spread.
         """
-        total = sum(self.counts)
-        if not total:
+        seen = list(accumulate(self._counts))
+        if not seen[-1]:
             return None
-        seen = 0
-        for edge, count in zip(EDGES_US, self.counts, strict=False):
-            seen += count
-            if seen >= share * total:
-                return min(float(edge), self.worst_ns * 1e-3)
-        return self.worst_ns * 1e-3
+        index = bisect_left(seen, share * seen[-1])
+        if index == len(_FINE_NS):
+            return self.worst_ns * 1e-3
+        before = seen[index] - self._counts[index]
+        part = (share * seen[-1] - before) / self._counts[index]
+        low, high = _FINE_NS[max(index - 1, 0)], _FINE_NS[index]
+        return min(low + part * (high - low), self.worst_ns) * 1e-3
 
     def record(self) -> dict[str, Any]:
-        """Return the bins and the statistics that are computed from the bins, for ``run.json``."""
+        """Return counts in few bins, and the statistics, for ``run.json``."""
         return {
             "edges_us": list(EDGES_US),
-            "counts": list(self.counts),
-            "p50_us": self.share_within_us(0.5),
-            "p99_us": self.share_within_us(0.99),
+            "counts": self.counts,
+            "p50_us": self.quantile_us(0.5),
+            "p99_us": self.quantile_us(0.99),
+            "resolution": RESOLUTION,
             "worst_us": self.worst_ns * 1e-3,
         }
 

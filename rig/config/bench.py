@@ -17,7 +17,9 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
 from drivers.canopen import cia402_objects, cia404, cia406
+from drivers.canopen.axis import Axis
 from drivers.canopen.eds_file import read_eds
+from drivers.canopen.sdo import described
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
@@ -241,6 +243,11 @@ class Bench(Schema):
                     "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; "
                     "use amt21"
                 )
+            if self.servo.object_offset or self.servo.sub_index:
+                raise ValueError(
+                    "servo.object_offset and servo.sub_index need a CAN bus, but bus.interface is "
+                    "epos_serial; remove these keys"
+                )
             if self.servo.mode not in (None, "csp"):
                 raise ValueError(
                     f"servo.mode {self.servo.mode} needs a CAN bus: over a serial line only "
@@ -351,11 +358,16 @@ def _with_watch(document: Document[Bench]) -> Document[Bench]:
     if not isinstance(servo, ServoSection) or servo.stops_alone is not None or servo.eds is None:
         return document
     try:
-        described = read_eds(document.path.parent / servo.eds, servo.node)
+        eds = read_eds(document.path.parent / servo.eds, servo.node)
     except ConfigurationError:
         return document
-    is_drive = all(index in described for index, _ in cia402_objects.NEEDED)
-    if cia402_objects.ON_ABORT[0] in described or not is_drive:
+    axis = Axis(servo.object_offset, servo.sub_index)
+
+    def has(index: int, subindex: int) -> bool:
+        return described(eds, *axis.at(eds, index, subindex), mappable=False)
+
+    is_drive = all(has(*address) for address in cia402_objects.NEEDED)
+    if not is_drive or cia402_objects.stops_alone(has):
         return document
     return without_watch(document)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
@@ -25,14 +24,8 @@ from rig.config.campaign_gas import (
 )
 from rig.config.configuration import Schema, nearest
 
-CATALOGUE: Mapping[str, tuple[str, ...]] = {
-    group: tuple(e.name for e in ENTRIES.values() if e.group == group)
-    for group in dict.fromkeys(e.group for e in ENTRIES.values())
-}
-"""Names of the physical effects that a campaign may declare or a diagnosis may identify, by group.
-"""
-EFFECTS: tuple[str, ...] = tuple(name for names in CATALOGUE.values() for name in names)
-FITTED_TERMS = ("offset", "load_dependent_friction")
+FITTED_EFFECTS = tuple(e.name for e in EFFECTS.values() if e.fitted_by_estimators)
+FITTED_TERMS = ("offset", *FITTED_EFFECTS)
 """Effects that the estimators can fit in addition to the nominal model."""
 _BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
 """Rung that results from each rung if `load_dependent_friction` is added."""
@@ -43,11 +36,8 @@ def _known_term(name: str) -> str:
     if name in FITTED_TERMS:
         return name
     if name in EFFECTS:
-        remedy = (
-            "; a known weight is declared by `gravity:` of a recording"
-            if name == "gravity_imbalance"
-            else ""
-        )
+        key = EFFECTS[name].declared_by
+        remedy = f"; a known weight is declared by `{key}:` of a recording" if key else ""
         raise ValueError(
             f"the effect {name!r} cannot be fitted; terms may be {', '.join(FITTED_TERMS)}{remedy}"
         )
@@ -185,7 +175,7 @@ class ModelSection(Schema):
     @property
     def rung(self) -> str:
         """The rung of the ladder that `friction` and `terms` select together."""
-        if "load_dependent_friction" in self.terms:
+        if set(FITTED_EFFECTS) & set(self.terms):
             return _BEARING_LOAD.get(self.friction, self.friction)
         return self.friction
 

@@ -8,6 +8,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from drivers.canopen.axis import AXIS_OBJECTS
 from drivers.canopen.device_data import SIMULATED, DeviceData, devices, match
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.motion import ModeName
@@ -70,6 +71,11 @@ class ServoSection(Schema):
     Attributes:
         kind: The protocol of the drive.
         node: CANopen node number.
+        object_offset: Offset of the objects of the axis, for a drive with several axes in one
+            node: 0x800 for the second axis, whose objects begin at 6800h in CiA 402.
+        sub_index: Subindex of the axis, for a drive whose CiA 402 objects have one member for each
+            axis, such as 6064h:01h and 6064h:02h; 0 for other drives. An object with a single value
+            applies to all axes.
         device: Name of the maker's data. Null selects the data by the identity in the EDS file;
             `none` selects no data.
         counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
@@ -125,6 +131,8 @@ class ServoSection(Schema):
 
     kind: Literal["canopen"] = "canopen"
     node: NodeId = 1
+    object_offset: Annotated[int, Field(ge=0, le=7 * AXIS_OBJECTS, multiple_of=AXIS_OBJECTS)] = 0
+    sub_index: Annotated[int, Field(ge=0, le=8)] = 0
     device: str | None = None
     counts_per_motor_turn: Annotated[int, Field(gt=0)] = 4096
     sign: Sign = 1
@@ -154,6 +162,15 @@ class ServoSection(Schema):
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
     quick_stop_deceleration_deg_s2: Positive = 2000.0
+
+    @model_validator(mode="after")
+    def _one_axis(self) -> Self:
+        if self.object_offset and self.sub_index:
+            raise ValueError(
+                f"object_offset {self.object_offset:#x} and sub_index {self.sub_index} are both "
+                "set; remove one of these two keys"
+            )
+        return self
 
     @model_validator(mode="after")
     def _one_velocity_unit(self) -> Self:

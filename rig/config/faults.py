@@ -108,6 +108,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("drive", "sdo_timeout"): Kind("SDO requests are not answered", counted=True),
     ("drive", "limits_refused"): Kind("the drive ignores written limits"),
     ("drive", "counter_stuck"): Kind("the life counters of the drive do not change"),
+    ("drive", "position_sign"): Kind("the position loop of the drive has the wrong sign"),
+    ("drive", "velocity_sign"): Kind("the speed loop of the drive has the wrong sign"),
+    ("drive", "phases_swapped"): Kind("two phases of the motor are swapped"),
     ("encoder", "bit"): Kind(
         "one bit of the position is inverted", "bit", 13, counted=True, integer=True
     ),
@@ -124,6 +127,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("operator", "stop"): Kind("Ctrl-C"),
     ("operator", "unanswered"): Kind(
         "the prompt's input ends without an answer after this time", "s", 0.0
+    ),
+    ("operator", "weight_removed"): Kind(
+        "the weight falls or is taken off, and this mass is left on the lever", "kg", 0.0
     ),
     ("operator", "wrong_weight"): Kind(
         "the operator hangs this mass and types the planned mass", "kg", 60.0

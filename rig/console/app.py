@@ -23,17 +23,21 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.console.controls import Page
+from rig.console.door import MOST_GREETING
 from rig.console.gate import Gate, Token
 from rig.console.hub import Hub, Refusal
 from rig.console.made import Made
 from rig.console.recorded import Recorded
 from rig.console.starting import StartError, Wish
-from rig.console.view import View
+from rig.console.view import View, program_words
 from rig.terminal.control_messages import Command
 
 STATIC: Final = Path(__file__).parent / "static"
 LONGEST_BODY: Final = 8192
-HELLO_S: Final = 10.0
+HELLO_S: Final = 5.0
+"""Time for the first message of a WebSocket, which has the token, s."""
+LONGEST_YIELD_S: Final = 0.2
+"""Longest time for which the messages to pages wait for a command, s."""
 _KINDS: Final = {
     ".html": "text/html; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -67,6 +71,8 @@ class Console:
         self.failure: BaseException | None = None
         self._hub = hub
         self._token = token
+        self._greeting = self._commands = 0
+        self._turn, self._calm = asyncio.Lock(), asyncio.Event()
         self._files = {
             path.name: (path.read_bytes(), _KINDS[path.suffix])
             for path in STATIC.iterdir()
@@ -79,6 +85,7 @@ class Console:
                 Route("/", self._index, methods=["GET"]),
                 Route("/static/{name}", self._static, methods=["GET"]),
                 Route("/command", self._posted(self._command), methods=["POST"]),
+                Route("/off", self._posted(self._off), methods=["POST"]),
                 Route("/controls", self._posted(self._controls), methods=["POST"]),
                 Route("/dry-run", self._posted(self._dry_run), methods=["POST"]),
                 Route("/start", self._posted(self._start), methods=["POST"]),
@@ -156,14 +163,27 @@ class Console:
                 return _refused(409, "this command was already received")
             try:
                 return _json(await act(page, message))
-            except (Refusal, StartError) as error:
+            except Refusal as error:
+                return _json({"words": str(error), **error.details}, 409)
+            except StartError as error:
                 return _refused(409, str(error))
 
         return endpoint
 
     async def _command(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Send a command; meanwhile the messages to pages wait."""
+        self._commands += 1
+        self._calm.clear()
+        try:
+            return await self._sent(page, message)
+        finally:
+            self._commands -= 1
+            if not self._commands:
+                self._calm.set()
+
+    async def _sent(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         """Send a command to a run. The command `stop` needs neither the controls nor an open
-        page.
+        page, and without a run it is sent to every program in progress.
         """
         command = _COMMANDS.get(str(message.get("command")))
         if command is None:
@@ -174,11 +194,43 @@ class Console:
         if type(prompt) is not int or not isinstance(text, str):
             raise Refusal("prompt must be a whole number, text a text")
         who = f"the console, {page.name}" if page is not None else "the console"
+        if command is Command.STOP and message.get("run") is None:
+            return await self._stop(page, who)
         key = str(message.get("run"))
         if page is not None:
             self._hub.claim(page, key)
         words = await self._hub.command(key, command, who, prompt, text)
         return {"words": words}
+
+    async def _stop(self, page: Page | None, who: str) -> dict[str, Any]:
+        """Stop everything in progress; the page shows the end of a run that was stopped."""
+        shown = None if page is None else self._hub.run_of(page)
+        sent, failed = await self._hub.stop(who)
+        runs = [each.key for each in sent if each.key in self._hub.runs]
+        if page is not None and runs:
+            mine = shown is not None and shown.key in runs
+            if not mine:
+                page.run = None
+            self._hub.claim(page, shown.key if shown is not None and mine else runs[0])
+        names = [program_words(each.about) for each in sent]
+        if failed:
+            words = "; ".join(
+                f"{name}: {failed[each.key]}"
+                for each, name in zip(sent, names, strict=True)
+                if each.key in failed
+            )
+            raise Refusal(words, unconfirmed=list(failed))
+        return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
+
+    async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Make a bench safe, as `rig off` does; needs neither the controls nor an open page,
+        because it only takes power off.
+        """
+        bench = message.get("bench")
+        known = {str(run.about["bench_file"]) for run in self._hub.runs.values()}
+        if not isinstance(bench, str) or bench not in known | set(self._hub.starter.benches):
+            raise Refusal("this bench is unknown; choose a bench that the page lists")
+        return await self._hub.starter.off(bench)
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         page = _in_contact(page)
@@ -231,17 +283,27 @@ class Console:
 
     async def _live(self, socket: WebSocket) -> None:
         """Send the state and the charts to a page until the page is closed."""
-        await socket.accept()
+        if self._greeting >= MOST_GREETING:
+            await socket.close(1013)
+            return
+        self._greeting += 1
         try:
+            await socket.accept()
             hello = await asyncio.wait_for(socket.receive_json(), HELLO_S)
-            token = str(hello.get("token", ""))
+            may = self._token.fits(str(hello.get("token", "")))
         except (WebSocketDisconnect, TimeoutError, ValueError, KeyError, AttributeError):
-            with suppress(RuntimeError):
+            with suppress(RuntimeError, WebSocketDisconnect):
                 await socket.close(1008, "a page must send its token first")
+            return
+        finally:
+            self._greeting -= 1
+        if not self._hub.controls.room(may):
+            with suppress(RuntimeError, WebSocketDisconnect):
+                await socket.close(1013, "too many pages are open; close a page")
             return
         page = self._hub.controls.open()
         self._hub.keep(page, hello.get("shown"), hello.get("own"))
-        if self._token.fits(token):
+        if may:
             self._hub.controls.admit(page)
         reading = asyncio.create_task(_read_views(socket, page))
         try:
@@ -259,8 +321,14 @@ class Console:
         """
         view = View(self._hub, page)
         while not reading.done():
-            await _send(socket, {"state": view.state()})
-            charts = view.charts()
+            async with self._turn:
+                # Requests are read between two pages, and a command goes before the next page.
+                await asyncio.sleep(0)
+                if self._commands:
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(self._calm.wait(), LONGEST_YIELD_S)
+                state, charts = {"state": view.state()}, view.charts()
+            await _send(socket, state)
             if charts is not None:
                 await socket.send_bytes(charts)
             for _ in range(_PUSH_EVERY):

@@ -44,22 +44,6 @@ CHANNELS = (
     Channel("pressure", "Chamber pressure", "MPa", 1e-6),
 )
 """Channels in the order in which the page shows them."""
-FIELDS = (
-    "time",
-    "command",
-    "motor_angle",
-    "angle",
-    "velocity",
-    "current",
-    "voltage",
-    "supply_voltage",
-    "temperature",
-    "following_error",
-    "pressure",
-    "segment",
-    "statusword",
-)
-"""Fields of a sample from which the channels are computed."""
 
 
 def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rig.console.door import MOST_PAGES, MOST_READERS
+
 
 @dataclass
 class Page:
@@ -60,6 +62,11 @@ class Controls:
     def pages(self) -> Iterable[Page]:
         """All open pages."""
         return self._pages.values()
+
+    def room(self, may: bool) -> bool:
+        """Return whether one more page can be opened, with the token or without."""
+        count = sum(page.may == may for page in self._pages.values())
+        return count < (MOST_PAGES if may else MOST_READERS)
 
     def open(self) -> Page:
         """Register a new page."""

@@ -21,9 +21,11 @@ from rig.console.decimation import Decimation
 from rig.console.event_words import event_words
 from rig.console.growing import Growing, News
 from rig.console.torque_speed import TorqueSpeed, curves
+from rig.results.run.go_on import first_words
+from rig.results.run.verdict import ACCEPTANCE_FILE, read_verdict
 from rig.runs.mcap.records import DamageError
 from rig.runs.run_file import read_record
-from rig.runs.run_record import RUN_FILE, RunRecord
+from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 
 EVENTS: Final = 200
 """Greatest number of events that are shown."""
@@ -42,7 +44,45 @@ DRIVE_STATES: Final = {
 _STATE_MASK: Final = 0x6F
 
 
-class Followed:
+class Reached:
+    """A program that a control socket reaches: a run, a jog or a commissioning.
+
+    Args:
+        path: Control socket of the program.
+        about: Description that the program sent.
+        number: Number of programs that were found up to and including this program.
+
+    Attributes:
+        key: Value that identifies the program in commands.
+        status: Newest state that the program reported; None before the first report.
+        gone: Whether the program is gone.
+    """
+
+    def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
+        self.path = path
+        self.number = number
+        self.about = about
+        self.key: str = about["run"]
+        self.status: dict[str, Any] | None = None
+        self.heard_s = time.monotonic()
+        self.gone = False
+
+    @property
+    def silent_s(self) -> float:
+        """Time since the program last answered, s."""
+        return time.monotonic() - self.heard_s
+
+    @property
+    def over(self) -> bool:
+        """Whether the program has ended its work, regularly or not."""
+        return self.gone or bool(self.status and self.status["ended"])
+
+    def hear(self, status: dict[str, Any]) -> None:
+        """Store the state that the program reports."""
+        self.status, self.heard_s = status, time.monotonic()
+
+
+class Followed(Reached):
     """A run that the console follows.
 
     Args:
@@ -51,8 +91,7 @@ class Followed:
         number: Number of runs that were found up to and including this run.
 
     Attributes:
-        status: Newest state that the run reported; None before the first report.
-        gone: Whether the program of the run is gone.
+        verdict: Acceptance of the run; None while it is not judged.
         record: ``run.json``, or None until this file exists.
         events: Number and text of the newest events.
         decimation: Minima and maxima of the channels, over the recorded time of all recordings.
@@ -68,14 +107,9 @@ class Followed:
     """
 
     def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
-        self.path = path
-        self.number = number
-        self.about = about
-        self.key: str = about["run"]
+        super().__init__(path, about, number)
         self.folder = Path(about["folder"])
-        self.status: dict[str, Any] | None = None
-        self.heard_s = time.monotonic()
-        self.gone = False
+        self.verdict: dict[str, Any] | None = None
         self.record: RunRecord | None = None
         self.events: list[tuple[int, str]] = []
         self.decimation = Decimation(len(CHANNELS), about["cycle_s"])
@@ -89,22 +123,13 @@ class Followed:
         self._channels = channel_records(about)
         self._answers = 0
         self._stamp: tuple[int, int] | None = None
+        self._judged: object = None
         self._masses: object = None
         self._growing: Growing | None = None
         self._part = self._parts = 0
         self._sampled = False
         self._offset_s = 0.0
         self._count = 0
-
-    @property
-    def silent(self) -> bool:
-        """Whether the run has not answered for longer than :data:`SILENT_S`."""
-        return time.monotonic() - self.heard_s > SILENT_S
-
-    @property
-    def over(self) -> bool:
-        """Whether the run has ended, regularly or not."""
-        return self.gone or bool(self.status and self.status["ended"])
 
     @property
     def closed(self) -> bool:
@@ -127,6 +152,7 @@ class Followed:
             "live": (object(), self._live()),
             "curves": (self._masses, self.curves),
             "record": (self._stamp, None if self.record is None else _shown_record(self.record)),
+            "verdict": (self._judged, self.verdict),
         }
 
     def _live(self) -> dict[str, Any]:
@@ -134,7 +160,8 @@ class Followed:
             "values": self.values,
             "current": self.current,
             "drive": self.drive if self.current or self.over else "not read yet",
-            "silent": self.silent and not self.over,
+            "silent": self.silent_s > SILENT_S and not self.over,
+            "silent_s": round(self.silent_s),
             "gone": self.gone and not (self.status and self.status["ended"]),
             "closed": self.closed,
             "trouble": self.trouble,
@@ -143,7 +170,7 @@ class Followed:
 
     def hear(self, status: dict[str, Any]) -> None:
         """Store the state that the run reports."""
-        self.status, self.heard_s = status, time.monotonic()
+        super().hear(status)
         self._answers += 1
 
     def read(self) -> bool:
@@ -158,11 +185,13 @@ class Followed:
         return more
 
     def _read_record(self) -> None:
+        stamp = _stamp_of(self.folder / RUN_FILE)
+        judged = (_stamp_of(self.folder / ACCEPTANCE_FILE), stamp)
+        if judged != self._judged:
+            self._judged, self.verdict = judged, read_verdict(self.folder)
+        if stamp is None or stamp == self._stamp:
+            return
         try:
-            found = (self.folder / RUN_FILE).stat()
-            stamp = (found.st_mtime_ns, found.st_ino)
-            if stamp == self._stamp:
-                return
             record = read_record(self.folder)
         except (OSError, InputError):
             return
@@ -232,12 +261,22 @@ class Followed:
         self.drive = DRIVE_STATES.get(state, DRIVE_STATES.get(word & 0x4F, f"{word:04X}h"))
 
 
+def _stamp_of(path: Path) -> tuple[int, int] | None:
+    """Return a value that changes with each version of a file; None if there is no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino
+
+
 def _shown_record(record: RunRecord) -> dict[str, Any]:
     """Return the part of ``run.json`` that a page shows."""
     held = record.parts[-1].devices.get("limits")
     return {
         "state": record.state,
         "message": record.message,
+        "first": [] if record.state in ("running", Ending.DONE.value) else first_words(record),
         "de_energised": record.de_energised,
         "drive_state": record.drive_state,
         "warnings": record.warnings,
@@ -246,4 +285,5 @@ def _shown_record(record: RunRecord) -> dict[str, Any]:
             for s in record.stages
         ],
         "held": dict(held) if isinstance(held, dict) else {},
+        "masses": {each.index: each.weight_kg for each in record.segments},
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rig.console.controls import Controls, Page
-from rig.console.followed import Followed
+from rig.console.followed import Followed, Reached
 from rig.console.run_link import Links, Unreachable
 from rig.console.starting import Starter
 from rig.terminal.control_messages import VERSION, Command
@@ -59,7 +59,16 @@ class Questions:
 
 
 class Refusal(Exception):
-    """A command is refused; the message states the reason."""
+    """A command is refused; the message states the reason.
+
+    Args:
+        words: The reason.
+        details: Further fields of the answer.
+    """
+
+    def __init__(self, words: str, **details: object) -> None:
+        super().__init__(words)
+        self.details = details
 
 
 class Hub:
@@ -71,6 +80,7 @@ class Hub:
 
     Attributes:
         runs: Runs by key, in the order in which they were found.
+        others: Other programs that can move a bench, by key: jogs and commissionings.
         controls: The pages.
         notes: Number and text of messages to all pages.
         ticked: Set at every tick, after which pages are informed.
@@ -80,11 +90,12 @@ class Hub:
         self.starter = starter
         self._only = only
         self.runs: dict[str, Followed] = {}
+        self.others: dict[str, Reached] = {}
         self.controls = Controls()
         self.notes: list[tuple[int, str]] = []
         self.ticked = asyncio.Event()
         self._links = Links(self._heard)
-        self._by_path: dict[str, Followed] = {}
+        self._by_path: dict[str, Reached] = {}
         self._ignored: set[str] = set()
         self._questions = Questions()
         self._looked_s = 0.0
@@ -114,6 +125,33 @@ class Hub:
         if self._only:
             return f"shows the runs of your user on {', '.join(sorted(self._only))}"
         return "shows the runs of your user on any bench"
+
+    @property
+    def moving(self) -> list[Reached]:
+        """Every program in progress that can move a bench of this console."""
+        return [each for each in (*self.runs.values(), *self.others.values()) if not each.over]
+
+    async def stop(self, who: str) -> tuple[list[Reached], dict[str, str]]:
+        """Send STOP to every program in progress, also to a program that began just now.
+
+        Returns:
+            The programs, and for each program that did not confirm STOP, by key, the reason.
+        """
+        if self._look(time.monotonic()) and not self.moving:
+            await asyncio.sleep(TICK_S)
+        sent: list[Reached] = []
+        failed: dict[str, str] = {}
+
+        async def stop(each: Reached) -> None:
+            try:
+                await self._send(each, Command.STOP, who)
+            except Refusal as error:
+                failed[each.key] = str(error)
+
+        while wave := [each for each in self.moving if each not in sent]:
+            sent += wave
+            await asyncio.gather(*map(stop, wave))
+        return sent, failed
 
     def run_of(self, page: Page) -> Followed | None:
         """Return the run that a page shows: the run that the user chose, else the run that was
@@ -183,6 +221,11 @@ class Hub:
         run = self.runs.get(key)
         if run is None:
             raise Refusal("this run is unknown; choose a run that the page shows")
+        return await self._send(run, command, who, prompt, text)
+
+    async def _send(
+        self, run: Reached, command: Command, who: str, prompt: int = 0, text: str = ""
+    ) -> str:
         try:
             answer = await self._links.command(run.path, run.key, command, who, prompt, text)
         except Unreachable as error:
@@ -197,30 +240,38 @@ class Hub:
         if now - self._looked_s >= _LOOK_S:
             self._looked_s = now
             self._look(now)
+        for each in self.moving:
+            if self._questions.due(each.path, now):
+                self._ask(each)
         for run in list(self.runs.values()):
-            if not run.over and self._questions.due(run.path, now):
-                self._ask(run)
             for _ in range(_READS):
                 if not run.read():
                     break
         for words in self.starter.failures():
             self.note(words)
 
-    def _look(self, now_s: float) -> None:
-        """Find new runs, and remove the oldest runs that have ended and that no page shows."""
+    def _look(self, now_s: float) -> int:
+        """Find new programs, and remove the oldest runs that have ended and that no page shows;
+        return the number of programs that were asked who they are.
+        """
+        asked = 0
         for path in self._links.runs():
             known = path in self._by_path or path in self._ignored
             if not known and self._questions.due(path, now_s):
                 try:
                     self._links.ask(path, "about")
+                    asked += 1
                 except Unreachable:
                     self._ignored.add(path)
         shown = {key for page in self.controls.pages for key in (page.run, page.kept)}
         over = [key for key, run in self.runs.items() if run.over and key not in shown]
         for key in over[:-_ENDED]:
             self._by_path.pop(self.runs.pop(key).path, None)
+        for key in [key for key, each in self.others.items() if each.over]:
+            self._by_path.pop(self.others.pop(key).path, None)
+        return asked
 
-    def _ask(self, run: Followed) -> None:
+    def _ask(self, run: Reached) -> None:
         try:
             self._links.ask(run.path, "status")
         except Unreachable:
@@ -235,8 +286,12 @@ class Hub:
             if about.get("version") != VERSION or (self._only and about["bench"] not in self._only):
                 self._ignored.add(path)
                 return
+            if "folder" not in about:
+                other = self._by_path[path] = Reached(path, about)
+                self.others[other.key] = other
+                return
             self._found += 1
-            known = self._by_path[path] = Followed(path, about, self._found)
-            self.runs[known.key] = known
+            run = self._by_path[path] = Followed(path, about, self._found)
+            self.runs[run.key] = run
         elif known is not None and isinstance(message.get("status"), dict):
             known.hear(message["status"])

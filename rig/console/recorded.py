@@ -75,7 +75,9 @@ class Recorded:
 
     def __init__(self, root: Path) -> None:
         self.root = root
-        self._held = asyncio.Lock()
+        self._held, self._listing = asyncio.Lock(), asyncio.Lock()
+        self._lists: dict[Choice, str] = {}
+        self._listed_s = -_FRESH_S
         self._entries: Sequence[Entry] = ()
         self._problem = ""
         self._read_s = -_FRESH_S
@@ -104,9 +106,15 @@ class Recorded:
         except ValueError as error:
             return Response(str(error), status_code=400, media_type="text/plain")
         await self._refresh()
-        listed = await asyncio.to_thread(self._listed, choice)
-        # In ASCII, whose escapes also encode names that are not valid Unicode.
-        return Response(json.dumps(listed), media_type="application/json")
+        async with self._listing:
+            # One list is made at a time, and a fresh one is used again: pages without the token
+            # must not take the processor from a command.
+            if self._listed_s != self._read_s:
+                self._lists, self._listed_s = {}, self._read_s
+            if choice not in self._lists:
+                self._lists[choice] = await asyncio.to_thread(self._listed, choice)
+            listed = self._lists[choice]
+        return Response(listed, media_type="application/json")
 
     async def _refresh(self) -> None:
         # Only one list is read at a time, for all pages; the folders are read in a thread.
@@ -135,11 +143,14 @@ class Recorded:
         known = detailed(self.root, [entry for entry in entries if entry.head.identified])
         return list(dict.fromkeys(name for each in known for name in each.parsed().constants))
 
-    def _listed(self, choice: Choice) -> dict[str, Any]:
+    def _listed(self, choice: Choice) -> str:
+        """Return the list as JSON in ASCII, whose escapes also encode names that are not valid
+        Unicode.
+        """
         everything = self._entries
         listed = self._chosen(everything, choice)
         benches = {entry.head.bench for entry in everything} - {""}
-        return {
+        found = {
             "root": str(self.root.absolute()),
             "count": len(everything),
             "problem": self._problem,
@@ -147,6 +158,7 @@ class Recorded:
             "constants": self._constants(listed),
             "runs": [self._row(entry) for entry in reversed(listed)],
         }
+        return json.dumps(found)
 
     def _row(self, entry: Entry) -> dict[str, Any]:
         head, folder = entry.head, self.root / entry.folder

@@ -9,6 +9,7 @@ import uvicorn
 
 from rig.common.errors import InputError
 from rig.console.app import Console
+from rig.console.door import BURST, QUEUE, bounded
 from rig.console.gate import Token
 from rig.console.hub import Hub
 from rig.console.starting import Starter
@@ -41,14 +42,15 @@ def serve(
             log_level="warning",
             access_log=False,
             ws="wsproto",
-            http="h11",
+            http=bounded(),
+            backlog=BURST,
             loop="asyncio",
             timeout_graceful_shutdown=1,
             server_header=False,
             date_header=False,
         )
         announce(f"http://{HOST}:{port}/#token={token.text}")
-        server = uvicorn.Server(config)
+        server = _Server(config)
 
         def end() -> None:
             server.should_exit = True
@@ -57,6 +59,16 @@ def serve(
         server.run(sockets=[listener])
         if console.failure is not None:
             raise console.failure
+
+
+class _Server(uvicorn.Server):
+    """Server whose queue in the system is longer than the burst that it accepts at once."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start to serve."""
+        await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(QUEUE)
 
 
 def _listening(port: int) -> socket.socket:

@@ -113,6 +113,8 @@ class Starter:
     choices: dict[str, list[str]] = field(init=False)
     _shown: dict[str, Shown] = field(default_factory=dict)
     _children: list[tuple[subprocess.Popen[bytes], Path]] = field(default_factory=list)
+    _offs: dict[str, asyncio.Task[dict[str, Any]]] = field(default_factory=dict)
+    _resumed: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.choices = {"benches": list(self.benches), "sequences": names("sequences")}
@@ -202,7 +204,8 @@ class Starter:
         return folder
 
     def resume(self, about: Mapping[str, Any], typed_bench: str, operator: str = "") -> None:
-        """Continue a run that stopped, in the same folder, with the prompts on the page.
+        """Continue a run that stopped, in the same folder, with the prompts on the page; a run that
+        is being continued already is not continued again.
 
         Args:
             about: Description that the run has sent.
@@ -216,9 +219,40 @@ class Starter:
             raise StartError(
                 f"type the name of the REAL bench, {about['bench']}, to continue the run"
             )
+        folder = str(about["folder"])
+        child = self._resumed.get(folder)
+        if child is not None and child.poll() is None:
+            return
         who = valid(operator).strip()[:_LONGEST_NAME]
         named = ["--operator", who] if who else []
-        self._spawn(["resume", str(about["folder"]), "--console", *named])
+        self._resumed[folder] = self._spawn(["resume", folder, "--console", *named])
+
+    async def off(self, bench: str) -> dict[str, Any]:
+        """Make a bench safe with ``rig off``; a second request waits for the first.
+
+        Returns:
+            ``words``, the output, and ``proved``, whether the drive is proved off.
+        """
+        task = self._offs.get(bench)
+        if task is None:
+            task = self._offs[bench] = asyncio.create_task(self._make_off(bench))
+            task.add_done_callback(lambda _: self._offs.pop(bench))
+        return await asyncio.shield(task)
+
+    async def _make_off(self, bench: str) -> dict[str, Any]:
+        child = await asyncio.create_subprocess_exec(
+            *self.command,
+            "off",
+            "--",
+            bench,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        output, _ = await child.communicate()
+        words = output.decode(errors="replace").strip()[-_SHOWN:]
+        return {"words": words, "proved": child.returncode == 0}
 
     def failures(self) -> list[str]:
         """Return the last output of started runs that have ended with invalid input or a crash."""
@@ -234,7 +268,7 @@ class Starter:
             log.unlink(missing_ok=True)
         return words
 
-    def _spawn(self, arguments: list[str]) -> None:
+    def _spawn(self, arguments: list[str]) -> subprocess.Popen[bytes]:
         """Start ``rig`` in its own session, so that the run continues when this console ends."""
         handle, name = tempfile.mkstemp(prefix="loadrig-console-", suffix=".log")
         with open(handle, "wb") as log:
@@ -246,6 +280,7 @@ class Starter:
                 start_new_session=True,
             )
         self._children.append((child, Path(name)))
+        return child
 
 
 def _digests(wish: Wish) -> tuple[str, ...]:

@@ -7,12 +7,13 @@ from __future__ import annotations
 import json
 import math
 import struct
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from rig.console.controls import Page
-from rig.console.followed import Followed
+from rig.console.followed import Followed, Reached
 from rig.console.hub import Hub
 
 _HEAD: Final = struct.Struct("<I")
@@ -55,6 +56,7 @@ class View:
                     "may": page.may,
                 }
             ),
+            "moving": _same([_moving(each) for each in hub.moving]),
             "scope": _same(hub.scope),
             "choices": (0, hub.starter.choices),
             "run": (key, key),
@@ -131,6 +133,16 @@ class View:
         return _HEAD.pack(len(head)) + head + values.tobytes()
 
 
+def program_words(about: Mapping[str, Any]) -> str:
+    """Return the name of a program in progress, and its bench."""
+    return f"{about['name']} on {about['bench']}"
+
+
+def _moving(each: Reached) -> dict[str, Any]:
+    stopping = bool(each.status and each.status["stopping"])
+    return {"key": each.key, "name": program_words(each.about), "stopping": stopping}
+
+
 def _listed(run: Followed) -> dict[str, Any]:
     about = run.about
     return {
@@ -139,6 +151,7 @@ def _listed(run: Followed) -> dict[str, Any]:
         "bench": about["bench"],
         "real": about["real"],
         "over": run.over,
+        "ended": bool(run.status and run.status["ended"]),
         "folder": run.folder.name,
         "begun": run.begun,
     }

@@ -6,10 +6,10 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final, NoReturn, Protocol
 
 from drivers.clock import NS, Clock
-from drivers.errors import DriveFault
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import RawFrame, ServoState
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
@@ -19,9 +19,15 @@ from rig.control.safety import Check, Latch, Trip, check, check_stage_time
 from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
+from rig.wiring.braking import grown
 from rig.wiring.devices import Devices
+from rig.wiring.runaway import Runaway, RunawayError, Seen
 
 PROGRESS_CYCLES = 100
+FAR_SHARE: Final = 0.5
+"""Distance from the target at which a joint that moves away ever faster runs away, as a share of
+the limit of the following error; beyond the limit some drives start a ramp that no order ends.
+"""
 FIRST_WITHIN_NS: Final = NS // 200
 """Longest wait for the first cycle of the braking, ns."""
 
@@ -50,11 +56,15 @@ class TripError(Exception):
     Args:
         trip: The limit that was violated.
         explanation: Cause of the trip, to be added to the message; empty if unknown.
+
+    Attributes:
+        event: The message without the remedy.
     """
 
     def __init__(self, trip: Trip, explanation: str = "") -> None:
         super().__init__(f"{trip.message}{explanation}")
         self.trip = trip
+        self.event = f"{trip.event}{explanation}"
 
 
 class Cycle:
@@ -104,8 +114,10 @@ class Cycle:
         nominal = devices.nominal
         self.units = None if nominal is None else MotionWitness(devices.servo, nominal)
         self._latch = Latch()
+        self._runaway = Runaway(math.nan)
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
+        self._paused_ns = self._paused_until_ns = 0
         self._time_limit_s: float | None = None
         self._age_s = self._late_s = self._target = 0.0
         self._torque = math.nan
@@ -115,6 +127,11 @@ class Cycle:
         self.overruns = 0
         self.stale = 0
         self.timing = Timing()
+
+    @property
+    def start_ns(self) -> int:
+        """Start of the run by the link's clock, ns."""
+        return self._start_ns
 
     @property
     def now_ns(self) -> int:
@@ -158,6 +175,10 @@ class Cycle:
                 motion was commanded.
         """
         self.resume()
+        steps = self._servo.limit_steps()
+        self._runaway = Runaway(
+            self._servo.promised_deceleration(), 0.0 if steps is None else steps.angle_rad
+        )
         self._powered_ns = self._next_ns
         self._time_limit_s = time_limit_s
         self._servo.set_target(target)
@@ -235,7 +256,12 @@ class Cycle:
             units = self.units
             if units is not None:
                 units.take(sample, self._torque)
+            far = FAR_SHARE * limits.following_error
+            escapes = sample.fresh and self._runaway.escapes(far)
+            if escapes or (trip is not None and self._runaway.leaves()):
+                self._cut(sample)
             if trip is not None:
+                trip = self._cause(trip)
                 of = (trip.check is Check.SPEED, trip.check is Check.TORQUE)
                 raise TripError(trip, "" if units is None else units.explanation(*of))
             if self._witness is not None and self._witness.decided(sample):
@@ -249,6 +275,22 @@ class Cycle:
         if compensate is not None:
             self._servo.set_torque_offset(0.0)
 
+    def _cut(self, sample: Sample) -> NoReturn:
+        """Switch the power off without a ramp, which would accelerate the joint further.
+
+        Raises:
+            TripError: The joint runs away.
+        """
+        # The teardown repeats a command that failed, and reads the state back.
+        with suppress(DeviceError):
+            self._servo.disable()
+        self._latch.open()
+        found, units = self._runaway, self.units
+        raise TripError(
+            Trip(Check.RUNAWAY, found.speed_rad_s, found.limit_rad_s, "rad/s", sample.time),
+            "" if units is None else units.explanation(),
+        )
+
     def watch(self) -> ServoState | None:
         """Run one cycle without a command and without a limit check, while the drive brakes. If the
         first such cycle is due later than :data:`FIRST_WITHIN_NS`, it starts at once: it brings the
@@ -258,10 +300,13 @@ class Cycle:
             The state that the drive sent in this cycle, or None.
 
         Raises:
+            RunawayError: The joint has become faster since the first such cycle.
             DeviceError: A device or the bus failed.
         """
-        now_ns = self._clock.now_ns()
-        late = self._next_ns - now_ns > FIRST_WITHIN_NS and self._watched != self.count
+        now_ns, first = self._clock.now_ns(), self._watched != self.count
+        if first:
+            self._runaway.order(self._period_ns / NS)
+        late = self._next_ns - now_ns > FIRST_WITHIN_NS and first
         self._watched = self.count + 1
         if late or now_ns > self._next_ns:
             # The time since the last cycle is a pause and does not count as lateness.
@@ -271,7 +316,10 @@ class Cycle:
             sample = self._exchange(self._target, 0, braking=True)
             if self.units is not None:
                 self.units.take_braking(sample, self._torque)
-        return self._servo.sent_state()
+        sent = self._servo.sent_state()
+        if (sent is None or sent.energised) and self._runaway.grows():
+            raise RunawayError(grown(self._runaway))
+        return sent
 
     def attend(self, limits: Limits) -> Sample:
         """Run one cycle without a command, while the drive moves by itself; return its sample.
@@ -289,7 +337,7 @@ class Cycle:
         sample = self._exchange(self._target, 0)
         trip = check(sample, self._age_s, self._late_s, self._checkable(limits))
         if trip is not None:
-            raise TripError(trip)
+            raise TripError(self._cause(trip))
         return sample
 
     def _checkable(self, limits: Limits) -> Limits:
@@ -305,6 +353,15 @@ class Cycle:
         self._next_ns = now_ns
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns
+
+    def _cause(self, trip: Trip) -> Trip:
+        """Return the trip; a sample's age of which pauses of this computer are the larger part is a
+        trip by the pause.
+        """
+        paused_s = self._paused_ns * 1e-9 if self._paused_until_ns > self._fresh_ns else 0.0
+        if trip.check is not Check.SAMPLE_AGE or paused_s < 0.5 * trip.value:
+            return trip
+        return dataclasses.replace(trip, check=Check.PAUSE)
 
     def _check_time(self, limit_s: float) -> None:
         trip = check_stage_time((self._next_ns - self._powered_ns) / NS, limit_s, self.next_s)
@@ -335,6 +392,8 @@ class Cycle:
         if late_ns > self._period_ns:
             self._overrun(late_ns)
             begin_ns += late_ns
+            before_ns = self._paused_ns if self._paused_until_ns > self._fresh_ns else 0
+            self._paused_ns, self._paused_until_ns = before_ns + late_ns, begin_ns
         link.exchange()
         servo, encoder = self._servo.sample(), self._encoder.sample()
         self._torque = servo.motor_torque_N_m
@@ -365,6 +424,9 @@ class Cycle:
         )
         if fresh:
             self._fresh_ns = begin_ns
+            gear = self._limits.gear_ratio
+            motion = (servo.velocity_rad_s, servo.motor_angle_rad / gear, encoder.angle_rad)
+            self._runaway.see(Seen(sample.time, *motion, target))
         else:
             self._lost(servo.fresh, encoder.fresh)
         self._age_s = (begin_ns - self._fresh_ns) * 1e-9

@@ -42,6 +42,8 @@ HANDOVER_S: Final = 2.0
 """Time, s, in which a guardian must leave the bench: the end of an attempt on a dead line."""
 KILLED_S: Final = 1.0
 """Time, s, in which a killed program is gone, and its guardian has taken the power off."""
+HOLD_S: Final = 2.0
+"""Time, s, in which the lock of the bench must be free after all its users have left."""
 PATIENCE_S: Final = 10.0
 """Time, s, for attempts to reach a drive that does not answer."""
 _LOOK_NS: Final = NS // 50
@@ -77,7 +79,7 @@ class Processes:
         """Whether a process is suspended."""
         with suppress(OSError, IndexError):
             # The name of the program, in parentheses, may contain any character.
-            status = (_PROC / str(number) / "stat").read_text(errors="replace")
+            status = (_PROC / str(number) / "stat").read_text(encoding="utf-8", errors="replace")
             return status.rpartition(")")[2].split()[0] in "Tt"
         return False
 
@@ -156,7 +158,10 @@ class Off:
             "real": not self.simulated,
             "proved": self.proved,
             "safe": None if self.safe is None else self.safe.record(),
-            "users": [vars(user) for user in self.users],
+            "users": [
+                {"pid": user.pid, "command": user.command, "ended": user.ended}
+                for user in self.users
+            ],
             "attempts": self.attempts,
             "message": self.message,
             "seconds": self.seconds,
@@ -232,13 +237,25 @@ class _Others:
         without the lock, with a message.
         """
         users = tuple(self._end_all())
-        try:
-            lock = hold_bench(self._bench.name, self._parts, "rig off")
-        except (InUseError, StorageError) as error:
-            self._say(f"{error}; `rig off` acts all the same: two programs may be on the line")
-            lock = Lock()
-        with lock:
+        with self._lock(HOLD_S if all(user.ended != "stays" for user in users) else 0.0):
             yield users
+
+    def _lock(self, patience_s: float) -> Lock:
+        """Hold the bench. A process that was killed may hold its lock a moment longer, and another
+        `rig off` for as long as it stops the drive.
+        """
+        deadline_ns = self._clock.now_ns() + round(patience_s * NS)
+        while True:
+            try:
+                return hold_bench(self._bench.name, self._parts, "rig off")
+            except (InUseError, StorageError) as error:
+                now_ns = self._clock.now_ns()
+                if now_ns >= deadline_ns or isinstance(error, StorageError):
+                    self._say(
+                        f"{error}; `rig off` acts all the same: two programs may be on the line"
+                    )
+                    return Lock()
+            self._clock.sleep_until_ns(min(deadline_ns, now_ns + _LOOK_NS))
 
     def _end_all(self) -> Iterator[User]:
         """Programs first: a guardian acts when its program is gone, and leaves by itself."""

@@ -109,8 +109,8 @@ class AutomaticOperator:
             control.begin(Topic.PAUSE)
         page = "" if control is None else "press `Go on` on the page of `rig console`, or "
         self.tell(
-            f"Paused after stage {stage}; the drive is off. To continue, {page}send SIGUSR1; to "
-            "stop the run, press Ctrl-C."
+            f"Paused after stage {stage}; the drive is off.",
+            f" To continue, {page}send SIGUSR1; to stop the run, press Ctrl-C.",
         )
         if control is not None:
             control.ask(_PAUSE_QUESTION)
@@ -129,9 +129,14 @@ class AutomaticOperator:
             control.close_prompt()
         return verb
 
-    def tell(self, words: str) -> None:
-        """Show the message on stderr, and keep it for programs that watch the run."""
-        self._screen.say(words)
+    def tell(self, words: str, typed: str = "") -> None:
+        """Show the message on stderr, and keep it for programs that watch the run.
+
+        Args:
+            words: The message.
+            typed: What can be typed or pressed at the terminal; a page has buttons instead.
+        """
+        self._screen.say(words + typed)
         if self._control is not None:
             self._control.tell(words)
 
@@ -187,10 +192,9 @@ class ConsoleOperator(AutomaticOperator):
         )
         self.tell(
             f"Stage {stage}: the drive is off. {action}, and wait until the lever is at rest. "
-            f"The run waits for your answer."
-        )
-        self.tell(
-            "Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`."
+            f"The run waits for your answer.",
+            "\nThen type the mass that the scales show (0 for an empty lever), `repeat` or "
+            "`abort`.",
         )
         allowed_kg = max(self._tolerance * weight_kg, LEAST_TOLERANCE_KG) * (1.0 + _ROUNDING)
         while True:
@@ -206,14 +210,14 @@ class ConsoleOperator(AutomaticOperator):
                 return Verb.REPEAT
             mass = parse_mass_kg(typed)
             if mass is None:
-                self.tell(f"{typed!r} is neither a mass such as 30.6 kg nor `repeat` nor `abort`")
+                self.tell(f"{typed!r} is not a mass such as 30.6 kg", ", `repeat` or `abort`")
             elif abs(mass - weight_kg) <= allowed_kg:
                 return mass
             else:
                 self.tell(
                     f"{mass:g} kg is not the planned {weight_kg:g} kg (tolerance {allowed_kg:.3g} "
-                    f"kg): "
-                    "change the weight and type its mass, or `abort`"
+                    f"kg): change the weight and type its mass",
+                    ", or `abort`",
                 )
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
@@ -238,7 +242,7 @@ class ConsoleOperator(AutomaticOperator):
             verb = _verb_of(typed)
             if verb is not None:
                 return verb
-            self.tell(f"{typed!r} is not one of `go on`, `repeat`, `abort`")
+            self.tell(f"{typed!r} is not one of the answers", " `go on`, `repeat`, `abort`")
 
 
 def _verb_of(typed: str) -> Verb | None:

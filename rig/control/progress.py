@@ -51,5 +51,5 @@ class RunProgress:
         error_deg = math.degrees(sample.angle - sample.command)
         self._screen.status(
             f"{stage} |{bar:<{_BAR}}| {self._total_s - self._done_s:.0f} s left, "
-            f"error {error_deg:+.3f} deg, {sample.current:+.2f} A"
+            f"error {error_deg:+z.3f} deg, {sample.current:+z.2f} A"
         )

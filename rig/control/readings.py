@@ -153,4 +153,4 @@ def _degrees(value: float) -> str:
 
 
 def _number(value: float, decimals: int) -> str:
-    return NOT_AVAILABLE if math.isnan(value) else f"{value + 0.0:.{decimals}f}"
+    return NOT_AVAILABLE if math.isnan(value) else f"{value:z.{decimals}f}"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.common.errors import InputError
+from rig.config.bench import Bench
 from rig.control.progress import RunProgress
 from rig.control.session import Inputs
 from rig.planning.limits import Limits
@@ -41,10 +42,36 @@ def reachable(
     Raises:
         InputError: The socket is required and cannot be created.
     """
+    with _opened(stop, screen, about_run(inputs, plan, path), required) as control:
+        yield control
+
+
+@contextmanager
+def stoppable(
+    stop: StopButton, screen: Screen, bench: Bench, name: str
+) -> Iterator[ControlSocket | None]:
+    """Open the control socket of a program that moves a bench without a run, such as a jog, so that
+    STOP in `rig console` reaches it.
+
+    Args:
+        stop: The stop button of the program.
+        screen: Shows what was commanded through the socket.
+        bench: The bench that moves.
+        name: Name of the program for the operator.
+    """
+    about = {"name": name, "bench": bench.name, "real": not bench.simulated}
+    with _opened(stop, screen, about, False) as control:
+        yield control
+
+
+@contextmanager
+def _opened(
+    stop: StopButton, screen: Screen, about: Mapping[str, Any], required: bool
+) -> Iterator[ControlSocket | None]:
     try:
-        control = ControlSocket(stop, about_run(inputs, plan, path), screen.say)
+        control = ControlSocket(stop, about, screen.say)
     except OSError as error:
-        words = f"`rig console` cannot reach this run: {error.strerror or error}"
+        words = f"`rig console` cannot reach this program: {error.strerror or error}"
         if required:
             raise InputError(words) from error
         screen.say(words)

@@ -13,6 +13,7 @@ from enum import Enum
 
 from rig.common.sample import Sample
 from rig.planning.limits import GasLimits, Limits
+from rig.wiring.runaway import SIGNS
 
 RUNNING_MASK = 0x6F
 RUNNING = 0x27
@@ -24,9 +25,11 @@ class Check(Enum):
 
     NOT_RESET = "not reset"
     SAMPLE_AGE = "sample age"
+    PAUSE = "sample age after a pause of this computer"
     DRIVE_STATE = "drive state"
     ANGLE = "joint angle"
     SPEED = "joint speed"
+    RUNAWAY = "speed of a joint that runs away from its target"
     CURRENT = "motor current"
     TORQUE = "joint torque"
     FOLLOWING_ERROR = "following error"
@@ -43,9 +46,11 @@ class Check(Enum):
 _REMEDY = {
     Check.NOT_RESET: "confirm the weight at the prompt",
     Check.SAMPLE_AGE: "check the bus cabling, termination and load, then run again",
+    Check.PAUSE: "close other programs on this computer, then run again",
     Check.DRIVE_STATE: "read the drive's error code (603Fh), remove its cause, then run again",
     Check.ANGLE: "reduce the amplitude or the centre, or check the encoder offset",
     Check.SPEED: "reduce amplitude or frequency, or check the drive gains for oscillation",
+    Check.RUNAWAY: f"the power was cut without a ramp: {SIGNS}",
     Check.CURRENT: "look for jamming or a weight above the plan, then run again",
     Check.TORQUE: "look for jamming or a weight above the plan, then run again",
     Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",
@@ -94,7 +99,12 @@ class Trip:
     @property
     def message(self) -> str:
         """Message with value, limit, unit, time and remedy."""
-        return f"{self.found} at {self.time:.3f} s; {_REMEDY[self.check]}"
+        return f"{self.event}; {_REMEDY[self.check]}"
+
+    @property
+    def event(self) -> str:
+        """Message with value, limit, unit and time; the advice after a run has the remedy."""
+        return f"{self.found} at {self.time:.3f} s"
 
     @property
     def now(self) -> str:

@@ -38,7 +38,9 @@ class Outcome:
     error: BaseException | None = None
 
 
-_FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS, Check.SLEEP})
+_FAILURES = frozenset(
+    {Check.SAMPLE_AGE, Check.PAUSE, Check.DRIVE_STATE, Check.LATENESS, Check.SLEEP}
+)
 """Checks that fail because of a device, the bus or the computer, and not because the bench reaches
 a physical limit.
 """
@@ -129,6 +131,7 @@ class Sequencer:
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
         """Run the phases; return the ending, a text on it, and the trip or defect, if any."""
         try:
+            self._recorder.begin(self._cycle.start_ns)
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
                 # Record the frames outside the control cycle first, before a further failure is
@@ -139,7 +142,7 @@ class Sequencer:
                 self.phase = next_phase(self.phase, self._handlers.handle(self.phase))
         except TripError as trip:
             ending = Ending.FAILED if trip.trip.check in _FAILURES else Ending.TRIPPED
-            return ending, self._where(str(trip)), trip.trip, None
+            return ending, self._where(trip.event), trip.trip, None
         except WeightError as wrong:
             return Ending.TRIPPED, self._where(str(wrong)), None, None
         except OperatorStopError as stop:

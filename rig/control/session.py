@@ -27,7 +27,7 @@ from rig.planning.feedforward import Feedforward
 from rig.planning.plan import Plan, stage_records
 from rig.planning.reference import Reference
 from rig.runs.recorded_inputs import GivenFile, input_entry
-from rig.runs.recorder import Recorder, open_recorder
+from rig.runs.recorder import GoneError, Recorder, open_recorder
 from rig.runs.run import RunFolder, bench_constants, first_unfinished, part_file
 from rig.runs.run_record import (
     ACCEPTANCE_INPUT,
@@ -169,6 +169,7 @@ def execute(
     part = _begin_part(record, inputs, identities)
     folder = RunFolder(path, record, _warn(plan, record, devices, operator))
     folder.save()
+    folder.reserve()
     if devices.guard is not None:
         devices.guard.record_in(path)
     recorder = _start_recording(folder, inputs, identities, start_recording)
@@ -189,6 +190,7 @@ def execute(
         outcome = _close(recorder, outcome)
         part.seconds = (wall.now_ns() - began_ns) / NS
         _finish(record, part, outcome)
+        folder.release()
         outcome = _save(folder, outcome)
     assert outcome is not None
     return folder, outcome
@@ -345,6 +347,8 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
     """Close the recording; a run whose recording cannot be finished has failed."""
     try:
         recorder.close()
+    except GoneError as error:
+        return _failed(outcome, str(error))
     except StorageError as error:
         return _failed(outcome, f"the recording lacks its end: {error}; then use `rig recover`")
     return outcome

@@ -23,7 +23,7 @@ from rig.wiring.connect import connect
 class _Unattended(AutomaticOperator):
     """Operator of a simulated run, who answers every prompt with the plan and shows no messages."""
 
-    def tell(self, words: str) -> None:
+    def tell(self, words: str, typed: str = "") -> None:
         """Show nothing."""
 
     def result(self, words: str, good: bool) -> None:

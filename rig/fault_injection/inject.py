@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import io
+import math
 import os
 import re
 import signal
@@ -17,6 +18,7 @@ from typing import Any
 from drivers.clock import NS, Clock
 from drivers.mock.bench import SimulatedBench
 from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock.plant.machine import Extremes
 from drivers.mock.wires.stepped_clock import SteppedClock
 from rig.common.errors import InputError
 from rig.common.phase import Phase
@@ -42,6 +44,8 @@ from rig.wiring.devices import Devices
 SCHEMA = "loadrig.faults/1"
 REPORT_FILE = "faults.json"
 _AFTERMATH_S = 2.0
+_COASTING_S = 0.5
+"""Time, s, in which a joint without power comes to rest, so that its travel is whole."""
 _PHASES: Mapping[Phase, str] = {Phase.LOAD: "prompt", Phase.RELEASE: "disable"}
 """Phases of the sequencer that have another name in schedules."""
 
@@ -56,6 +60,8 @@ class Finding:
         off_after_s: Time from the fault to the final de-energised state; None while energised, or
             if current flows or the joint moves in the simulated machine at the end.
         as_expected: Whether the reaction was as expected; None without an expectation.
+        peak_deg_s: Greatest true speed of the joint since the last fault, deg/s.
+        travel_deg: True travel of the joint since then, deg.
     """
 
     row: int
@@ -67,6 +73,8 @@ class Finding:
     off_after_s: float | None = None
     as_expected: bool | None = None
     remarks: tuple[str, ...] = ()
+    peak_deg_s: float | None = None
+    travel_deg: float | None = None
 
 
 class FaultInjector:
@@ -94,6 +102,7 @@ class FaultInjector:
         self._observer: Callable[[str, Phase], None] | None = None
         self._file: _DyingFile | None = None
         self._disk = FileLimit()
+        self._moved: Extremes | None = None
 
     def attach(self, bench: SimulatedBench | SimulatedDbcBench) -> Clock:
         """Attach to a bench; returns the clock for the host."""
@@ -149,7 +158,7 @@ class FaultInjector:
     def _start_recording(self, path: Path) -> Recorder:
         """Create the recording on a file that can fail."""
         self._file = _DyingFile(path, "xb")
-        return Recorder(io.BufferedWriter(self._file))
+        return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
         """Let the devices run for some time without the host, judge every row of the schedule, and
@@ -167,6 +176,9 @@ class FaultInjector:
             clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))
             if self._scene.live:
                 self._off_ns = None
+        if self._moved is not None and self._off_ns is not None:
+            machine = self._scene.machine
+            machine.advance(round(_COASTING_S * NS / machine.loop_ns) * machine.loop_ns)
         findings = [
             self._judge(number, row, status, message) for number, row in enumerate(self._rows)
         ]
@@ -198,6 +210,7 @@ class FaultInjector:
     def _apply(self, number: int) -> None:
         row = self._rows[number]
         self._applied_ns[number] = self._scene.clock.now_ns()
+        self._moved = self._scene.machine.mark()
         action = ACTIONS.get((row.target, row.fault))
         if action is None:
             self._scene.apply(row)
@@ -211,6 +224,9 @@ class FaultInjector:
             finding.as_expected, finding.remarks = False, ("the fault was never triggered",)
             return finding
         finding.applied_s = applied / NS
+        if (moved := self._moved) is not None:
+            finding.peak_deg_s = math.degrees(moved.speed_rad_s)
+            finding.travel_deg = math.degrees(moved.high_rad - moved.low_rad)
         remarks = []
         if self._off_ns is not None:
             finding.off_after_s = max(0, self._off_ns - applied) / NS
@@ -286,6 +302,7 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("disk", "full"): lambda s, _: s._fill_disk(),
     ("operator", "stop"): lambda s, _: s._stop.press(),
     ("operator", "unanswered"): FaultInjector._be_silent,
+    ("operator", "weight_removed"): lambda s, r: s._scene.machine.hang(r.amount or 0.0),
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
 """Actions on this program and its operator, by target and name of the fault.

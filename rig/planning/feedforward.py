@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.canopen.cia402_objects import FRAMES_WITH_OFFSET
-from identification.model import feedback, friction_feedforward
+from identification.model import feedforward
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError
@@ -225,10 +225,10 @@ def stage_offsets(
     moment = model.moment_per_kg * weight_kg
     if missing := model.missing(loaded=moment > 0.0):
         raise InputError([_open(Path(model.source), name) for name in missing])
-    torque = friction_feedforward.feedforward(targets, cycle_s, model.values, model.alpha, moment)
-    speed = friction_feedforward.commanded_speed(targets, cycle_s)
-    gains = feedback.gains(model.values["J"], cycle_s)
-    share = np.abs(friction_feedforward.motion(targets, cycle_s))
+    torque = feedforward.feedforward(targets, cycle_s, model.values, model.alpha, moment)
+    speed = feedforward.commanded_speed(targets, cycle_s)
+    gains = feedforward.gains(model.values["J"], cycle_s)
+    share = np.abs(feedforward.motion(targets, cycle_s))
     # When target k is sent, the last sample belongs to cycle k - 1, in which the joint should
     # reach target k - 2.
     return Offsets(

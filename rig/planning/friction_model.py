@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError
 from rig.common.result_files import RESULT_FILE

@@ -104,6 +104,11 @@ class Plan:
         """Duration of motion and rest, without moves to the start, s."""
         return sum(_under_power_s(s) for s in self.stages)
 
+    @property
+    def cycles(self) -> float:
+        """Number of control cycles, with an allowance for the moves to the start."""
+        return TIME_LIMIT_SHARE * self.duration_s / self.cycle_s
+
 
 def _under_power_s(stage: PlannedStage, passes: int = 1) -> float:
     before = sum(first.duration_s + stage.settle_s for first in stage.first_passes[:passes])

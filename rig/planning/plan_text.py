@@ -31,7 +31,7 @@ def describe(plan: Plan) -> str:
                 f"{s.weight_kg:g}",
                 f"{s.contact_force_N:.1f}",
                 f"{math.degrees(s.peak_speed_rad_s):.2f}",
-                f"{math.degrees(s.peak_angle_rad):+.2f}",
+                f"{math.degrees(s.peak_angle_rad):+z.2f}",
             ]
             for s in plan.stages
         ],
@@ -109,7 +109,7 @@ def _first_pass(stage: PlannedStage) -> str:
     return (
         f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} "
         f"amplitude{again} within "
-        f"{math.degrees(limits.angle_min):.1f} to {math.degrees(limits.angle_max):.1f} deg, "
+        f"{math.degrees(limits.angle_min):z.1f} to {math.degrees(limits.angle_max):z.1f} deg, "
         f"{math.degrees(limits.speed):.3g} deg/s, {limits.torque:.3g} N m, then the weight is "
         f"checked"
     )

@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Iterable
 from typing import Any
 
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.entry import Entry, Quantity
+from identification.effects import EFFECTS
+from identification.effects.effect import Effect, Quantity
 from rig.common.errors import InputError
 from rig.common.provenance import utc_now, versions
 from rig.common.tables import table
@@ -18,18 +18,18 @@ _WIDTH = 100
 _LABEL = 18
 
 
-def entry_of(name: str) -> Entry:
+def entry_of(name: str) -> Effect:
     """Return one entry of the catalogue.
 
     Raises:
         InputError: The effect does not exist; the message suggests the nearest name.
     """
-    if name not in ENTRIES:
-        raise InputError(f"{name}: not an effect of the catalogue; {nearest(name, list(ENTRIES))}")
-    return ENTRIES[name]
+    if name not in EFFECTS:
+        raise InputError(f"{name}: not an effect of the catalogue; {nearest(name, list(EFFECTS))}")
+    return EFFECTS[name]
 
 
-def overview(entries: Iterable[Entry]) -> str:
+def overview(entries: Iterable[Effect]) -> str:
     """Return one line for each effect: its location and its fitted parameters."""
     rows = [
         (
@@ -44,7 +44,7 @@ def overview(entries: Iterable[Entry]) -> str:
     return table(("group", "effect", "equation", "against", "parameters"), rows)
 
 
-def whole(entry: Entry) -> str:
+def whole(entry: Effect) -> str:
     """Return the whole catalogue entry of one effect."""
     lines = [
         ("effect", f"{entry.name} ({entry.group})"),
@@ -59,7 +59,7 @@ def whole(entry: Entry) -> str:
     return "\n".join(_wrapped(label, text) for label, text in lines)
 
 
-def effects_record(entries: Iterable[Entry]) -> dict[str, Any]:
+def effects_record(entries: Iterable[Effect]) -> dict[str, Any]:
     """Return the record of ``rig effects --json``."""
     known = versions()
     return {
@@ -71,7 +71,7 @@ def effects_record(entries: Iterable[Entry]) -> dict[str, Any]:
     }
 
 
-def _entry_record(entry: Entry) -> dict[str, Any]:
+def _entry_record(entry: Effect) -> dict[str, Any]:
     return {
         "name": entry.name,
         "group": entry.group,

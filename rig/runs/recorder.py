@@ -4,6 +4,7 @@ only the last data are lost.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,7 @@ from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import (
+    CLOCK_METADATA,
     EVENT_JSON_SCHEMA,
     EVENT_TOPIC,
     FRAME_ENCODING,
@@ -28,6 +30,28 @@ from rig.runs.mcap.layout import (
 from rig.runs.mcap.writer import McapWriter
 
 FLUSH_NS = 100_000_000
+LOOK_NS = 500_000_000
+"""Time between two checks that the file is still at its place, ns of run time."""
+
+
+_FULL = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)})
+"""Errors of a full disk, an exceeded quota and a limit on the size of files."""
+
+
+class GoneError(StorageError):
+    """The recording is no longer in the folder of the run.
+
+    Args:
+        path: The recording.
+        moved: Whether the file still exists at another place.
+    """
+
+    def __init__(self, path: Path, moved: bool) -> None:
+        super().__init__(
+            f"{path} was moved or renamed during the run; move it back, then use `rig recover`"
+            if moved
+            else f"{path} was deleted during the run, and its data are lost; start a new run"
+        )
 
 
 class Recorder:
@@ -39,11 +63,15 @@ class Recorder:
 
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.
+        path: The file of the stream; if given, a file that is deleted or moved is an error.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, path: Path | None = None) -> None:
         self._stream = stream
+        self._path = path
+        self._looked_ns = 0
         self._writer = writer = McapWriter(stream)
+        self._zero_ns = 0
         self._flushed_ns = 0
         self._latest_ns = 0
         self._broken = False
@@ -53,6 +81,19 @@ class Recorder:
         self._event = writer.channel(EVENT_TOPIC, "json", event)
         self._frames = writer.channel(FRAMES_TOPIC, FRAME_ENCODING, 0)
 
+    def begin(self, zero_ns: int) -> None:
+        """Set the start of the recording, to be called before the first message; times of frames
+        are then recorded as times since this start.
+
+        Args:
+            zero_ns: Start of the recording by the clock that stamps the frames, ns.
+
+        Raises:
+            StorageError: The metadata cannot be written.
+        """
+        self._zero_ns = zero_ns
+        self.metadata(CLOCK_METADATA, {"zero_ns": str(zero_ns)})
+
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Record one cycle.
 
@@ -60,7 +101,7 @@ class Recorder:
         operating system.
 
         Raises:
-            StorageError: The cycle cannot be written (disk full).
+            StorageError: The cycle cannot be written (disk full), or the file was deleted or moved.
         """
         # Without the slower `with self._writing()`, because this method runs in every cycle.
         if self._broken:
@@ -71,13 +112,32 @@ class Recorder:
         try:
             self._writer.message(self._sample, time_ns, encode_sample(sample))
             if frames:
-                self._writer.message(self._frames, time_ns, encode_frames(frames))
+                self._writer.message(self._frames, time_ns, encode_frames(frames, self._zero_ns))
             if time_ns - self._flushed_ns >= FLUSH_NS:
                 self._flushed_ns = time_ns
                 self._writer.flush()
+                if time_ns - self._looked_ns >= LOOK_NS:
+                    self._looked_ns = time_ns
+                    self._require_in_place()
         except OSError as error:
             self._broken = True
             raise _failed(error) from error
+
+    def _require_in_place(self) -> None:
+        """Raise an error if the file is no longer at its path: a deleted file can still be written
+        until it is closed, and is then lost.
+        """
+        if self._path is None:
+            return
+        mine = os.fstat(self._stream.fileno())
+        try:
+            there = os.stat(self._path)
+        except FileNotFoundError:
+            there = None
+        if there is not None and (there.st_ino, there.st_dev) == (mine.st_ino, mine.st_dev):
+            return
+        self._broken = True
+        raise GoneError(self._path, moved=mine.st_nlink > 0)
 
     def event(self, time_ns: int, event: str, **details: object) -> None:
         """Record an event with JSON details, and pass it to the operating system immediately.
@@ -90,6 +150,7 @@ class Recorder:
         with self._writing():
             self._writer.message(self._event, time_ns, json.dumps(record).encode())
             self._writer.flush()
+            self._require_in_place()
 
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
         """Record frames from outside the control cycle, and pass them to the operating system
@@ -101,7 +162,7 @@ class Recorder:
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
             with self._writing():
-                self._writer.message(self._frames, time_ns, encode_frames(frames))
+                self._writer.message(self._frames, time_ns, encode_frames(frames, self._zero_ns))
                 self._writer.flush()
 
     def copy(self, topic: str, time_ns: int, message: bytes) -> None:
@@ -155,7 +216,8 @@ class Recorder:
         """Write the index and close the file; further calls do nothing.
 
         Raises:
-            StorageError: The end could not be written; ``rig recover`` repairs such a file.
+            StorageError: The end could not be written, and ``rig recover`` repairs such a file; or
+                the file was deleted or moved.
         """
         if self._stream.closed:
             return
@@ -164,6 +226,7 @@ class Recorder:
                 if not self._broken:
                     self._writer.finish()
                     os.fsync(self._stream.fileno())
+                    self._require_in_place()
             finally:
                 _close_whatever_happens(self._stream, self._broken)
         except OSError as error:
@@ -177,9 +240,16 @@ def _broken_before() -> StorageError:
 
 def _failed(error: OSError) -> StorageError:
     reason = error.strerror or str(error)
-    return StorageError(
-        f"the recording cannot be written ({reason}); free disk space, then run again"
-    )
+    return StorageError(f"the recording cannot be written ({reason}); {remedy(error)}")
+
+
+def remedy(error: OSError) -> str:
+    """Return what the user must do before the next run after a file could not be written."""
+    if error.errno in _FULL:
+        return "free disk space, then run again"
+    if error.errno == errno.ENOENT:
+        return "its folder was deleted, moved or renamed: start a new run, and leave its folder"
+    return "check the disk and its file system, then run again"
 
 
 def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:
@@ -200,7 +270,7 @@ def open_recorder(path: Path) -> Recorder:
         StorageError: The file exists already or cannot be created.
     """
     try:
-        return Recorder(open(path, "xb"))
+        return Recorder(open(path, "xb"), path)
     except OSError as error:
         reason = error.strerror or str(error)
         raise StorageError(f"{path}: the recording cannot be created ({reason})") from error

@@ -19,7 +19,7 @@ from rig.common.places import write_json
 from rig.runs.mcap.layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.runs.mcap.reader import Log
 from rig.runs.recorder import Recorder, open_recorder
-from rig.runs.run import discard, part_file
+from rig.runs.run import RESERVE_FILE, discard, part_file
 from rig.runs.run_file import read_record
 from rig.runs.run_record import DIED, RECORDING_FILE, RUN_FILE, Ending, RunRecord
 from rig.runs.run_samples import read_log
@@ -75,6 +75,7 @@ def mend(folder: Path) -> Recovery:
         OSError: The folder cannot be written.
     """
     first = read_log(folder / RECORDING_FILE)
+    (folder / RESERVE_FILE).unlink(missing_ok=True)
     record, damage = _record(folder)
     while len(record.parts) > 1 and _never_begun(folder / record.parts[-1].file):
         record.parts.pop()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from rig.common.provenance import sha256_file
 from rig.config.bench import Bench
 from rig.runs import clocks, run_samples
 from rig.runs.alignment import aligned
+from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
 
@@ -25,6 +28,43 @@ PARTIAL = " (partial)"
 """Suffix of the name of an unfinished excitation."""
 LEAST_SAMPLES = 2
 """Least number of fresh samples for a recording from an unfinished excitation."""
+
+
+RESERVE_FILE = ".reserve"
+"""File of a run in progress whose space is used for ``run.json`` if the disk is full."""
+RESERVED_BYTES = 1 << 20
+CYCLE_BYTES = 400
+"""Greatest size of a control cycle in a recording; measured: 220 bytes over CAN, 330 over serial
+lines.
+"""
+_MARGIN_BYTES = 16 << 20
+"""Space for the page, results and ``run.json``."""
+
+
+def require_space(path: Path, cycles: float) -> None:
+    """Check that the disk has the space for a whole run.
+
+    Args:
+        path: The run folder, which need not exist.
+        cycles: Number of control cycles of the run.
+
+    Raises:
+        InputError: The space is not sufficient.
+    """
+    above = path
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    try:
+        free = shutil.disk_usage(above).free
+    except (OSError, AttributeError):
+        # AttributeError: without POSIX modules; such a run is refused with its cause.
+        return
+    needed = round(cycles * CYCLE_BYTES) + _MARGIN_BYTES
+    if free < needed:
+        raise InputError(
+            f"{path}: the run needs about {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free "
+            f"on this disk; free disk space, or record on another disk (--out)"
+        )
 
 
 class RunFolder:
@@ -55,14 +95,32 @@ class RunFolder:
         try:
             write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
         except OSError as error:
-            reason = error.strerror or str(error)
-            text = (
-                f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
-            )
-            raise StorageError(text) from error
+            raise StorageError(
+                f"{RUN_FILE} cannot be written ({error.strerror or error}); {remedy(error)}"
+            ) from error
+
+    def reserve(self) -> None:
+        """Occupy the space for the last version of ``run.json``, until :meth:`ended`, so that the
+        state of a run that ended because the disk is full can be stored.
+
+        Raises:
+            StorageError: The disk has no space for it.
+        """
+        try:
+            (self.path / RESERVE_FILE).write_bytes(bytes(RESERVED_BYTES))
+        except OSError as error:
+            raise StorageError(
+                f"{self.path} cannot be written ({error.strerror or error}); {remedy(error)}"
+            ) from error
+
+    def release(self) -> None:
+        """Give the reserved space back."""
+        with suppress(OSError):
+            (self.path / RESERVE_FILE).unlink(missing_ok=True)
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
         """Write how the run ended as soon as the ending is known."""
+        self.release()
         record = self.record
         record.state, record.message, record.de_energised = state, message, de_energised
         record.stage_ended(state)
@@ -72,6 +130,7 @@ class RunFolder:
         """Store that a stage begins; earlier recordings of this stage are no longer used."""
         discard(self.record, index)
         self.record.stages[index].state = "running"
+        self.record.stages[index].load_change_kg = None
         self.save()
 
     def weight_confirmed(self, index: int, weight_kg: float) -> None:

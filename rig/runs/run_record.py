@@ -49,6 +49,8 @@ class StageRecord:
         state: `planned`, `running`, `done`, or how the run ended if it ended during the stage.
         confirmed_kg: Mass that the operator confirmed.
         role: `fit` or `validate`.
+        load_change_kg: Mass by which the load changed during the stage, by its friction; None if no
+            change was found.
     """
 
     __pydantic_config__ = STRICT
@@ -61,6 +63,7 @@ class StageRecord:
     state: Literal["planned", "running", "done"] | StageEnd = "planned"
     confirmed_kg: float | None = None
     role: Role = "fit"
+    load_change_kg: float | None = None
 
     @property
     def mass_kg(self) -> float:

@@ -176,8 +176,9 @@ def _find(table: Table, column: str | int) -> int | str:
         )
     listed = f"columns are {', '.join(named[:20])}{', ...' if len(named) > 20 else ''}"
     suggestion = nearest(column, named)
+    notes = "".join(f"; {note}" for note in table.notes)
     return f"no such column in {table.path}; " + (
-        f"{suggestion} {listed}" if "did you" in suggestion else listed
+        f"{suggestion} {listed}{notes}" if "did you" in suggestion else listed + notes
     )
 
 

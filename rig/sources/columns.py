@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
-from identification.model.units import unit_on
+from identification.model.parameters import unit_on
 from identification.recording import CHANNELS
 
 UNITS: Final[Mapping[str, tuple[str, float]]] = {

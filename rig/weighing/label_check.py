@@ -37,7 +37,7 @@ def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
 def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
     found = []
     for recording in recordings:
-        angle, torque = recording.channels.get("angle"), _torque(recording)
+        angle, torque = recording.channels.get("angle"), joint_torque(recording)
         rotary = recording.bench.motion == "rotary"
         if (
             angle is None
@@ -53,7 +53,7 @@ def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
     return found
 
 
-def _torque(recording: Recording) -> Array | None:
+def joint_torque(recording: Recording) -> Array | None:
     """Return the torque at the joint, N m, or None if it was not measured."""
     torque, current = recording.channels.get("torque"), recording.channels.get("current")
     if torque is not None:

@@ -38,7 +38,7 @@ from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.devices import Devices, Nominal
 from rig.wiring.guard import Guard
 from rig.wiring.resources import resources
-from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
+from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 from rig.wiring.serial_devices import amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
@@ -168,8 +168,9 @@ def _wire(
     else:
         link, simulated = _link(document, bench.servo, bus, seed, attach)
         hang = None if simulated is None else simulated.machine.hang
-        drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         data = servo_data(document)
+        axis = servo_axis(bench.servo, data)
+        drive = link.add_node(bench.servo.node, eds_path(document, "servo"), axis)
         scales = servo_scales(bench.servo, bench.machine, data)
         servo = Cia402Servo(
             drive,
@@ -186,7 +187,12 @@ def _wire(
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(
-            bench.encoder, bench.limits.middle_rad, simulated, link.clock
+            bench.encoder,
+            bench.limits.middle_rad,
+            simulated,
+            link.clock,
+            servo,
+            bench.machine.gear_ratio,
         )
         at_instant = link.call_at_instant if isinstance(link, EposSerialLink) else None
         link = EncoderLink(link, amt21, at_instant)
@@ -276,7 +282,9 @@ def _simulated_bench(
     traits = (
         None
         if servo.eds is None
-        else described_drive(read_eds(eds_path(document, "servo"), servo.node))
+        else described_drive(
+            read_eds(eds_path(document, "servo"), servo.node), servo_axis(servo, None)
+        )
     )
     simulated = simulated_bench(
         bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating, traits

@@ -22,7 +22,7 @@ from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, wire
 from rig.config.serial_bus import SerialBus
 from rig.wiring.connect import eds_path, servo_data
-from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
+from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 
 Role = Literal["servo", "encoder", "pressure"]
 _WORDS: dict[Role, str] = {
@@ -100,7 +100,13 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
         refused: list[DeviceError]
         told: tuple[str, ...] = ()
         try:
-            profile = _profile(document, role, link, link.add_node(number, eds))
+            if role == "servo" and isinstance(link, CanopenLink):
+                assert isinstance(bench.servo, ServoSection)
+                axis = servo_axis(bench.servo, servo_data(document))
+                node: ProcessChannel = link.add_node(number, eds, axis)
+            else:
+                node = link.add_node(number, eds)
+            profile = _profile(document, role, link, node)
             refused = list(profile.description_refusals())
             if not refused and isinstance(profile, Cia402Servo):
                 told = (*_maker(document), *profile.lacks(bench.cycle_s).words)

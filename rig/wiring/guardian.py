@@ -57,7 +57,7 @@ ALIVE: Final = b"alive\n"
 TOOK_OVER: Final = b"took over\n"
 SILENCE_S: Final = 0.2
 """Default time without a sign of life after which the guardian acts, s."""
-HAND_OVER: Final = signal.SIGUSR1
+HAND_OVER: Final = getattr(signal, "SIGUSR1", signal.SIGTERM)
 """Signal by which `rig off` asks the guardian to leave the drive to it."""
 MODULE: Final = "rig.wiring.guardian"
 _PAUSE_NS: Final = NS // 5

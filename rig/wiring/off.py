@@ -24,6 +24,10 @@ LEAST_READINGS: Final = 8
 """Smallest number of readings of a window."""
 PATIENCE_S: Final = 2.0
 """Longest time, s, for which a joint may coast after the power went off."""
+STILL_WINDOWS: Final = 4
+"""Number of windows in succession in which a joint that was seen moving must rest; a joint that
+swings seems to rest in a window about its turning point.
+"""
 DECAY_WINDOWS: Final = 3
 """Number of windows after which no current may flow in a motor at rest; the current of a winding
 decays with L/R, which is milliseconds.
@@ -141,6 +145,7 @@ class OffProof:
         self.zero_A: float | None = None
         self._noise_A = 0.0
         self._flowed = ""
+        self._unsettled = 0
 
     def prove(self, steps: Steps | None = None, patience_s: float = PATIENCE_S) -> Proof:
         """Observe the drive by requests until it is proved off, or until the patience ends. Nothing
@@ -182,14 +187,20 @@ class OffProof:
         while True:
             window = self._window(steps)
             proof = self._judge(steps.state(self._servo), window)
+            if proof.off and self._unsettled > 1:
+                # The last proof that was found states the motion.
+                self._unsettled -= 1
+                continue
             found.append(proof)
             if proof.off:
+                self._unsettled = 0
                 self._learn(window)
                 return
             state, motion = proof.state, proof.motion_rad_s
             if state is None or state.energised or motion is None:
                 return
             if motion > self.rest_rad_s:
+                self._unsettled = STILL_WINDOWS
                 if self._clock.now_ns() >= deadline_ns:
                     return
                 flowing = 0

@@ -23,12 +23,12 @@ _WITH_RATE: Final = frozenset({"slcan", "robotell"})
 def resources(bench: Bench) -> tuple[Resource, ...]:
     """Return the resources that a program must lock to use this bench; none for a simulated bench.
 
-    Symbolic links are resolved, so that all names of a device give one key. The key of an interface
-    with a channel does not depend on the bench file.
+    All names of a device have one key in common. The key of an interface with a channel does not
+    depend on the bench file.
     """
     found = [*bus_resources(bench)]
     if not bench.simulated and bench.bus and isinstance(bench.encoder, Amt21Section):
-        found.append(_port(bench.encoder.port))
+        found += _port(bench.encoder.port)
     return tuple(sorted({part.key: part for part in reversed(found)}.values()))
 
 
@@ -37,7 +37,7 @@ def bus_resources(bench: Bench) -> tuple[Resource, ...]:
     bus = bench.bus
     if bus is None or bench.simulated:
         return ()
-    return (_port(bus.port),) if isinstance(bus, SerialBus) else tuple(_channel(bus))
+    return tuple(_port(bus.port) if isinstance(bus, SerialBus) else _channel(bus))
 
 
 def _channel(bus: Bus) -> list[Resource]:
@@ -48,17 +48,21 @@ def _channel(bus: Bus) -> list[Resource]:
     if bus.interface in _WITH_RATE:
         channel = channel.partition("@")[0]
     if "://" not in channel and (bus.interface in _ON_SERIAL_PORTS or os.sep in channel):
-        return [_port(channel)]
+        return _port(channel)
     return [
         Resource(f"{bus.interface}:{channel}", f"{bus.interface} channel {channel or 'by default'}")
     ]
 
 
-def _port(path: str) -> Resource:
-    """Return the resource of a device file."""
+def _port(path: str) -> list[Resource]:
+    """Return the device file behind a name, and the name itself if it is a symbolic link: the link
+    of an adapter that is unplugged is gone, and may later lead to another device file.
+    """
+    label = f"port {path}"
     try:
         real = os.path.realpath(path)
+        name = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
     except ValueError:
         # A text with a null character is not a path.
-        real = path
-    return Resource(real, f"port {path}")
+        return [Resource(path, label)]
+    return [Resource(key, label) for key in dict.fromkeys((real, name))]

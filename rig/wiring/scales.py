@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from drivers.canopen.axis import Axis
 from drivers.canopen.device_data import DeviceData
 from drivers.canopen.motion import (
     CyclicPosition,
@@ -98,6 +99,17 @@ def servo_motion(
     if mode == "csv":
         return CyclicSpeed(scales, stated)
     return CyclicTorque(scales, stated, loop.inertia_kg_m2 or 0.0)
+
+
+def servo_axis(servo: ServoSection, data: DeviceData | None) -> Axis:
+    """Return the place of the drive's objects.
+
+    Args:
+        servo: The drive in the bench file.
+        data: The maker's data of the drive, or None.
+    """
+    unlike = () if data is None else data.unlike
+    return Axis(servo.object_offset, servo.sub_index, unlike)
 
 
 def _vendor(servo: ServoSection, data: DeviceData | None) -> int | None:

@@ -9,6 +9,7 @@ from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Gate
 from drivers.amt21.line import Amt21Line
 from drivers.clock import Clock
 from drivers.epos.link import EposSerialLink
+from drivers.interfaces import Servo
 from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import SimulatedBench
 from drivers.mock.epos_serial import SimulatedEposPort
@@ -35,7 +36,12 @@ def epos_link(
 
 
 def amt21_encoder(
-    section: Amt21Section, middle_rad: float, simulated: SimulatedBench | None, clock: Clock
+    section: Amt21Section,
+    middle_rad: float,
+    simulated: SimulatedBench | None,
+    clock: Clock,
+    servo: Servo,
+    gear_ratio: float,
 ) -> Amt21Encoder:
     """Return an encoder on its line, real or simulated.
 
@@ -44,6 +50,8 @@ def amt21_encoder(
         middle_rad: Middle of the joint's travel, rad.
         simulated: The simulated bench, if there is one.
         clock: The host's clock.
+        servo: The drive; its position decides the number of turns after a long pause.
+        gear_ratio: Motor turns per joint turn.
     """
     connect: Callable[[], BytePort]
     if simulated is None:
@@ -58,7 +66,12 @@ def amt21_encoder(
     gate = Gate(
         math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2)
     )
-    return Amt21Encoder(line, scales, gate)
+
+    def elsewhere_rad() -> float | None:
+        sample = servo.sample()
+        return sample.motor_angle_rad / gear_ratio if sample.fresh else None
+
+    return Amt21Encoder(line, scales, gate, elsewhere_rad)
 
 
 def _simulated(

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 from drivers.errors import DeviceError
 from drivers.interfaces import Servo, ServoState
 from rig.common.errors import StorageError
+
+T = TypeVar("T")
 
 
 def words_of(error: BaseException) -> str:
@@ -24,31 +27,36 @@ class Steps:
         problems: Text of each error.
         unforeseen: Exceptions other than device errors, storage errors and Ctrl-C, each once.
         interrupted: Whether Ctrl-C interrupted a step.
+        cut: Why the power was cut instead of a ramp; empty if it was not.
     """
 
     def __init__(self) -> None:
         self.problems: list[str] = []
         self.unforeseen: list[BaseException] = []
         self.interrupted = False
+        self.cut = ""
 
     def attempt(self, step: Callable[[], object]) -> BaseException | None:
         """Run one step; store its error, if any, and return it."""
+        return self.result(step)[1]
+
+    def result(self, step: Callable[[], T]) -> tuple[T | None, BaseException | None]:
+        """Run one step; return its value and None, or None and its error, which is stored."""
         try:
-            step()
+            return step(), None
         except KeyboardInterrupt as error:
             self.problems.append("interrupted again while stopping")
             self.interrupted = True
-            return error
+            return None, error
         except (DeviceError, StorageError) as error:
             self.problems.append(str(error))
-            return error
+            return None, error
         except BaseException as error:  # noqa: BLE001 - a defect must not keep the power on
             words = f"unforeseen {words_of(error)}"
             if words not in self.problems:
                 self.unforeseen.append(error)
             self.problems.append(words)
-            return error
-        return None
+            return None, error
 
     def take_first(self, others: Steps) -> None:
         """Store the first error of steps that were repeated, and whether one was interrupted."""
@@ -58,6 +66,4 @@ class Steps:
 
     def state(self, servo: Servo) -> ServoState | None:
         """Read the drive's state; return None if the read fails."""
-        found: list[ServoState] = []
-        self.attempt(lambda: found.append(servo.state()))
-        return next(iter(found), None)
+        return self.result(servo.state)[0]

@@ -35,6 +35,7 @@ class SafeState:
         motion_rad_s: Speed of the joint at the end, rad/s; None if no angle was read.
         doubt: Why the drive does not count as off; empty if it does, or if its state is unknown or
             energised.
+        cut: Why the power was cut instead of a ramp; empty if it was not.
     """
 
     verified: bool
@@ -45,13 +46,15 @@ class SafeState:
     current_A: float | None = None
     motion_rad_s: float | None = None
     doubt: str = ""
+    cut: str = ""
 
     @property
     def message(self) -> str:
         """One sentence for the operator."""
         if self.verified:
             seen = seen_words(self.current_A, self.motion_rad_s)
-            return f"the drive is de-energised (read back: {self.state}){seen}"
+            off = f"the drive is de-energised (read back: {self.state}){seen}"
+            return f"{self.cut}; {off}" if self.cut else off
         if self.doubt:
             words = "; ".join((self.doubt, *self.problems))
             return f"it could NOT be verified that the drive is de-energised: {words}; {HANDS_OFF}"
@@ -167,6 +170,7 @@ def observed(proof: Proof, steps: Steps | None = None, watched: bool = True) -> 
         current_A=proof.current_A,
         motion_rad_s=proof.motion_rad_s,
         doubt="" if state is None or state.energised else proof.doubt,
+        cut=steps.cut,
     )
 
 

@@ -122,6 +122,18 @@ class ServoContract:
         # A transport either has a watchdog that works, or says that it has none.
         assert live.servo.state().energised is not live.link.has_watchdog
 
+    def test_a_loop_that_stopped_can_begin_again(self, live: Rig) -> None:
+        live.cycles(50)
+        clock = live.link.clock
+        clock.sleep_until_ns(clock.now_ns() + 300_000_000)
+        live.servo.disable()
+        if live.servo.state() is ServoState.FAULT:
+            live.servo.reset_fault()
+        live.servo.prepare(live.cycle_s)
+        live.servo.enable()
+        live.cycles(50)
+        assert live.servo.state() is ServoState.OPERATION_ENABLED
+
     def test_frames_are_kept_in_order_until_taken(self, live: Rig) -> None:
         live.link.take_frames()
         live.cycles(3)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import can
 
 from drivers.can.port import PythonCanPort
+from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.eds_file import read_eds
@@ -34,6 +36,43 @@ SCALES = ServoScales(
     temperature_object=(0x2101, 0),
     known_objects=((0x2100, 0), (0x2101, 0)),
 )
+
+
+def drive_eds(
+    folder: Path,
+    lacks: Sequence[int] = (),
+    defaults: Mapping[tuple[int, int], int] | None = None,
+    axis: Axis = ONE_AXIS,
+) -> Path:
+    """Write the EDS of the simulated drive without some objects, with other default values, and
+    with the objects of an axis of a device with several; with subindices, 6040h, 6060h and 6061h
+    stay common, and 6041h has the states of two axes.
+    """
+    kept, keep, at = [], True, (0, 0)
+    for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
+        if head := re.match(r"\[([0-9A-F]{4})(?:sub([0-9A-F]+))?\]", line):
+            at = int(head[1], 16), int(head[2] or "0", 16)
+        if line.startswith("["):
+            keep = head is None or at[0] not in lacks
+            if head and 0x6000 <= at[0] < 0x6800:
+                line = line.replace(head[1], f"{at[0] + axis.object_offset:04X}")
+                if axis.sub_index and line == f"[{at[0]:04X}]" and at[0] in MEMBERS:
+                    number = f"[{at[0]:04X}sub{axis.sub_index}]"
+                    record = f"{line}\nParameterName=Of each axis\nObjectType=0x9\n"
+                    line = f"{record}\n{number}"
+        if axis.sub_index and at == (0x6041, 0) and line == "DataType=0x0006":
+            line = "DataType=0x0007"
+        if line.startswith("DefaultValue=") and at in (defaults or {}):
+            line = f"DefaultValue={(defaults or {})[at]}"
+        if keep:
+            kept.append(line)
+    path = folder / "drive.eds"
+    path.write_text("\n".join(kept) + "\n", encoding="ascii")
+    return path
+
+
+MEMBERS = (0x6064, 0x606C, 0x6071, 0x6077, 0x6078, 0x607A, 0x6081, 0x60FF)
+"""Objects with a member for each axis in some drives with several axes."""
 
 
 @dataclass
@@ -74,16 +113,17 @@ def make_host(
     eds: Path | None = None,
     motion: Motion | None = None,
     traits: Traits | None = None,
+    axis: Axis = ONE_AXIS,
 ) -> Host:
     """Return an open link to a booted bench, natively or through python-can; nothing is
     prepared. A drive with an EDS of its own shows only the objects of that file.
     """
     if eds is not None:
-        traits = described_drive(read_eds(eds, DRIVE_NODE))
+        traits = described_drive(read_eds(eds, DRIVE_NODE), axis)
     bench = simulated_bench(machine or Machine(), seed, bitrate, traits=traits)
     port = PythonCanPort(bench.bus, bench.clock) if python_can else bench.bus
     link = CanopenLink(bench.clock, lambda: port, "simulated bus")
-    drive = link.add_node(DRIVE_NODE, eds or DRIVE_EDS)
+    drive = link.add_node(DRIVE_NODE, eds or DRIVE_EDS, axis)
     servo = Cia402Servo(drive, link, scales, motion=motion or CyclicPosition(torque_offset))
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))

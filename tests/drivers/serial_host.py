@@ -89,7 +89,12 @@ def make_serial_host(
     epos = EposSerialLink(bench.clock, lambda: line, "simulated line")
     drive = epos.add_node(DRIVE_NODE, DRIVE_EDS, fastest_1_s)
     amt21_line = Amt21Line(bench.clock, lambda: encoder_line, "simulated encoder line")
-    encoder = Amt21Encoder(amt21_line, EncoderScales(COUNTS_PER_TURN), GATE)
+    encoder = Amt21Encoder(
+        amt21_line,
+        EncoderScales(COUNTS_PER_TURN),
+        GATE,
+        lambda: servo.sample().motor_angle_rad / SCALES.gear_ratio,
+    )
     link = EncoderLink(epos, encoder, epos.call_at_instant)
     servo = Cia402Servo(drive, link, SCALES)
     link.open()

@@ -117,19 +117,23 @@ class TestGate:
         assert not gate.admit(160, 2 * MS)
         assert gate.admit(160, 20 * MS)
 
-    def test_after_too_long_nothing_is_believed_until_the_next_start(self) -> None:
+    def test_a_pause_is_no_obstacle_while_half_a_turn_takes_longer(self) -> None:
+        half_turn_s = COUNTS_PER_TURN / 2 / 10_000.0
         gate = self.make()
-        assert not gate.admit(100, 21 * MS)
-        assert not gate.admit(100, 22 * MS)
-        gate.start(100, 0.002)
-        assert gate.admit(100, 900 * MS)
+        assert gate.admit(100 + 7000, round((half_turn_s - 0.002) * 1e9))
+        assert gate.position == 7100
 
-    def test_a_slow_cycle_has_three_periods(self) -> None:
-        gate = PlausibilityGate(10_000.0, 500_000.0)
-        gate.start(100, 0.03)
-        assert gate.admit(100, 0)
-        assert gate.admit(100, 90 * MS)
-        assert not gate.admit(100, 181 * MS)
+    @pytest.mark.parametrize("turns", [-3, 0, 2])
+    def test_after_a_longer_pause_another_sensor_decides_the_turn(self, turns: int) -> None:
+        gate = self.make()
+        assert not gate.admit(200, 900 * MS)
+        assert not gate.admit(200, 902 * MS, lambda: None)
+        assert gate.position == 100
+        elsewhere = turns * COUNTS_PER_TURN + 200 - 8000
+        assert gate.admit(200, 904 * MS, lambda: elsewhere)
+        assert gate.position == turns * COUNTS_PER_TURN + 200
+        assert gate.admit(201, 906 * MS)
+        assert not gate.admit(300, 908 * MS, lambda: elsewhere)
 
 
 @pytest.mark.parametrize("echo", [False, True], ids=["silent adapter", "adapter with echo"])
@@ -139,6 +143,21 @@ def test_follows_the_joint_below_zero(echo: bool) -> None:
     sample = host.encoder.sample()
     assert sample.fresh
     assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
+    host.link.close()
+
+
+@pytest.mark.parametrize("pause_s", [0.022, 3.0])
+@pytest.mark.parametrize("cycle_s", [0.002, 0.01])
+def test_answers_are_used_again_after_a_pause_of_the_host(pause_s: float, cycle_s: float) -> None:
+    host = live(make_serial_host(cycle_s=cycle_s))
+    host.cycles(200, lambda t: 0.2 * math.sin(t))
+    before = host.encoder.sample().angle_rad
+    clock = host.link.clock
+    clock.sleep_until_ns(clock.now_ns() + round(pause_s * 1e9))
+    host.cycles(1)
+    sample = host.encoder.sample()
+    assert sample.fresh
+    assert sample.angle_rad == pytest.approx(before, abs=0.01)
     host.link.close()
 
 

@@ -298,7 +298,8 @@ def test_limits_that_do_not_arrive_are_named(host: DbcHost) -> None:
         lambda _t, found, data, _s: None if found == LIMITS else (found, data)
     )
     with pytest.raises(
-        ConfigurationError, match=r"house servo does not accept these limits.*speed reads 240 after"
+        ConfigurationError,
+        match=r"house servo does not accept.*speed \(limits\.speed_deg_s\) reads 240 after",
     ):
         host.servo.write_limits(HELD)
 
@@ -314,7 +315,9 @@ def test_limits_set_with_the_makers_tool_must_leave_room() -> None:
     host = make_dbc_host(spec=replace(MAP, limits=LimitMap()))
     assert host.servo.read_limits() == HELD
     host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
-    with pytest.raises(ConfigurationError, match=r"speed 3 rad/s \(drive: 2\.0944 rad/s\)"):
+    with pytest.raises(
+        ConfigurationError, match=r"speed \(limits\.speed_deg_s\) 3 rad/s \(drive: 2\.0944 rad/s\)"
+    ):
         host.servo.write_limits(replace(HELD, speed_rad_s=3.0))
     host.link.close()
 

@@ -787,6 +787,6 @@ def test_limits_of_the_makers_tool_must_leave_room() -> None:
     bench.values["speed"] = 200.0
     with pytest.raises(
         ConfigurationError,
-        match=r"these limits are wider in the bench file than in house servo: current 25 A",
+        match=r"than in house servo: current \(limits.torque_N_m or limits.current_A\) 25 A",
     ):
         servo.write_limits(ServoLimits(-0.5, 0.5, 2.0, 90.0, 25.0, 0.02, 2, 35.0))

@@ -6,20 +6,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Iterator
 
 import pytest
 
 from drivers.canopen.cia404 import Cia404Transmitter
+from drivers.canopen.motion import ProfilePosition
 from drivers.epos.frames import FrameDecoder, Opcode
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, ObjectAccessError
+from drivers.errors import (
+    ConfigurationError,
+    DeviceError,
+    DriveFault,
+    LimitError,
+    LinkError,
+    ObjectAccessError,
+)
 from drivers.interfaces import Link, RawFrame, Servo, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.transmitter import TRANSMITTER_EDS
-from drivers.servo_limits import OBJECTS, decode, encode
+from drivers.servo_limits import OBJECTS, decode, encode, named
 from drivers.units import EncoderScales, ServoScales
 
 from .dbc_host import DRIVE, make_dbc_host
@@ -288,11 +297,66 @@ def test_a_limit_must_fit_its_object(can: Host, current: float, count: int) -> N
         assert str(caught.value) == str(found[0])
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("field", "value", "key"),
+    [
+        ("angle_min_rad", -4e4, "limits.angle_min_deg"),
+        ("angle_max_rad", 4e4, "limits.angle_max_deg"),
+        ("speed_rad_s", 1e7, "limits.speed_deg_s"),
+        ("torque_N_m", 3e3, "limits.torque_N_m"),
+        ("current_A", 1e3, "limits.current_A"),
+        ("following_error_rad", 1e7, "limits.following_error_deg"),
+        ("quick_stop_option", 1 << 15, "servo.quick_stop_option"),
+        ("quick_stop_deceleration_rad_s2", 1e7, "servo.quick_stop_deceleration_deg_s2"),
+    ],
+)
+def test_a_limit_that_does_not_fit_names_its_key(
+    field: str, value: float, key: str, sign: int
+) -> None:
+    """A wrong ratio or unit shows up as such a limit: the message states limit, range, keys."""
+    host = make_host(scales=dataclasses.replace(SCALES, sign=sign))
+    limits = dataclasses.replace(LIMITS, **{field: value})
+    (found,) = host.servo.limit_refusals(limits)
+    assert isinstance(found, LimitError)
+    assert found.keys[0] == key
+    assert all(key in str(found) for key in found.keys)
+    held = re.search(r"can hold (\S+) to ([^ :]+)", str(found))
+    assert held is not None
+    shown = math.degrees(value) if "_rad" in field else value
+    assert not float(held[1]) <= shown <= float(held[2])
+    with pytest.raises(LimitError) as caught:
+        host.servo.write_limits(limits)
+    assert caught.value.keys == found.keys
+    host.link.close()
+
+
+def test_a_profile_that_does_not_fit_names_its_key() -> None:
+    host = make_host(motion=ProfilePosition(SCALES, 1e7))
+    found = list(host.servo.limit_refusals(LIMITS))
+    assert [type(error) for error in found] == [LimitError, LimitError]
+    assert {error.keys[0] for error in found if isinstance(error, LimitError)} == {
+        "servo.profile_acceleration_deg_s2"
+    }
+    host.link.close()
+
+
+def test_a_limit_that_the_drive_refuses_names_its_key(can: Host) -> None:
+    """The drive's own answer keeps its object and code."""
+    error = ObjectAccessError(0x6072, 0, 0x06090030, "value range exceeded")
+    told = named((0x6072, 0), 1000, SCALES, error)
+    assert isinstance(told, ObjectAccessError)
+    assert (told.index, told.code) == (0x6072, 0x06090030)
+    assert "limits.torque_N_m" in str(told)
+
+
 def test_a_limit_must_fit_its_signal() -> None:
     host = make_dbc_host()
     wide = dataclasses.replace(LIMITS, speed_rad_s=409.6)
     (error,) = host.servo.limit_refusals(wide)
-    assert "limit speed" in str(error)
+    assert isinstance(error, LimitError)
+    assert error.keys == ("limits.speed_deg_s", "machine.gear_ratio")
+    assert all(key in str(error) for key in error.keys)
     assert not list(host.servo.limit_refusals(LIMITS))
     host.link.close()
 

@@ -188,6 +188,10 @@ class LateWire:
     sdo_timeout_s = 0.3
     cycle = 0
     master_id = 127
+    alive_until_ns = 0
+
+    def keep_alive(self) -> None:
+        pass
 
     def __init__(self, *responses: bytes) -> None:
         self._left = list(responses)

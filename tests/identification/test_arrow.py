@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.least_squares import BlockArrow
 
 
 def arrow(seed: int, rows: int, parameters: int, stretches: int) -> BlockArrow:

@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate.bootstrap import bootstrap
 from identification.estimate.default import identify
-from identification.estimate.likelihood.bootstrap import bootstrap
-from identification.estimate.likelihood.refinement import refine_recordings
-from identification.estimate.likelihood.stages import Refined
+from identification.estimate.refinement import refine_recordings
+from identification.estimate.searches import Refined
 from identification.filter.noise_level import HUBER_THRESHOLD
-from identification.model.nominal import NOMINAL
-from identification.model.parameters import SYSTEM_PARAMETERS
+from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Dataset, Model, Recording
 
 from .synthetic import sine

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.numerics.arrays import Array
-from identification.numerics.bounded_descent import Box, minimise_within
+from identification.numerics.least_squares import Box, minimise_within
 
 T = np.linspace(0.0, 3.0, 60)
 

@@ -4,23 +4,19 @@ exist.
 
 from __future__ import annotations
 
+import ast
 import math
+from pathlib import Path
 from string import Formatter
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.device import DEVICE
-from identification.diagnosis.catalogue.entry import Entry
-from identification.diagnosis.catalogue.friction import FRICTION
-from identification.diagnosis.catalogue.gas import GAS
-from identification.diagnosis.catalogue.motor import MOTOR
-from identification.diagnosis.catalogue.sensing import SENSING
-from identification.diagnosis.catalogue.transmission import TRANSMISSION
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.verdict.wording import finding, readable, sentence
+from identification.diagnosis.verdict.statement import finding, readable, sentence
+from identification.effects import EFFECTS, GAS, MOTION
+from identification.effects.effect import Effect
 
 GROUPS = {
     "motor": "cogging torque_ripple torque_saturation current_loop_lag inverter_dead_time "
@@ -42,7 +38,7 @@ GROUPS = {
 """The catalogue as the specification prints it."""
 
 
-def middle(entry: Entry) -> dict[str, Estimate]:
+def middle(entry: Effect) -> dict[str, Estimate]:
     """Estimates in the upper half of each plausible range."""
     found = {}
     for q in entry.parameters:
@@ -54,19 +50,19 @@ def middle(entry: Entry) -> dict[str, Estimate]:
 
 
 def test_every_name_of_the_specification_stands_in_the_catalogue_once_and_no_other() -> None:
-    rows = (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING, *GAS)
+    rows = (*MOTION, *GAS)
     assert [(e.group, e.name) for e in rows] == [
         (g, name) for g, names in GROUPS.items() for name in names.split()
     ]
-    assert len(ENTRIES) == len(rows)
+    assert len(EFFECTS) == len(rows)
 
 
-@pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
-def test_an_entry_is_whole(entry: Entry) -> None:
+@pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
+def test_an_entry_is_whole(entry: Effect) -> None:
     assert entry.shows_in in ("torque", "transmission", "voltage", "breakaway", "pressure")
     assert entry.look_alikes, "an effect without a look-alike needs no experiment"
     assert entry.name not in entry.look_alikes
-    assert set(entry.look_alikes) <= set(ENTRIES)
+    assert set(entry.look_alikes) <= set(EFFECTS)
     for q in entry.parameters:
         assert q.low < q.high, q.name
     named = {name for _, name, _, _ in Formatter().parse(entry.sentence) if name}
@@ -77,9 +73,9 @@ def test_an_entry_is_whole(entry: Entry) -> None:
     )
 
 
-@pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
+@pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
 def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
-    entry: Entry,
+    entry: Effect,
 ) -> None:
     estimates = middle(entry)
     words = finding(entry, estimates, ("loaded_2",))
@@ -92,7 +88,7 @@ def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
 
 def test_the_sentence_of_the_page() -> None:
     gap = {"gap_rad": Estimate(math.radians(0.42), math.radians(0.39), math.radians(0.45), "rad")}
-    assert finding(ENTRIES["backlash"], gap) == (
+    assert finding(EFFECTS["backlash"], gap) == (
         "the shaft turns 0.42 deg (0.39 to 0.45) before the valve follows each reversal of "
         "torque: backlash "
         "(transmission), against assumption A5: no mechanical clearance, theta = i theta_r"
@@ -101,7 +97,7 @@ def test_the_sentence_of_the_page() -> None:
 
 def test_a_sign_becomes_words_and_the_size_keeps_its_interval() -> None:
     words = sentence(
-        ENTRIES["asymmetric_coulomb"], {"torque_Nm": Estimate(-0.4, -0.52, -0.28, "N m")}
+        EFFECTS["asymmetric_coulomb"], {"torque_Nm": Estimate(-0.4, -0.52, -0.28, "N m")}
     )
     assert words.startswith("friction is 0.40 N m (0.28 to 0.52) lower in the positive direction")
     assert "higher in the negative" in words
@@ -109,17 +105,17 @@ def test_a_sign_becomes_words_and_the_size_keeps_its_interval() -> None:
 
 def test_a_linear_bench_keeps_its_own_units() -> None:
     gap = {"gap_rad": Estimate(0.00042, 0.0004, 0.00044, "m")}
-    assert "0.00042 m (0.00040 to 0.00044)" in sentence(ENTRIES["backlash"], gap)
+    assert "0.00042 m (0.00040 to 0.00044)" in sentence(EFFECTS["backlash"], gap)
 
 
 def test_a_recording_is_named_where_the_effect_belongs_to_one() -> None:
     weight = {"mass_kg": Estimate(24.1, 23.8, 24.4, "kg")}
-    assert "in loaded_2 is 24.1 kg" in sentence(ENTRIES["wrong_weight"], weight, ("loaded_2",))
+    assert "in loaded_2 is 24.1 kg" in sentence(EFFECTS["wrong_weight"], weight, ("loaded_2",))
 
 
 def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:
     with pytest.raises(KeyError, match="gap_rad"):
-        sentence(ENTRIES["backlash"], {})
+        sentence(EFFECTS["backlash"], {})
 
 
 @given(value=st.floats(1e-6, 1e5), share=st.floats(1e-4, 0.9))
@@ -141,3 +137,24 @@ def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found
 
 def test_without_an_interval_the_value_stands_alone() -> None:
     assert readable(Estimate(0.0031, math.nan, math.nan, "s"), "ms") == "3.1 ms"
+
+
+SIMULATED = ("drivers/mock/", "rig/results/prove/", "rig/config/faults.py", "rig/fault_injection/")
+"""Where effects are injected: the simulated machine, blind trials on it, and faults of a simulated
+bench. It is written separately from the diagnosis, so that finding an effect proves something.
+"""
+
+
+def test_nothing_but_the_effects_and_the_simulated_machine_names_an_effect() -> None:
+    root = Path(__file__).parents[2]
+    found = []
+    for file in (
+        f for top in ("identification", "rig", "drivers") for f in (root / top).rglob("*.py")
+    ):
+        place = file.relative_to(root).as_posix()
+        if not place.startswith(("identification/effects/", *SIMULATED)):
+            texts = (
+                n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Constant)
+            )
+            found += [f"{place}:{n.lineno} {n.value}" for n in texts if n.value in EFFECTS]
+    assert found == []

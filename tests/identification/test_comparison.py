@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.paper_method.comparison import DEFAULT, compare
-from identification.estimate.paper_method.optimisers import OPTIMISERS, variable_projection
-from identification.estimate.paper_method.stage_problem import StageProblem
+from identification.estimate.paper_method import (
+    DEFAULT,
+    OPTIMISERS,
+    StageProblem,
+    compare,
+    variable_projection,
+)
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Identification

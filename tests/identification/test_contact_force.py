@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.contact_force import contact_force, contact_moment
 from identification.filter.segments import motion
 from identification.model.gas_generator import GasGenerator
-from identification.prepare import prepare
+from identification.prepare import contact_force, contact_moment, prepare
 from identification.recording import Array, Bench, Recording, RecordingError
 
 BENCH = Bench(

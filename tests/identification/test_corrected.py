@@ -1,27 +1,21 @@
-"""The corrected model in plain numpy against the regressors of the search, which are written
-apart.
+"""The corrected model against formulas of this file, and the way from the catalogue's parameters to
+regressors and back.
 """
 
 from __future__ import annotations
 
-import inspect
-import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from identification.corrected.model import CorrectedModel, carried
-from identification.corrected.motor import DRIVE, VOLTAGE
-from identification.corrected.signals import signals_of
-from identification.corrected.states import dahl_friction, lagged, play
-from identification.corrected.torque import TORQUE, nominal_torque
-from identification.corrected.transmission import TRANSMISSION
-from identification.diagnosis.catalogue import MOTION
 from identification.diagnosis.result import Curve
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.terms import TERMS, memory
-from identification.recording import Bench, Recording
+from identification.effects import MOTION
+from identification.effects.effect import Context, Effect
+from identification.export.model import CorrectedModel, carried
+from identification.recording import Array, Bench, Recording
+from identification.views.nominal import Nominal
+from identification.views.view import View, views
 
 NOMINAL = {
     "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,
@@ -36,56 +30,162 @@ BENCH = Bench(
     gear_ratio=100.0,
     moment_arm=0.095,
 )
-LINEAR = {
-    "cogging": ({"torque_Nm": 0.5, "per_motor_turn": 7.0, "phase_rad": 0.0}, (7.0,), (0.5, 0.0)),
-    "asymmetric_coulomb": ({"torque_Nm": 0.4}, (), (0.4,)),
-    "asymmetric_viscous": ({"coefficient_Nms_rad": -0.7}, (), (-0.7,)),
-    "quadratic_drag": ({"coefficient_Nms2_rad2": 1.3}, (), (1.3,)),
-    "stribeck_shape": ({"alpha": 1.2}, (1.2, 1.0), (1.0,)),
-    "friction_memory": ({"time_s": 0.01, "of_speed": 1.0}, (0.01, 1.0), (1.0,)),
-    "presliding": ({"stiffness_Nm_rad": 3e3}, (3e3,), (1.0,)),
-    "position_dependent_friction": (
+
+
+def load(v: View) -> Array:
+    fall = np.exp(-((v.velocity / 0.033) ** 2))
+    return v.sense * v.moment * (0.052 + 0.034 * fall + 0.032 * np.abs(v.velocity))
+
+
+def system(v: View, alpha: float = 2.0) -> Array:
+    fall = np.exp(-(np.abs(v.velocity / 0.056) ** alpha))
+    return v.sense * (6.8 + 5.2 * fall + 5.3 * np.abs(v.velocity))
+
+
+def asked(v: View) -> Array:
+    """Return what the nominal model asks of the drive."""
+    return 0.2 * v.acceleration + system(v) + load(v) - v.known
+
+
+def play(series: Array, width: float) -> Array:
+    out = np.zeros(len(series))
+    for k in range(1, len(series)):
+        out[k] = np.clip(out[k - 1] + series[k] - series[k - 1], -0.5 * width, 0.5 * width)
+    return out
+
+
+def mean_step(v: View, knee: float) -> Array:
+    """Return tanh(I / knee) as the mean over a hundred instants of each sample."""
+    current = v.recording.channels["current"]
+    ends = 0.5 * (current[1:] + current[:-1])
+    before, after = np.r_[current[:1], ends], np.r_[ends, current[-1:]]
+    share = (np.arange(100) + 0.5) / 100.0
+    return np.mean(np.tanh((before + (after - before) * share[:, None]) / knee), axis=0)
+
+
+def one(v: View) -> Array:
+    return np.ones(len(v.time))
+
+
+Formula = Callable[[View], Array]
+FORMULAS: dict[tuple[str, str], tuple[dict[str, float], Formula]] = {
+    ("cogging", "drive"): (
+        {"torque_Nm": 0.5, "per_motor_turn": 7.0, "phase_rad": 0.3},
+        lambda v: 0.5 * np.sin(7.0 * v.motor + 0.3),
+    ),
+    ("torque_ripple", "drive"): (
+        {"fraction": 0.1, "per_motor_turn": 7.0, "phase_rad": 0.3},
+        lambda v: asked(v) * (1.0 - 1.0 / (1.0 + 0.1 * np.sin(7.0 * v.motor + 0.3))),
+    ),
+    ("torque_saturation", "drive"): (
+        {"knee_A": 30.0, "rational": 0.0},
+        lambda v: asked(v) - 90.0 * np.arctanh(asked(v) / 90.0),
+    ),
+    ("transmission_efficiency", "drive"): (
+        {"efficiency": 0.8},
+        lambda v: asked(v) * np.where(asked(v) * v.velocity >= 0.0, -0.25, 0.2),
+    ),
+    ("current_offset", "drive"): ({"current_A": 0.3}, lambda v: -0.9 * one(v)),
+    ("current_drift", "drive"): (
+        {"rate_A_s": 0.01},
+        lambda v: -0.03 * (v.time - v.time[0]),
+    ),
+    ("asymmetric_coulomb", "torque"): ({"torque_Nm": 0.4}, lambda v: 0.4 * one(v)),
+    ("asymmetric_viscous", "torque"): (
+        {"coefficient_Nms_rad": -0.7},
+        lambda v: -0.7 * np.abs(v.velocity),
+    ),
+    ("quadratic_drag", "torque"): (
+        {"coefficient_Nms2_rad2": 1.3},
+        lambda v: 1.3 * v.velocity * np.abs(v.velocity),
+    ),
+    ("stribeck_shape", "torque"): (
+        {"alpha": 1.2},
+        lambda v: (
+            system(v, 1.2)
+            - system(v)
+            + v.sense
+            * v.moment
+            * 0.034
+            * (
+                np.exp(-(np.abs(v.velocity / 0.033) ** 1.2))
+                - np.exp(-(np.abs(v.velocity / 0.033) ** 2.0))
+            )
+        ),
+    ),
+    ("position_dependent_friction", "torque"): (
         {"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05},
-        (0.1, 0.05),
-        (1.0,),
+        lambda v: v.sense * np.exp(-0.5 * ((v.angle - 0.1) / 0.05) ** 2),
     ),
-    "coulomb_drift": ({"rate_Nm_s": 0.01, "time_s": 7.0}, (7.0,), (0.01,)),
-    "gravity_imbalance": (
+    ("viscous_thermal_drift", "torque"): (
+        {"fraction": 0.3, "time_s": 7.0},
+        lambda v: -0.3 * 5.3 * v.velocity * (1.0 - np.exp(-v.run_time / 7.0)),
+    ),
+    ("coulomb_drift", "torque"): (
+        {"rate_Nm_s": 0.01, "time_s": 7.0},
+        lambda v: v.sense * 0.07 * (1.0 - np.exp(-v.run_time / 7.0)),
+    ),
+    ("gravity_imbalance", "torque"): (
         {"torque_Nm": 2.0, "zero_rad": 0.3},
-        (),
-        (2.0 * math.cos(0.3), 2.0 * math.sin(0.3)),
+        lambda v: 2.0 * np.sin(v.angle - 0.3),
     ),
-    "return_spring": ({"stiffness_Nm_rad": 3.0, "rest_rad": 0.2}, (), (3.0, 0.6)),
-    "end_stop": (
+    ("return_spring", "torque"): (
+        {"stiffness_Nm_rad": 3.0, "rest_rad": 0.2},
+        lambda v: 3.0 * (v.angle - 0.2),
+    ),
+    ("end_stop", "torque"): (
         {"angle_rad": 0.2, "stiffness_Nm_rad": 40.0, "other_rad": -0.25},
-        (0.0, 0.2, -0.25),
-        (40.0,),
+        lambda v: 40.0 * (np.maximum(v.angle - 0.2, 0.0) + np.minimum(v.angle + 0.25, 0.0)),
     ),
-    "load_position_dependence": ({"slope_per_rad": 0.3}, (), (0.3,)),
-    "load_inertia": ({"inertia_kgm2": 0.3}, (), (0.3,)),
-    "lever_pivot_friction": ({"torque_Nm": 1.1}, (), (1.1,)),
-    "current_offset": ({"current_A": 0.3}, (), (0.3,)),
-    "current_drift": ({"rate_A_s": 0.01}, (0.0,), (0.01,)),
-    "backlash": ({"gap_rad": 0.007}, (0.007, 0.0, 0.0, 0.0), (1.0,)),
-    "compliance": ({"stiffness_Nm_rad": 900.0}, (), (1.0 / 900.0, 0.0, 0.0, 0.0, 0.0)),
-    "gear_mesh_ripple": (
-        {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0},
-        (23.0, 1.0),
-        (1e-3, 0.0),
+    ("load_exponent", "torque"): (
+        {"exponent": 1.3},
+        lambda v: load(v) * ((v.moment / 0.095 / 3000.0) ** 0.3 - 1.0),
     ),
-    "coupling_hysteresis": (
+    ("load_position_dependence", "torque"): (
+        {"slope_per_rad": 0.3},
+        lambda v: 0.3 * load(v) * v.angle,
+    ),
+    ("wrong_weight", "torque"): (
+        {"mass_kg": 25.0, "recording": 1.0},
+        lambda v: 0.25 * load(v),
+    ),
+    ("load_swing", "torque"): (
+        {"fraction": 0.3, "frequency_Hz": 0.7, "decay_s": 3.0},
+        lambda v: 0.3 * load(v) * np.cos(1.4 * np.pi * v.time) * np.exp(-v.time / 3.0),
+    ),
+    ("load_inertia", "torque"): (
+        {"inertia_kgm2": 0.3},
+        lambda v: 0.3 * 20.0 / 30.6 * v.acceleration,
+    ),
+    ("lever_pivot_friction", "torque"): ({"torque_Nm": 1.1}, lambda v: 1.1 * v.sense),
+    ("backlash", "twist"): ({"gap_rad": 0.007}, lambda v: play(v.motor / 100.0, 0.007)),
+    ("compliance", "twist"): ({"stiffness_Nm_rad": 900.0}, lambda v: v.torque / 900.0),
+    ("gear_mesh_ripple", "twist"): (
+        {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.4, "with_torque": 0.0},
+        lambda v: 1e-3 * np.sin(23.0 * v.angle + 0.4),
+    ),
+    ("coupling_hysteresis", "twist"): (
         {"torque_Nm": 4.0, "deflection_rad": 2e-3},
-        (4.0, 0.0, 2e-3, 0.0, 0.0),
-        (1.0,),
+        lambda v: 2e-3 * np.clip((v.torque - play(v.torque, 8.0)) / 4.0, -1.0, 1.0),
     ),
-    "encoder_eccentricity": ({"amplitude_rad": 1e-3, "phase_rad": 0.0}, (), (1e-3, 0.0)),
-    "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.05, 0.0, 10.0), (0.8,)),
-    "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6, 0.0, 1.0), (0.8,)),
-    "supply_sag": ({"resistance_ohm": 0.2}, (), (0.2,)),
+    ("encoder_eccentricity", "twist"): (
+        {"amplitude_rad": 1e-3, "phase_rad": 0.4},
+        lambda v: -1e-3 * np.sin(v.angle + 0.4),
+    ),
+    ("encoder_slip", "twist"): (
+        {"angle_rad": 0.01, "at_s": 2.0, "recording": 1.0},
+        lambda v: np.where(v.time >= 2.0, -0.01, 0.0),
+    ),
+    ("brush_drop", "voltage"): (
+        {"voltage_V": 0.8, "current_A": 1.5},
+        lambda v: 0.8 * mean_step(v, 1.5),
+    ),
+    ("supply_sag", "voltage"): (
+        {"resistance_ohm": 0.2},
+        lambda v: 0.2 * v.current * (v.voltage / 60.0) ** 2,
+    ),
 }
-"""Effect to its parameters, and to the shape and coefficients that the search would find for
-them.
-"""
+"""Effect and quantity of the model to parameters, and to what the effect adds to the quantity."""
 
 
 @pytest.fixture(scope="module")
@@ -107,42 +207,46 @@ def view() -> View:
     return views([recording], 30.0)[0]
 
 
-@pytest.mark.parametrize("name", list(LINEAR))
-def test_an_effect_adds_what_the_search_fits(name: str, view: View) -> None:
-    parameters, shape, coefficients = LINEAR[name]
-    s, model = signals_of(view), CorrectedModel(NOMINAL, 2.0, {name: parameters})
-    m, plain = model.numbers(view.recording), CorrectedModel(NOMINAL, 2.0)
-    predicted = {
-        "torque": (model.torque(s, m) - plain.torque(s, m))
-        - (model.drive(s, m) - plain.drive(s, m)),
-        "transmission": model.twist(s, m),
-        "voltage": model.voltage(s, m) - plain.voltage(s, m),
-    }
-    term = next(t for t in TERMS if t.name == name)
+@pytest.mark.parametrize(("name", "quantity"), list(FORMULAS))
+def test_an_effect_adds_what_its_equation_states(name: str, quantity: str, view: View) -> None:
+    parameters, formula = FORMULAS[name, quantity]
+    plain = CorrectedModel(NOMINAL)
+    model = CorrectedModel(NOMINAL, 2.0, {name: parameters})
+    added = getattr(model, quantity)(view) - getattr(plain, quantity)(view)
+    expected = formula(view)
+    assert np.max(np.abs(expected)) > 0.0
+    off = np.abs(added - expected)
+    # Where the current is equal at both ends of a sample, its value at the sample is taken.
+    tolerance = 1e-3 if name == "brush_drop" else 1e-6
+    assert np.mean(off > tolerance * np.max(np.abs(expected))) < 0.002
+
+
+@pytest.mark.parametrize("effect", MOTION, ids=lambda e: e.name)
+def test_parameters_come_back_from_regressors(effect: Effect, view: View) -> None:
     nominal = Nominal(NOMINAL, tuple(NOMINAL), 2.0)
-    for equation, columns in term.columns.items():
-        # The search takes the ratio's swing of the model's torque, so that none is measured; the
-        # rest of it is exact.
-        if equation == "breakaway" or (name, equation) == ("gear_mesh_ripple", "torque"):
-            continue
-        expected = np.array(coefficients) @ columns(view, nominal, shape)
-        assert np.max(np.abs(expected)) > 0.0
-        off = np.abs(predicted[equation] - expected)
-        # The sample at which a rest ends counts as rest in the search alone.
-        assert np.mean(off > 1e-6 * np.max(np.abs(expected))) < 0.002, equation
+    given = {q.name: q.low + 0.6 * (q.high - q.low) for q in effect.parameters}
+    if effect.place is not None:
+        given["recording"] = 1.0
+    shape, coefficients = effect.at(given, nominal)
+    width = {c(view, nominal, shape).shape[0] for c in effect.columns.values()}
+    assert width == {len(coefficients)}
+    if len(shape) > 1 and "mass_kg" in given:  # a sought mass has a coefficient, a given one none
+        shape, coefficients = shape[:1], (shape[1] / 20.0 - 1.0,)
+    found = effect.read(np.array(coefficients), shape, Context((view,), nominal))
+    assert found == pytest.approx({q.name: given[q.name] for q in effect.parameters})
 
 
 def test_what_rest_added_is_there_as_it_ends_and_gone_in_motion(view: View) -> None:
     """The search looks for it in breakaways alone."""
-    s, m = signals_of(view), CorrectedModel(NOMINAL, 2.0).numbers(view.recording)
-    found = TORQUE["dwell_static_friction"](s, m, 2.0, 1.0)
-    term = next(t for t in TERMS if t.name == "dwell_static_friction")
-    sought = 2.0 * term.columns["breakaway"](view, Nominal(NOMINAL, tuple(NOMINAL), 2.0), (1.0,))[0]
+    model = CorrectedModel(NOMINAL, 2.0, {"dwell_static_friction": {"growth_Nm": 2.0, "time_s": 1}})
+    found = model.torque(view) - CorrectedModel(NOMINAL).torque(view)
     assert len(view.breakaways) > 0
-    assert found[view.breakaways] == pytest.approx(sought[view.breakaways], abs=1e-12)
-    assert np.max(np.abs(sought[view.breakaways])) > 0.3
+    rested = np.maximum(view.rest_time, np.roll(view.rest_time, 1))[view.breakaways]
+    expected = view.sense[view.breakaways] * 2.0 * (1.0 - np.exp(-rested))
+    assert found[view.breakaways] == pytest.approx(expected, abs=1e-9)
+    assert np.max(np.abs(expected)) > 0.3
     after = np.concatenate([view.breakaways + k for k in range(1, 20)])
-    assert not np.any(found[after])
+    assert np.max(np.abs(found[after])) < 1e-9
     assert np.any(found[view.still])
 
 
@@ -150,79 +254,56 @@ def test_a_gear_s_torque_swings_as_its_ratio_does(view: View) -> None:
     """Power passes whole: drive times the motor's speed is the joint's torque times the joint's
     speed.
     """
-    s = signals_of(view)
-    m = CorrectedModel(NOMINAL, 2.0).numbers(view.recording)
-    given = {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.4}
-    at_joint = s["drive"] + DRIVE["gear_mesh_ripple"](s, m, **given)
-    step = 1e-6
-    ahead = TRANSMISSION["gear_mesh_ripple"]({**s, "angle": s["angle"] + step}, m, **given)
-    ratio = 1.0 + (ahead - TRANSMISSION["gear_mesh_ripple"](s, m, **given)) / step
-    assert at_joint == pytest.approx(s["drive"] * ratio, rel=1e-5)
-    term = next(t for t in TERMS if t.name == "gear_mesh_ripple")
-    nominal = Nominal(NOMINAL, tuple(NOMINAL), 2.0)
-    coefficients = np.array([1e-3 * math.cos(0.4), 1e-3 * math.sin(0.4)])
-    fitted = coefficients @ term.columns["torque"](view, nominal, (23.0, 1.0))
-    assert fitted == pytest.approx(-nominal.torque(view) * (ratio - 1.0), abs=1e-4)
+    given = {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.4, "with_torque": 1.0}
+    model = CorrectedModel(NOMINAL, 2.0, {"gear_mesh_ripple": given})
+    steepness = 1e-3 * 23.0 * np.cos(23.0 * view.angle + 0.4)
+    assert model.drive(view) - view.transmitted == pytest.approx(asked(view) * steepness, abs=1e-4)
 
 
-def test_the_nominal_torque_is_that_of_the_diagnosis(view: View) -> None:
-    model = CorrectedModel(NOMINAL, 2.0)
-    expected = Nominal(NOMINAL, tuple(NOMINAL), 2.0).torque(view)
-    sliding = view.sense == np.sign(view.velocity)
-    assert np.mean(sliding) > 0.9
-    found = nominal_torque(signals_of(view), model.numbers(view.recording))
-    assert found[sliding] == pytest.approx(expected[sliding], abs=1e-9)
+def test_the_nominal_torque_is_that_of_the_paper(view: View) -> None:
+    expected = 0.2 * view.acceleration + system(view) + load(view)
+    assert CorrectedModel(NOMINAL).torque(view) == pytest.approx(expected, abs=1e-9)
 
 
-def test_every_effect_of_the_catalogue_is_carried_with_its_own_parameters() -> None:
-    tables = (TORQUE, DRIVE, TRANSMISSION, VOLTAGE)
-    assert {name for table in tables for name in table} == set(MOTION)
-    for table in tables:
-        for name, function in table.items():
-            named = set(list(inspect.signature(function).parameters)[2:])
-            assert named - {"recording"} == {q.name for q in MOTION[name].parameters}, name
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("load_exponent", {"exponent": 1.0}),
+        ("transmission_efficiency", {"efficiency": 1.0}),
+        ("stribeck_shape", {"alpha": 2.0}),
+        ("wrong_weight", {"mass_kg": 20.0, "recording": 1.0}),
+        ("wrong_weight", {"mass_kg": 25.0, "recording": 2.0}),
+        ("time_skew", {"time_s": 0.0}),
+        ("current_loop_lag", {"time_s": 0.0}),
+    ],
+)
+def test_a_size_of_nothing_adds_nothing(name: str, values: dict[str, float], view: View) -> None:
+    plain, model = CorrectedModel(NOMINAL), CorrectedModel(NOMINAL, 2.0, {name: values})
+    for quantity in ("torque", "drive", "twist", "voltage"):
+        off = getattr(model, quantity)(view) - getattr(plain, quantity)(view)
+        assert np.max(np.abs(off)) < 1e-12, quantity
 
 
-def test_a_size_of_nothing_adds_nothing(view: View) -> None:
-    s = signals_of(view)
-    m = CorrectedModel(NOMINAL, 2.0).numbers(view.recording)
-    same = {"load_exponent": 1.0, "transmission_efficiency": 1.0, "stribeck_shape": 2.0}
-    for name, value in same.items():
-        table = DRIVE if name in DRIVE else TORQUE
-        assert np.max(np.abs(table[name](s, m, value))) < 1e-12, name
-    assert np.max(np.abs(TORQUE["wrong_weight"](s, m, 20.0, 1))) < 1e-12
-    assert np.max(np.abs(DRIVE["time_skew"](s, m, 0.0))) < 1e-12
-    assert np.max(np.abs(DRIVE["current_loop_lag"](s, m, 0.0))) < 1e-12
-
-
-def test_a_heavier_weight_than_its_label_scales_the_load_of_its_recording_alone(view: View) -> None:
-    s, m = signals_of(view), CorrectedModel(NOMINAL, 2.0).numbers(view.recording)
-    unloaded = nominal_torque({**s, "moment": 0.0 * s["moment"]}, m)
-    heavier = nominal_torque({**s, "moment": 1.25 * s["moment"]}, m) - nominal_torque(s, m)
-    assert TORQUE["wrong_weight"](s, m, 25.0, 1) == pytest.approx(heavier, abs=1e-9)
-    assert np.max(np.abs(nominal_torque(s, m) - unloaded)) > 1.0
-    assert not np.any(TORQUE["wrong_weight"](s, m, 25.0, 2))
-
-
-def test_states_agree_with_the_compiled_ones(view: View) -> None:
-    torque = view.torque
-    level = 6.0 + 2.0 * np.abs(view.velocity)
-    assert lagged(torque, view.time, 0.02) == pytest.approx(
-        memory.first_order_lag(torque, view.step, 0.02), abs=1e-9
-    )
-    assert dahl_friction(view.angle, level, 2e3) == pytest.approx(
-        memory.dahl(view.angle, level, 2e3), abs=1e-12
-    )
-    assert play(view.angle, 0.01) == pytest.approx(memory.play(view.angle, 0.01), abs=1e-12)
+def test_effects_of_which_others_depend_are_in_the_nominal_values() -> None:
+    effects = {
+        "gravity_imbalance": {"torque_Nm": 2.0, "zero_rad": 0.0},
+        "return_spring": {"stiffness_Nm_rad": 3.0, "rest_rad": 0.5},
+        "current_offset": {"current_A": 0.3},
+        "transmission_efficiency": {"efficiency": 0.8},
+        "presliding": {"stiffness_Nm_rad": 4e3},
+    }
+    nominal = CorrectedModel(NOMINAL, 2.0, effects).nominal
+    assert nominal.undeclared == pytest.approx((2.0, 0.0, 3.0, -1.5))
+    assert nominal.zero_A == 0.3
+    assert nominal.efficiency == pytest.approx(0.8)
+    assert nominal.presliding_stiffness == 4e3
 
 
 def test_a_curve_is_carried_in_its_own_equation_alone(view: View) -> None:
-    s = signals_of(view)
     grid = np.linspace(-0.3, 0.3, 7)
     curve = Curve("torque", "angle", "rad", "N m", grid, grid**2)
-    missing = carried(curve, "torque", s)
+    missing = carried(curve, "torque", view)
     assert missing == pytest.approx(np.interp(view.angle, grid, grid**2))
-    assert not np.any(carried(curve, "voltage", s))
-    model = CorrectedModel(NOMINAL, 2.0, {}, curve)
-    m = model.numbers(view.recording)
-    assert model.torque(s, m) - nominal_torque(s, m) == pytest.approx(missing)
+    assert not np.any(carried(curve, "voltage", view))
+    found = CorrectedModel(NOMINAL, 2.0, {}, curve).torque(view)
+    assert found - CorrectedModel(NOMINAL).torque(view) == pytest.approx(missing)

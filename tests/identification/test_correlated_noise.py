@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.likelihood.acceptance import refusal
-from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.refinement import refine_recordings, refusal
 from identification.filter.noise import Noise
-from identification.model.nominal import NOMINAL
-from identification.model.parameters import SYSTEM_PARAMETERS
+from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording
-from identification.simulate.servo_loop import respond, usual_loop
+from identification.simulate.drive_loop import respond, usual_loop
 
 PERIOD_S, STAGE_S = 1e-3, 8.0
 COUNT_RAD = 2.0 * np.pi / 409600.0

@@ -9,20 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.inertia.half_cycles import Replicate
-from identification.estimate.uncertainty import covariance
-from identification.estimate.uncertainty.covariance import (
+from identification.estimate import covariance
+from identification.estimate.covariance import (
     _REPLICATE_PRIOR,
     _scatter,
     _spread,
     covariances,
     not_below,
 )
+from identification.estimate.inertia import Replicate
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
-from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Model
 
 from .test_cramer_rao import NOISE_N_M, SYSTEM, VALUES, from_the_model

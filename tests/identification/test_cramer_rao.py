@@ -11,21 +11,20 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from identification.estimate.inertia.half_cycles import Replicate
-from identification.estimate.inertia.instruments import _smoothed, instruments
-from identification.estimate.likelihood.stages import Refined, refine_stages
-from identification.estimate.uncertainty.cramer_rao import (
+from identification.estimate.covariance import (
     bound,
     matching_means,
     replicate_bound,
     replicate_information,
 )
+from identification.estimate.inertia import Replicate, _smoothed, instruments
+from identification.estimate.searches import Refined, refine_stages
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
-from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.compiled import compiled
+from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Bench, Model, Recording
 
 from .synthetic import TRUTH

@@ -9,17 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate import searches
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.likelihood import searches, unloaded
-from identification.estimate.likelihood.acceptance import refusal
-from identification.estimate.likelihood.refinement import refine_recordings
-from identification.estimate.likelihood.stages import innovation_statistics, refine_stages
-from identification.estimate.paper_method.paper import identify_paper
-from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.estimate.paper_method import identify_paper
+from identification.estimate.parameter_table import typical_error
+from identification.estimate.refinement import refine_recordings, refusal
+from identification.estimate.searches import innovation_statistics, refine_stages
 from identification.estimator_settings import AcceptanceLimits
 from identification.filter.likelihood import Point
 from identification.filter.segments import motion
-from identification.numerics.two_threads import both
+from identification.numerics.compiled import both
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Identification
@@ -71,9 +70,9 @@ def test_one_thread_finds_what_two_find(
 
 
 def test_where_the_starts_ended_is_kept(practical_result: Identification) -> None:
-    unloaded, loaded = practical_result.starts
-    assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
-    assert unloaded.ends[-1] <= unloaded.reached
+    searches, loaded = practical_result.starts
+    assert (searches.stage, loaded.stage) == ("unloaded", "loaded")
+    assert searches.ends[-1] <= searches.reached
     assert (
         len(loaded.ends) == 3 + 4 + 2
     )  # of the grid, and far from and near to the best of their ends
@@ -171,13 +170,13 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
 def test_strong_hidden_ripple_does_not_break_the_search(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solved_from, begun = unloaded._solved_from, []
+    solved_from, begun = searches._solved_from, []
 
     def tried(start: Point, *given: object) -> object:
-        begun.append((start.filter.evaluations, start.vector[unloaded.INERTIA]))
+        begun.append((start.filter.evaluations, start.vector[searches.INERTIA]))
         return solved_from(start, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(unloaded, "_solved_from", tried)
+    monkeypatch.setattr(searches, "_solved_from", tried)
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
     result = identify(Dataset((recording,)))
     assert "physics that the model lacks" in result.warnings[0]
@@ -195,13 +194,13 @@ def test_far_inertias_are_tried_where_no_near_one_solves_the_equations(
 ) -> None:
     inertias = []
 
-    def unsolved(start: Point, *_given: object) -> unloaded.Solved:
-        inertias.append(start.vector[unloaded.INERTIA])
-        return unloaded.Solved(2.0 * unloaded.SOLVED, start)
+    def unsolved(start: Point, *_given: object) -> searches.Solved:
+        inertias.append(start.vector[searches.INERTIA])
+        return searches.Solved(2.0 * searches.SOLVED, start)
 
-    monkeypatch.setattr(unloaded, "_solved_from", unsolved)
+    monkeypatch.setattr(searches, "_solved_from", unsolved)
     identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
-    for share in unloaded._FAR:
+    for share in searches._FAR:
         assert np.any(np.isclose(inertias, share * inertias[0]))
 
 
@@ -210,11 +209,11 @@ def test_a_fit_whose_passes_are_used_up_starts_no_further_search(
 ) -> None:
     begun = []
 
-    def unsolved(start: Point, *_given: object) -> unloaded.Solved:
+    def unsolved(start: Point, *_given: object) -> searches.Solved:
         begun.append(start)
-        return unloaded.Solved(2.0 * unloaded.SOLVED, start)
+        return searches.Solved(2.0 * searches.SOLVED, start)
 
-    monkeypatch.setattr(unloaded, "_solved_from", unsolved)
+    monkeypatch.setattr(searches, "_solved_from", unsolved)
     monkeypatch.setattr(searches, "MOST_PASSES", 1)
     identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
     assert len(begun) == 1
@@ -319,12 +318,12 @@ def test_without_inertia_to_start_from_nothing_is_refined(
 
 
 def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, Recording]) -> None:
-    unloaded = beginning(practical_pair[0], FEW_S)
+    searches = beginning(practical_pair[0], FEW_S)
     longer = logged(simulated(3, 0.0), 0.0, name="other")
     other = replace(beginning(longer, FEW_S), role="validate")
     heard: list[str] = []
-    alone = identify(Dataset((unloaded,)), progress=lambda stage, _share: heard.append(stage))
-    scored = identify(Dataset((unloaded, other)))
+    alone = identify(Dataset((searches,)), progress=lambda stage, _share: heard.append(stage))
+    scored = identify(Dataset((searches, other)))
     assert {"unloaded fit, recordings: 1", "joint fit, recordings: 1"} <= set(heard)
     assert scored.values() == alone.values()
     assert scored.fit.train_rms == alone.fit.train_rms

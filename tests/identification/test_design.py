@@ -10,37 +10,41 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.design import intervals, search
 from identification.design import propose as proposing
-from identification.design import shares as sharing
-from identification.design import simulated_trial as trials
-from identification.design.draws import Draws
+from identification.design import propose as trials
+from identification.design import search, simulated
+from identification.design import search as sharing
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
-from identification.design.intervals import (
+from identification.design.propose import attained, expected, propose
+from identification.design.search import (
+    Candidate,
+    Design,
+    Draws,
+    Search,
+    best_shares,
+    halved,
+    planned,
+    predicted,
+    shared,
+)
+from identification.design.simulated import (
     NAMES,
     NOTHING,
     Information,
     Intervals,
-    intervals_of,
-    stage_information,
-)
-from identification.design.propose import propose
-from identification.design.search import Candidate, Design, Search, halved, planned, predicted
-from identification.design.shares import best_shares, shared
-from identification.design.simulated import (
     PlannedModel,
     PlannedStage,
     Sensors,
+    intervals_of,
     recorded,
+    stage_information,
     stage_response,
     with_drives,
 )
-from identification.design.simulated_trial import attained, expected
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench
 from identification.result import Parameter
-from identification.simulate.drive_loop import drive_loop
-from identification.simulate.servo_loop import respond, usual_loop
+from identification.simulate.drive_loop import drive_loop, respond, usual_loop
 
 from .synthetic import BENCH, friction
 
@@ -220,7 +224,7 @@ def test_information_is_believed_between_none_and_a_stages_own() -> None:
     assert np.min(np.linalg.eigvalsh(common)) > -1e-9
     assert np.min(np.linalg.eigvalsh(own - common)) > -1e-9
     within = 0.5 * own
-    assert intervals._bounded(within, own) == pytest.approx(within)
+    assert simulated._bounded(within, own) == pytest.approx(within)
 
 
 def rates(*diagonals: tuple[float, ...]) -> list[Information]:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify, solve_stages
-from identification.even_sampling import evened
 from identification.filter.segments import motion
-from identification.prepare import prepare
+from identification.prepare import evened, prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
 from identification.signals import quantum
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.numerics.compiled import compiled
-from identification.numerics.exponential import LEAST, exponential
+from identification.numerics.compiled import LEAST, compiled, exponential
 
 
 @compiled

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from identification.model.feedback import DELAY_CYCLES, Gains, gains
+from identification.model.feedforward import DELAY_CYCLES, Gains, gains
 
 
 def loop(found: Gains, inertia: float, period: float, omega: float) -> complex:

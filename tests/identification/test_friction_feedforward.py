@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from identification.model.feedback import gains
-from identification.model.friction_feedforward import (
+from identification.model.feedforward import (
     RISE_SHARE,
     falls_until,
     feedforward,
+    gains,
     motion,
     pulses,
 )
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 
 PERIOD = 1e-3
 MOMENT = 285.0

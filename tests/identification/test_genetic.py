@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticSettings
+from identification.numerics.optimisers import GeneticAlgorithm, GeneticSettings
 from identification.recording import Array
 
 

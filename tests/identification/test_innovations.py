@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from identification.filter import kalman as kernel
-from identification.filter.lanes import LANES, slip_variance
+from identification.filter.kalman import LANES, slip_variance
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.noise_level import deviance, likeliest_noise

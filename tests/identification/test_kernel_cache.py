@@ -230,7 +230,7 @@ def test_the_digest_follows_options_and_nested_values() -> None:
 
 def test_numba_still_keeps_a_cache_where_it_is_replaced() -> None:
     """A version of numba that looks elsewhere for it would compile at every start."""
-    from identification.diagnosis.terms.wave import __dict__ as names
+    from identification.numerics.series import __dict__ as names
 
     kernels = [value for value in names.values() if hasattr(value, "py_func")]
     assert kernels

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate.covariance import uncertain_constants
 from identification.estimate.default import identify
-from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, Model, Pendulum, Recording
 from identification.result import Parameter
 

@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.corrected.model import CorrectedModel
-from identification.corrected.score import predictions
 from identification.diagnosis.fit.start import views_and_fit
-from identification.diagnosis.rows.clock import one_clock, run_starts
-from identification.diagnosis.rows.view import views
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
-from identification.diagnosis.verdict.unrecorded import unrecorded_effects
+from identification.diagnosis.verdict.unexplained import unrecorded_effects
+from identification.effects import MOTION
+from identification.effects.effect import Context
+from identification.export.model import CorrectedModel, predictions
 from identification.filter.segments import motion
 from identification.prepare import prepare
 from identification.recording import (
@@ -36,6 +33,7 @@ from identification.simulate.closed_loop import (
     loop_of,
     simulate,
 )
+from identification.views.view import one_clock, run_starts, views
 
 from .synthetic import TRUTH, sine
 
@@ -155,7 +153,7 @@ def test_friction_may_grow_with_any_torque_that_the_joint_bears(
     load: dict[str, Any], borne: bool
 ) -> None:
     here, joint = views_and_fit(Dataset((replace(sine(), **load),), Model()), 25.0)
-    term = next(t for t in TERMS if t.name == "load_dependent_friction")
+    term = next(t for t in MOTION if t.name == "load_dependent_friction")
     assert bool(term.shapes(Context(here, joint.nominal))) is borne
 
 

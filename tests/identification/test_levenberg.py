@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from identification.numerics.levenberg_marquardt import Minimum, minimise, minimise_deviance
+from identification.numerics.least_squares import Minimum, minimise, minimise_deviance
 from identification.recording import Array
 
 SAMPLES = 400

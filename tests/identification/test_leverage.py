@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.inertia import estimating_equations as instrumental
-from identification.estimate.inertia.variance_inflation import inflation_factors
+from identification.estimate import inertia as instrumental
+from identification.estimate.inertia import inflation_factors
 from identification.filter.likelihood import Point, Searched
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import MC, pack
-from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Model, Recording
 
 from .practical import beginning

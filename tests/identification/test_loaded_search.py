@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from identification.design.simulated import PlannedModel, PlannedStage, Sensors, recorded
-from identification.estimate.likelihood import searches
-from identification.estimate.likelihood.starts import breakaway_starts
+from identification.estimate import searches
+from identification.estimate.searches import breakaway_starts
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion

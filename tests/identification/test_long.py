@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate import default, long
-from identification.filter.breakaway_times import optimise_breakaway_times, reduce
-from identification.filter.likelihood import Point
+from identification.estimate import default
+from identification.filter.likelihood import Point, optimise_breakaway_times, reduce
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
@@ -22,7 +21,7 @@ from .synthetic import SYSTEM, TRUTH, sine
 
 @pytest.fixture
 def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(long, "PIECE_SAMPLES", 7000)
+    monkeypatch.setattr(default, "PIECE_SAMPLES", 7000)
 
 
 def unloaded_point(recording: Recording) -> Point:
@@ -35,7 +34,7 @@ def unloaded_point(recording: Recording) -> Point:
 @pytest.mark.usefixtures("short_pieces")
 def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Recording]) -> None:
     for recording in practical_pair:
-        parts = long.pieces(recording)
+        parts = default.pieces(recording)
         assert len(parts) > 1
         for name, values in recording.channels.items():
             assert np.array_equal(np.concatenate([p.channels[name] for p in parts]), values)
@@ -49,7 +48,7 @@ def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Rec
 def test_pieces_give_what_the_whole_gives(
     practical_pair: tuple[Recording, Recording], practical_result: Identification
 ) -> None:
-    whole, parts = practical_result, long.identify_long(Dataset(practical_pair))
+    whole, parts = practical_result, default.identify_long(Dataset(practical_pair))
     assert parts.warnings == ()
     assert [s.method for s in parts.stages] == [s.method for s in whole.stages]
     for name, p in whole.parameters.items():
@@ -72,7 +71,7 @@ def test_pieces_give_what_the_whole_gives(
 
 @pytest.mark.usefixtures("short_pieces")
 def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
-    parts = long.identify_long(Dataset((sine(duration=20.0),)), bandwidth_Hz=500.0)
+    parts = default.identify_long(Dataset((sine(duration=20.0),)), bandwidth_Hz=500.0)
     assert "a quantised encoder" in parts.warnings[0]
     assert parts.values() == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
 
@@ -82,13 +81,13 @@ def test_the_path_follows_the_length(
 ) -> None:
     taken: list[str] = []
     monkeypatch.setattr(default, "identify", lambda *_a, **_k: taken.append("memory"))
-    monkeypatch.setattr(long, "identify_long", lambda *_a, **_k: taken.append("pieces"))
+    monkeypatch.setattr(default, "identify_long", lambda *_a, **_k: taken.append("pieces"))
     dataset = Dataset(practical_pair[:1])
-    long.identify_any_length(dataset)
-    monkeypatch.setattr(long, "LONG_SAMPLES", 1000)
-    long.identify_any_length(dataset)
+    default.identify_any_length(dataset)
+    monkeypatch.setattr(default, "LONG_SAMPLES", 1000)
+    default.identify_any_length(dataset)
     aside = Dataset((replace(practical_pair[0], role="validate"),))
-    long.identify_any_length(aside)
+    default.identify_any_length(aside)
     assert taken == ["memory", "pieces", "memory"]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from identification.numerics.low_pass import forwards_and_backwards, sections
+from identification.signals import forwards_and_backwards, sections
 
 
 @pytest.mark.parametrize("share", [0.01, 0.08, 0.4, 0.85])

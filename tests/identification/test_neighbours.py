@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.likelihood import searches, unloaded
-from identification.estimate.likelihood.searches import End, LoadedFit
-from identification.estimate.likelihood.unloaded import Solved
+from identification.estimate import searches
+from identification.estimate.searches import End, LoadedFit, Solved
 from identification.filter.likelihood import Point, Searched
 from identification.filter.noise import Noise
 from identification.model.parameters import INERTIA, LOAD_RISE, MC, MU_2, OMEGA_SL, SIZE
@@ -215,17 +214,17 @@ def test_where_no_start_is_solved_the_best_end_is_begun_from_again(
         there = 2.0 if inertia > 1.0 else 0.5 * (inertia + 2.0)
         return abs(there - 2.2) * 30.0, there
 
-    monkeypatch.setattr(unloaded, "_solved_from", recorded(begun, ended))
-    monkeypatch.setattr(unloaded, "breakaway_starts", lambda *_: [])
+    monkeypatch.setattr(searches, "_solved_from", recorded(begun, ended))
+    monkeypatch.setattr(searches, "breakaway_starts", lambda *_: [])
     # Nothing is solved: from the best end (6.0 off) again, which is no better, so once and no more.
-    best, chi2s = unloaded.solve_unloaded(begun_at(), [MC], [INERTIA])
+    best, chi2s = searches.solve_unloaded(begun_at(), [MC], [INERTIA])
     assert best.chi2 == pytest.approx(6.0)
     assert best.point.vector[INERTIA] == 2.0
     assert begun == [1.0, 0.8, 0.6, 1.25, 2.0]
     assert len(chi2s) == 4
     # An inertia that is known is not searched.
     begun.clear()
-    unloaded.solve_unloaded(begun_at(), [MC], [])
+    searches.solve_unloaded(begun_at(), [MC], [])
     assert begun == [1.0]
 
 
@@ -237,14 +236,14 @@ def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(
     def ended(inertia: float) -> tuple[float, float]:
         return 1.0 if 15.0 < inertia < 60.0 else 40.0, inertia
 
-    monkeypatch.setattr(unloaded, "_solved_from", recorded(begun, ended))
-    monkeypatch.setattr(unloaded, "breakaway_starts", lambda point, *_: [point] * 2)
-    best, _ = unloaded.solve_unloaded(begun_at(), [MC], [INERTIA])
+    monkeypatch.setattr(searches, "_solved_from", recorded(begun, ended))
+    monkeypatch.setattr(searches, "breakaway_starts", lambda point, *_: [point] * 2)
+    best, _ = searches.solve_unloaded(begun_at(), [MC], [INERTIA])
     assert best.chi2 == 1.0
     assert best.point.vector[INERTIA] == 30.0
     near = [1.0, 0.8, 0.6, 1.25, *([1.0, 0.8, 0.6] * 2), 1.0]
     assert begun == pytest.approx([*near, 3.0, 10.0, 30.0])
     # A known inertia is not looked for.
     begun.clear()
-    assert unloaded.solve_unloaded(begun_at(), [MC], [])[0].chi2 == 40.0
+    assert searches.solve_unloaded(begun_at(), [MC], [])[0].chi2 == 40.0
     assert set(begun) == {1.0}

@@ -5,8 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from identification.estimate.paper_method.paper import GENERATIONS, POPULATION, identify_paper
-from identification.estimate.paper_method.torque_misfit import TorqueMisfit
+from identification.estimate.paper_method import (
+    GENERATIONS,
+    POPULATION,
+    TorqueMisfit,
+    identify_paper,
+)
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
 

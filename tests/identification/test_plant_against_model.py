@@ -15,7 +15,7 @@ from drivers.mock.plant.gas_direct import burn, throat_area
 from drivers.mock.plant.machine_pack import friction_vector
 from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction
-from identification.model import gas_kernel as kernel
+from identification.model import gas_generator as kernel
 from identification.model.friction import friction as compiled_friction
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.gas_generator import (

@@ -15,9 +15,8 @@ from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
 from identification.plots import result as opening
-from identification.plots.margins import arrange
 from identification.plots.spread import spread
-from identification.plots.style import COMPRESSION, MAX_POINTS, continuing, png
+from identification.plots.style import COMPRESSION, MAX_POINTS, arrange, continuing, png
 from identification.recording import Bench, Recording
 from identification.result import (
     Convergence,

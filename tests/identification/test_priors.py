@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate.covariance import with_priors
 from identification.estimate.default import identify
-from identification.estimate.uncertainty.priors import with_priors
 from identification.numerics.spread import Spread
 from identification.recording import Dataset, Model
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.likelihood.profile import LEVEL, crossings, profiles
-from identification.estimate.likelihood.stages import Refined, refine_stages
+from identification.estimate.profile import LEVEL, crossings, profiles
+from identification.estimate.searches import Refined, refine_stages
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX
-from identification.numerics import levenberg_marquardt as levenberg
+from identification.numerics import least_squares as levenberg
 from identification.recording import Array, Dataset, Model, Recording
 from identification.result import Identification
 

@@ -16,30 +16,32 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
+from identification.estimate import refinement, replicates
+from identification.estimate.covariance import Covariances, bound, covariances
 from identification.estimate.default import identify
-from identification.estimate.inertia.half_cycles import Replicate
-from identification.estimate.inertia.inertia_equation import Equation, least_variance
-from identification.estimate.inertia.instruments import instruments, replicate_instruments
-from identification.estimate.likelihood import refinement, replicates
-from identification.estimate.likelihood.refinement import Found, _unbiased
-from identification.estimate.likelihood.replicates import (
+from identification.estimate.inertia import (
+    Equation,
+    Replicate,
+    instruments,
+    least_variance,
+    replicate_instruments,
+)
+from identification.estimate.refinement import Found, _unbiased
+from identification.estimate.replicates import (
     Bias,
     _Scored,
     likelihood_bias,
     logged_share,
 )
-from identification.estimate.uncertainty.covariance import Covariances, covariances
-from identification.estimate.uncertainty.cramer_rao import bound
 from identification.estimator_settings import ReplicateSettings
 from identification.filter.experiment import Experiment, Filter
+from identification.filter.kalman import DIRECTION
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
-from identification.filter.segment_table import DIRECTION
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
-from identification.numerics.block_arrow import BlockArrow
-from identification.numerics.levenberg_marquardt import minimise_deviance
+from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
 

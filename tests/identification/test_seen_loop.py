@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.recording import Bench, Recording
-from identification.simulate.drive_loop import _least, drive_loop
-from identification.simulate.servo_loop import Loop, respond
+from identification.simulate.drive_loop import Loop, _least, drive_loop, respond
 
 PERIOD = 1e-3
 STEP = 2.0 * np.pi / 409600.0

@@ -16,12 +16,14 @@ from identification.simulate.closed_loop import (
     OPEN_LOOP,
     Inputs,
     body_of,
+    compare,
     inputs_of,
     loop_of,
+    pooled,
     replay,
     simulate,
+    with_friction,
 )
-from identification.simulate.score import compare, pooled, with_friction
 
 from .synthetic import TRUTH
 

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.prediction.constants import PER_VOLT
-from identification.estimate.prediction.pieces import Motor, open_horizon, pieces_of
+from identification.estimate.prediction.loop_fit import PER_VOLT, Motor, open_horizon, pieces_of
 from identification.estimate.prediction.simulated_ladder import (
     SimulatedRung,
     climb_simulated,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.filter.segment_table import TORQUE_RATE
+from identification.filter.kalman import TORQUE_RATE
 from identification.filter.segments import LEAD, RISING, motion
 from identification.recording import Pendulum, Recording, RecordingError
 

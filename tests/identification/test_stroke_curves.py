@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.estimate.inertia.half_cycles import mean_curve
+from identification.estimate.inertia import mean_curve
 
 ONSETS = st.floats(-20.0, 60.0)
 

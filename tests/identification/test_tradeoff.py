@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
+from identification.estimate.parameter_table import least_pinned, tradeoffs
 from identification.model.parameters import UNITS_ROTARY
 from identification.numerics.spread import Spread
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.equation_error.noise_floor import command_period, noise_floor
-from identification.estimate.transfer import moved, transfer
+from identification.estimate.equation_error import command_period, noise_floor
+from identification.estimate.ladder import moved, transfer
 from identification.prepare import prepare
 from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.result import Parameter

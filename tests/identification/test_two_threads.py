@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from identification.numerics.two_threads import THREAD, both, each, idle
+from identification.numerics.compiled import THREAD, both, each, idle
 
 
 def _name() -> str:

@@ -9,7 +9,7 @@ import pytest
 from scipy import signal, stats
 
 from identification.estimate.default import identify
-from identification.estimate.equation_error.block_sandwich import block_sandwich
+from identification.estimate.equation_error import block_sandwich
 from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import prepare
 from identification.recording import Dataset, Model

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate.equation_error.uniform_motion import (
+from identification.estimate.equation_error import (
     UniformPoint,
     errors_percent,
     fit_uniform,
     uniform_points,
 )
 from identification.model.friction import load_coefficient, system_friction
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.recording import Bench, Recording
 
 PERIOD = 1e-3

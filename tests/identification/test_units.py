@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.verdict.wording import sentence
-from identification.model.parameters import UNITS_LINEAR, UNITS_ROTARY
-from identification.model.units import parameter_title, parameter_unit, torque_word, unit_on
+from identification.diagnosis.verdict.statement import sentence
+from identification.effects import EFFECTS
+from identification.model.parameters import (
+    UNITS_LINEAR,
+    UNITS_ROTARY,
+    parameter_title,
+    parameter_unit,
+    torque_word,
+    unit_on,
+)
 from identification.prepare import drive_channel, torque_unit
 from identification.recording import Bench, Recording
 
@@ -36,7 +42,7 @@ def test_parameters_of_the_model_have_no_rotary_unit_on_a_linear_bench() -> None
     assert not [unit for unit in UNITS_LINEAR.values() if "rad" in unit or "N m" in unit]
 
 
-@pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
+@pytest.mark.parametrize("entry", EFFECTS.values(), ids=lambda e: e.name)
 def test_parameters_of_effects_have_no_rotary_unit_on_a_linear_bench(entry: object) -> None:
     for q in entry.parameters:  # type: ignore[attr-defined]
         unit, title = parameter_unit("linear", q.name, q.unit), parameter_title("linear", q.name)
@@ -69,5 +75,5 @@ def test_the_logged_quantity_is_named(
     assert drive_channel(recording) == word
     assert torque_unit(recording) == unit
     late = {"time_s": Estimate(0.00078, 0.0007, 0.0009, "s")}
-    assert sentence(ENTRIES["time_skew"], late, (), word).startswith(f"the {word} is sampled 0.78")
+    assert sentence(EFFECTS["time_skew"], late, (), word).startswith(f"the {word} is sampled 0.78")
     assert torque_word("rotary") == "torque"

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from identification.estimate.default import solve_stages
-from identification.estimate.equation_error.regression import (
+from identification.estimate.equation_error import (
     loaded_stage,
     model_torque,
+    solve,
     unloaded_stage,
 )
-from identification.estimate.equation_error.variable_projection import solve
-from identification.numerics.bounded_least_squares import Design, bounded_least_squares
+from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.prepare import prepare
 from identification.recording import Model, Recording
 

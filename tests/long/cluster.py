@@ -2,7 +2,7 @@
 worker is killed on the way: are the bytes of its files the same?
 
     python -m tests.long.cluster OUT --rigs 12 --seed 1
-    python -m tests.long.cluster OUT --rigs 6 -- --plant mujoco
+    python -m tests.long.cluster OUT --rigs 6
 """
 
 from __future__ import annotations

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+EMPTY = """\
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 2}], duration_s: 0.6,
+     center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.05}
+"""
+LOADED = """\
+  - {name: loaded, stage: loaded, weight_kg: 15, tones: [{amplitude_deg: 8, frequency_Hz: 1}],
+     duration_s: 8, settle_s: 0.05}
+"""
 PHASES: Mapping[str, float] = {
     "prompt": 0.0,
     "prepare": 0.005,
     "enable": 0.003,
     "approach": 0.1,
-    "excite": 0.15,
+    "excite": math.nan,
     "ramp_out": 0.0,
     "hold": 0.02,
     "disable": 0.0,
 }
-"""Phase to how long after its start the fault comes, s."""
+"""Phase to how long after its start the fault comes, s; that of the excitation is the case's."""
 STATES = (
     "switch_on_disabled",
     "ready",
@@ -60,11 +69,15 @@ RIDES = Must(0, "all 1 stages done")
 
 @dataclass(frozen=True)
 class Case:
-    """A fault: its rows in the schedule, and what must follow, by phase or for the rest of them."""
+    """A fault: its rows in the schedule, and what must follow, by phase or for the rest of them;
+    the stage of the run, and how long after the start of the excitation the fault comes, s.
+    """
 
     rows: tuple[Mapping[str, Any], ...]
     rest: Must
     by_phase: Mapping[str, Must] = field(default_factory=dict)
+    stage: str = EMPTY
+    excite_s: float = 0.15
 
     def must(self, phase: str) -> Must:
         """Return what must follow in this phase."""
@@ -82,6 +95,10 @@ def at(phases: str, must: Must) -> dict[str, Must]:
 
 
 NO_ANSWER = Must(4, "no SDO response", WATCH_S)
+NOT_DISABLED = Must(4, "no SDO response", WATCH_S + 0.15)
+"""The command that takes the power off may be answered 0.15 s late; the signs of the control loop
+end then, and the drive stops by itself.
+"""
 REFUSED = Must(4, "refuses", BRAKE_S)
 FOUND_LATER = Must(1, "encoder against drive", 0.5)
 FOUND = Must(1, "encoder against drive", BRAKE_S)
@@ -92,18 +109,39 @@ STUCK = Must(4, r"could NOT be verified.* A flow", verified=False, stays_on=True
 NO_POWER = "prompt prepare enable"
 
 
+RUNS_AWAY = Must(1, "runs away", LATENT_S)
+
+
 def _stopping(option: int) -> Case:
     rows = (fault("drive", "quick_stop_option", value=option), fault("operator", "stop"))
     within = {0: 0.05, 1: 0.35, 2: BRAKE_S, 5: STANDSTILL_S, 6: STANDSTILL_S}[option]
     return Case(rows, Must(3, "stopped by the operator", within))
 
 
+SIGNS: Mapping[str, Case] = {
+    "speed loop of the wrong sign": Case(
+        (fault("drive", "velocity_sign"),), RUNS_AWAY, at("disable", RIDES)
+    ),
+    # A joint at rest does not show it.
+    "position loop of the wrong sign": Case(
+        (fault("drive", "position_sign"),), RUNS_AWAY, at("hold disable", RIDES)
+    ),
+    "motor phases swapped": Case(
+        (fault("drive", "phases_swapped"),), RUNS_AWAY, at("disable", RIDES)
+    ),
+}
 CASES: Mapping[str, Case] = {
-    "one frame lost": Case((fault("bus", "lost"),), RIDES, at("prepare disable", NO_ANSWER)),
+    "one frame lost": Case(
+        (fault("bus", "lost"),),
+        RIDES,
+        at("prepare", NO_ANSWER) | at("disable", NOT_DISABLED),
+    ),
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),
         Must(4, "sample age", WATCH_S),
-        at("enable prepare disable", NO_ANSWER) | at("prompt", replace(NO_ANSWER, verified=False)),
+        at("enable prepare", NO_ANSWER)
+        | at("disable", NOT_DISABLED)
+        | at("prompt", replace(NO_ANSWER, verified=False)),
     ),
     "cable pulled": Case(
         (fault("bus", "lost", count=0),),
@@ -171,6 +209,7 @@ CASES: Mapping[str, Case] = {
         | at("enable", Must(3, "stopped by the operator", stays_on=True)),
     ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
+    **SIGNS,
     "mode refused": Case(
         (fault("drive", "mode_refused"),),
         RIDES,
@@ -185,7 +224,7 @@ CASES: Mapping[str, Case] = {
     "SDO time-out": Case(
         (fault("drive", "sdo_timeout"),),
         Must(4, "no SDO response", LATENT_S),
-        at("prompt", RIDES) | at("prepare enable disable", NO_ANSWER),
+        at("prompt", RIDES) | at("prepare enable", NO_ANSWER) | at("disable", NOT_DISABLED),
     ),
     "encoder bit": Case(
         (fault("encoder", "bit"),), FOUND, at("prompt prepare enable disable", RIDES)
@@ -200,6 +239,7 @@ CASES: Mapping[str, Case] = {
     "control loop hangs 0.5 s": Case(
         (fault("host", "hangs"),), Must(4, "8130h", WATCH_S), at("prompt prepare disable", RIDES)
     ),
+    "control loop pauses 22 ms": Case((fault("host", "hangs", value=0.022),), RIDES),
     "controller killed": Case((fault("host", "killed"),), Must(-9, "", WATCH_S, verified=False)),
     "clock steps 1 s ahead": Case(
         (fault("host", "clock_step", value=1.0),),
@@ -218,6 +258,13 @@ CASES: Mapping[str, Case] = {
         (fault("operator", "unanswered", value=30.0),),
         RIDES,
         at("prompt", Must(3, "without an answer", 0.0)),
+    ),
+    "10 of 15 kg fall off": Case(
+        (fault("operator", "weight_removed", value=5.0),),
+        RIDES,
+        at("excite", Must(1, "all 1 stages done")),
+        LOADED,
+        3.7,
     ),
     "60 kg instead of none": Case((fault("operator", "wrong_weight", value=60.0),), RIDES),
     "300 kg instead of none": Case(

@@ -13,6 +13,7 @@ from .fault_cases import (
     NO_POWER,
     NOT_RUNNING,
     RIDES,
+    SIGNS,
     SILENCE_S,
     STALE,
     WATCH_S,
@@ -36,6 +37,7 @@ def _but(name: str, phases: dict[str, Must], rest: Must | None = None) -> Case:
 
 
 DBC: Mapping[str, Case] = {
+    **SIGNS,
     "one frame lost": _but("one frame lost", at("prompt prepare disable", RIDES)),
     "the drive's frames lost, 40 of them": _but(
         "the drive's frames lost, 40 of them",

@@ -1,9 +1,10 @@
 """Every fault in every phase of a run, on each transport: what happened, held against what must.
 
 As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
-the tables and writes them to docs/faults.md; with words given, it goes only through what holds one
-of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good,
-if no current flows in the simulated motor and the joint rests at the end.
+the tables and writes them to out/fault_matrix.md; with words given, it goes only through what holds
+one of them, and prints; with the word `stops` it only prints the table of the stops. Times are
+simulated; "off" is when the simulated power stage went off for good, if no current flows in the
+simulated motor and the joint rests at the end.
 """
 
 from __future__ import annotations
@@ -22,24 +23,17 @@ from typing import Any
 import yaml
 
 from rig.cli.entry import status
-from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.layout import CLOCK_METADATA, decode_frames
 from rig.runs.mcap.reader import Log, read_run
 from rig.runs.recover import recover
 
-from .fault_cases import BRAKE_S, CASES, PHASES, STATES, Case, Must, Transport, fault
+from .fault_cases import BRAKE_S, CASES, EMPTY, PHASES, STATES, Case, Must, Transport, fault
 from .fault_cases_dbc import DBC
 from .fault_cases_serial import SERIAL
 
-SEQUENCE = """\
-sequence: 1
-name: matrix
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 2}], duration_s: 0.6,
-     center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.05}
-"""
+SEQUENCE = "sequence: 1\nname: matrix\nstages:\n" + EMPTY
 LOG_GAP_S = 0.2
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "faults.md"
-BEGIN, END = "<!-- matrix: written by tests/long/fault_matrix.py -->", "<!-- end of matrix -->"
+PAGE = Path("out/fault_matrix.md")
 
 
 TRANSPORTS: Mapping[str, Transport] = {
@@ -69,11 +63,15 @@ class Cell:
 
 def run_case(case: Case, phase: str, bench: str, folder: Path) -> Cell:
     """Run one fault in one phase."""
-    rows = [{**row, "phase": phase, "after_s": PHASES[phase]} for row in case.rows]
-    return run_rows(rows, case.must(phase), bench, folder)
+    after_s = case.excite_s if phase == "excite" else PHASES[phase]
+    rows = [{**row, "phase": phase, "after_s": after_s} for row in case.rows]
+    sequence = SEQUENCE.replace(EMPTY, case.stage)
+    return run_rows(rows, case.must(phase), bench, folder, sequence)
 
 
-def run_rows(rows: list[dict[str, Any]], must: Must, bench: str, folder: Path) -> Cell:
+def run_rows(
+    rows: list[dict[str, Any]], must: Must, bench: str, folder: Path, sequence: str = SEQUENCE
+) -> Cell:
     """Run a schedule in a new folder and compare with what must come of it."""
     folder.mkdir(parents=True)
     expect = {"exit_status": must.exit_status, "words": must.words}
@@ -81,7 +79,7 @@ def run_rows(rows: list[dict[str, Any]], must: Must, bench: str, folder: Path) -
         expect["deenergised_within_s"] = must.within_s
     schedule = {"faults": 1, "rows": [{**row, "expect": expect} for row in rows]}
     (folder / "faults.yaml").write_text(yaml.safe_dump(schedule))
-    (folder / "sequence.yaml").write_text(SEQUENCE)
+    (folder / "sequence.yaml").write_text(sequence)
     run = folder / "run"
     arguments = ["run", str(folder / "sequence.yaml"), "--bench", bench, "--yes", "--out", str(run)]
     arguments += ["--faults", str(folder / "faults.yaml")]
@@ -99,7 +97,14 @@ def run_rows(rows: list[dict[str, Any]], must: Must, bench: str, folder: Path) -
     text = f"{code}" if rode else f"{code}, {off:.2f} s" if off is not None else f"{code}, ON"
     if not rode and not must.verified:
         text += "*"
+    if case_moves(rows):
+        text += f", {findings[-1]['peak_deg_s']:.0f} deg/s, {findings[-1]['travel_deg']:.1f} deg"
     return Cell(text + (" !!" if problems else ""), tuple(problems))
+
+
+def case_moves(rows: list[dict[str, Any]]) -> bool:
+    """Return whether a fault makes the joint run away, so that its motion is shown."""
+    return any(row["fault"] in ("velocity_sign", "position_sign", "phases_swapped") for row in rows)
 
 
 def _run(arguments: list[str]) -> int:
@@ -131,13 +136,14 @@ def _problems(
         )
     if code >= 0 and record["de_energised"] is not must.verified and record["state"] != "running":
         yield f"run.json says de_energised {record['de_energised']}, must be {must.verified}"
+    zero_ns = int(log.metadata.get(CLOCK_METADATA, {}).get("zero_ns", 0))
     last_s = (
         max(
             (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data)),
             default=0,
         )
-        / 1e9
-    )
+        + zero_ns
+    ) / 1e9
     if last_s < findings[0]["applied_s"] - LOG_GAP_S:
         yield f"the log ends at {last_s:.3f} s, the fault came at {findings[0]['applied_s']:.3f} s"
     if log.damage is None and code >= 0 and log.events[-1].get("message") != record["message"]:
@@ -163,9 +169,7 @@ def state_rows(state: str, transport: Transport) -> tuple[list[dict[str, Any]], 
 
 
 def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
-    """Run everything whose name holds one of the words; return the lines of the page and the
-    problems.
-    """
+    """Run everything whose name holds one of the words; return tables and problems."""
     lines: list[str] = []
     problems: list[str] = []
     for line, transport in TRANSPORTS.items():
@@ -208,20 +212,65 @@ def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
     return lines, problems
 
 
-def main() -> int:
-    """Run the matrix, print it and put it into the page; with words given, only print the rows that
-    hold one.
+ENDS: Mapping[str, tuple[Mapping[str, Any], ...]] = {
+    "ramp: stop of the operator (605Ah = 2)": (fault("operator", "stop"),),
+    "ramp of the drive: drive fault": (fault("drive", "fault", value=0x31),),
+    "cut from motion: stop with 605Ah = 0": (
+        fault("drive", "quick_stop_option", value=0),
+        fault("operator", "stop"),
+    ),
+    "cut: speed loop of the wrong sign": (fault("drive", "velocity_sign"),),
+    "cut: position loop of the wrong sign": (fault("drive", "position_sign"),),
+    "cut: motor phases swapped": (fault("drive", "phases_swapped"),),
+    "watchdog: the host is silent": (fault("bus", "lost", frames={"device": "host"}, count=0),),
+}
+"""What ends a motion, and the faults that cause it."""
+
+
+def stops(folder: Path) -> list[str]:
+    """Return the table of the stops of each transport, from a motion of about 45 deg/s: the time
+    until the power is off, the true travel until the joint rests, and the true peak speed.
     """
+    lines = [f"| stop | {' | '.join(TRANSPORTS)} |", "|---" * (len(TRANSPORTS) + 1) + "|"]
+    for name, rows in ENDS.items():
+        cells = [
+            stop_cell(transport, rows, folder / f"{line} {name[:8]} {n}")
+            for n, (line, transport) in enumerate(TRANSPORTS.items(), len(lines) * 10)
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        print(lines[-1], flush=True)
+    return lines
+
+
+def stop_cell(transport: Transport, rows: tuple[Mapping[str, Any], ...], folder: Path) -> str:
+    """Return time, travel and peak speed of one stop; empty if the bench has no such fault."""
+    folder.mkdir(parents=True)
+    (folder / "sequence.yaml").write_text(SEQUENCE)
+    timed = [{**row, "phase": "excite", "after_s": 0.25} for row in rows]
+    (folder / "faults.yaml").write_text(yaml.safe_dump({"faults": 1, "rows": timed}))
+    run = folder / "run"
+    arguments = ["run", str(folder / "sequence.yaml"), "--bench", transport.bench, "--yes"]
+    if _run([*arguments, "--out", str(run), "--faults", str(folder / "faults.yaml")]) == 2:
+        return ""
+    found = json.loads((run / "faults.json").read_text())["faults"][-1]
+    off = "stays on" if found["off_after_s"] is None else f"{found['off_after_s']:.3f} s"
+    return f"{off}, {found['travel_deg']:.2f} deg, {found['peak_deg_s']:.0f} deg/s"
+
+
+def main() -> int:
+    """Run the matrix, print and write it; with words given, only print the rows that hold one."""
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
+        table = stops(Path(folder)) if words in ([], ["stops"]) else []
+        if words == ["stops"]:
+            return 0
         lines, problems = matrix(Path(folder), words or [""])
     for problem in problems:
         print(problem)
     if words:
         return 1 if problems else 0
-    text = PAGE.read_text()
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    PAGE.write_text(before + BEGIN + "\n\n" + "\n".join(lines) + "\n" + END + after)
+    PAGE.parent.mkdir(exist_ok=True)
+    PAGE.write_text("\n".join([*table, "", *lines]), encoding="utf-8")
     cells = sum(len(t.cases) * len(PHASES) + len(t.states) for t in TRANSPORTS.values())
     print(f"{cells} cells on {len(TRANSPORTS)} transports, {len(problems)} problems")
     return 1 if problems else 0

@@ -2,7 +2,7 @@
 each compared with the required outcome.
 
 `python -m tests.long.process_matrix` runs all cells, the transports in parallel, and writes tables
-and messages to docs/faults-processes.md. `--only WORDS`, names of columns, transports or phases
+and messages to out/process_matrix.md. `--only WORDS`, names of columns, transports or phases
 separated by commas, runs the cells that match all names and prints the result only.
 """
 

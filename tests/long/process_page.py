@@ -1,25 +1,17 @@
-"""Write docs/faults-processes.md: tables of the process matrix, and each message once."""
+"""Tables of the process matrix, and each message once, written to out/process_matrix.md."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from .benches import TITLES, TRANSPORTS
-from .console import ROOT
 from .process_cases import COLUMNS, LIMITS, PHASES, START, STARTS
 
-PAGE = ROOT / "docs" / "faults-processes.md"
-COLUMNS_BEGIN, COLUMNS_END = (
-    "<!-- columns: written by tests/long/process_matrix.py -->",
-    "<!-- end of columns -->",
-)
+PAGE = Path("out/process_matrix.md")
 SHOWN = "The list has every message that a cell showed on the terminal, once each."
-BEGIN, END = (
-    "<!-- processes: written by tests/long/process_matrix.py -->",
-    "<!-- end of processes -->",
-)
 
 
 @dataclass(frozen=True)
@@ -99,22 +91,24 @@ def said(cells: Cells) -> list[str]:
 
 
 def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
-    """Put tables and messages into the page."""
+    """Write failures, limits, tables and messages."""
     bad = sum(bool(made.problems) for made in cells.values())
     again = sum(made.busy for made in cells.values())
     count = (
         f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
     )
-    body = [count, "", *lines, "## What the operator sees", "", SHOWN, "", *messages]
-    limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + [
+    head = [
+        "# Failures of the process, adapter, terminal and disk of a run",
+        "",
+        *(f"- **{name}**: {column.words}" for name, column in COLUMNS.items()),
         "",
         f"**Limits.** {LIMITS}",
+        "",
+        count,
+        "",
     ]
-    text = between(PAGE.read_text(), COLUMNS_BEGIN, COLUMNS_END, limits)
-    PAGE.write_text(between(text, BEGIN, END, body))
-
-
-def between(text: str, begin: str, end: str, lines: Sequence[str]) -> str:
-    """Return a page with these lines between two marks."""
-    before, after = text.split(begin)[0], text.split(end)[1]
-    return f"{before}{begin}\n\n" + "\n".join(lines) + f"\n\n{end}{after}"
+    PAGE.parent.mkdir(exist_ok=True)
+    PAGE.write_text(
+        "\n".join([*head, *lines, "## What the operator sees", "", SHOWN, "", *messages, ""]),
+        encoding="utf-8",
+    )

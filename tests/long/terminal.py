@@ -1,8 +1,8 @@
 """Trials of the operator's screen in tmux: typing ahead, Ctrl-C, resizing, narrow or slow terminal.
 
 `python -m tests.long.terminal [--only WORDS] [--jobs N]` uses the serial bench unless `--transport`
-names another. A run of all trials writes a selection of screens to docs/operator-screens.md. The
-command needs tmux.
+names another. A run of all trials writes a selection of screens to out/terminal.md. The command
+needs tmux.
 """
 
 from __future__ import annotations
@@ -23,15 +23,13 @@ from pathlib import Path
 from drivers.clock import NS
 
 from .benches import TRANSPORTS, Bench, bench_process
-from .console import ROOT, unwrapped
+from .console import unwrapped
 from .desk import MissedError, sit_down
 from .process_checks import BUSY
-from .process_page import between
 from .terminal_trials import processes, trials
 from .tmux import HINT, available
 
-PAGE = ROOT / "docs" / "operator-screens.md"
-BEGIN, END = "<!-- screens: written by tests/long/terminal.py -->", "<!-- end of screens -->"
+PAGE = Path("out/terminal.md")
 _REPEATS = 4
 
 
@@ -133,7 +131,8 @@ def main() -> int:
     if options.only:
         print("\n".join(lines))
     else:
-        PAGE.write_text(between(PAGE.read_text(), BEGIN, END, [f"{words}.", "", *lines]))
+        PAGE.parent.mkdir(exist_ok=True)
+        PAGE.write_text("\n".join([f"{words}.", "", *lines]), encoding="utf-8")
     return 1 if bad or len(results) < len(names) else 0
 
 

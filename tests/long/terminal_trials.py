@@ -98,7 +98,7 @@ def weights(desk: Desk) -> None:
     time.sleep(0.5)
     desk.capture("A mass with a comma and a unit")
     said = desk.tmux.everything()
-    read = "neither a mass" not in said and said.count("Mass on the lever") == 3
+    read = "is not a mass" not in said and said.count("Mass on the lever") == 3
     desk.expect(read, "'5,01 kg' is not read as a mass")
     if desk.status() is None and not desk.answered("two"):
         desk.wait_for_prompt(1)

@@ -264,7 +264,7 @@ def run(drawn: Drawn, seed: int, folder: Path) -> tuple[RunFolder, Outcome]:
 
 
 class _Silent(AutomaticOperator):
-    def tell(self, words: str) -> None:
+    def tell(self, words: str, typed: str = "") -> None:
         """Say nothing."""
 
     def result(self, words: str, good: bool) -> None:

@@ -3,7 +3,7 @@
 python -m tests.long.units [--wrong 100] [--right 200] [--first 0]
 
 Passes where every mistake is found before full amplitude, with the right factor, and no right bench
-is refused. Writes the table of ``docs/studies`` to the terminal.
+is refused. Writes its table to the terminal.
 """
 
 from __future__ import annotations

@@ -7,13 +7,12 @@ import math
 
 import numpy as np
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.result import (
     Curve,
     Diagnosis,
-    Effect,
     Estimate,
     Fit,
+    IdentifiedEffect,
     Location,
     Map,
     ResidualTrace,
@@ -22,7 +21,8 @@ from identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from identification.diagnosis.verdict.wording import finding
+from identification.diagnosis.verdict.statement import finding
+from identification.effects import EFFECTS
 
 NOMINAL = {
     "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "J": 0.204,
@@ -34,11 +34,11 @@ SQUARE = np.sign(np.sin(1.3 * TIME))
 
 def effect(
     name: str, parameters: dict[str, Estimate], rivals: tuple[Rival, ...], group: tuple[str, ...]
-) -> Effect:
-    entry = ENTRIES[name]
+) -> IdentifiedEffect:
+    entry = EFFECTS[name]
     where = Location("travel since reversal", "rad", ((0.0, 0.0073),), 0.71, ("free", "heavy"))
     said = finding(entry, parameters, where.recordings)
-    return Effect(
+    return IdentifiedEffect(
         name, group, 0.96, said, entry.assumption, where, parameters, rivals, entry.experiment
     )
 

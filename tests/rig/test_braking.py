@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -16,8 +17,21 @@ from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE
 from drivers.mock.dbc_drive import COMMAND, STOP
 from drivers.mock.faults import WireFaults
 from drivers.mock.line_faults import LineFaults
-from drivers.mock.power_state import Command, State
-from rig.wiring.braking import BRAKING_TIMEOUT_S, REACTION_S, UNHEARD_S, brake
+from drivers.mock.power_state import Command
+from drivers.mock.power_state import State as State402
+from rig.wiring.braking import (
+    BRAKING_TIMEOUT_S,
+    REACTION_S,
+    SOFT,
+    TRANSITIONS,
+    UNHEARD_S,
+    Event,
+    State,
+    brake,
+    grown,
+    next_state,
+)
+from rig.wiring.runaway import SIGNS, Runaway, RunawayError, Seen
 from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
 from tests.drivers.dbc_host import DbcHost, make_dbc_host
@@ -236,7 +250,7 @@ class Wire:
         self.host.cycles(400, lambda t: t * t)
         self.faults = WireFaults(self.host.bench.bus, self.host.clock)
         self.speeds: list[float] = []
-        self.entered: list[State] = []
+        self.entered: list[State402] = []
         self.off_rad_s = self.off_s = float("nan")
         self.watched = self.host.link.has_watchdog
         self.began_ns = self.host.clock.now_ns()
@@ -251,7 +265,7 @@ class Wire:
 
         self.host.bench.machine.power = power  # type: ignore[method-assign]
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: State402) -> None:
         self.entered.append(state)
         self.entered_s.append((self.host.clock.now_ns() - self.began_ns) / NS)
 
@@ -290,7 +304,7 @@ class Wire:
     def stop(self) -> None:
         """Bring the drive to a stop, which must be that of its own ramp."""
         assert self.safe().verified
-        assert self.entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+        assert self.entered == [State402.QUICK_STOP_ACTIVE, State402.SWITCH_ON_DISABLED]
         assert abs(self.off_rad_s) < STOPPED_RAD_S
 
     def stop_from_speed(self) -> None:
@@ -347,7 +361,7 @@ def test_a_drive_that_hears_heartbeats_only_is_braked_by_its_watchdog(mode: str)
     wire = Wire(mode)
     wire.lose_all(10.0)
     assert not wire.safe().verified
-    assert wire.entered == [State.FAULT_REACTION, State.FAULT]
+    assert wire.entered == [State402.FAULT_REACTION, State402.FAULT]
     assert abs(wire.off_rad_s) < STOPPED_RAD_S
     watch_s = wire.host.servo.watch_s
     assert watch_s is not None
@@ -367,9 +381,9 @@ def test_a_ramp_of_which_nothing_is_heard_is_not_cut_short(heard: int) -> None:
 
     wire.watch = deaf  # type: ignore[method-assign]
     assert not wire.safe().verified
-    assert wire.entered[0] is State.QUICK_STOP_ACTIVE
+    assert wire.entered[0] is State402.QUICK_STOP_ACTIVE
     assert abs(wire.off_rad_s) < STOPPED_RAD_S
-    assert wire.entered[-1] is State.SWITCH_ON_DISABLED
+    assert wire.entered[-1] is State402.SWITCH_ON_DISABLED
 
 
 def test_a_drive_in_torque_mode_that_refuses_the_stop_has_no_torque() -> None:
@@ -386,7 +400,7 @@ def test_a_drive_in_torque_mode_that_refuses_the_stop_has_no_torque() -> None:
 
     wire.watch = noting  # type: ignore[method-assign]
     assert wire.safe().verified
-    assert wire.entered[:2] == [State.FAULT_REACTION, State.FAULT]  # by its watchdog
+    assert wire.entered[:2] == [State402.FAULT_REACTION, State402.FAULT]  # by its watchdog
     assert len(torques) > UNHEARD_S / 0.001
     assert not any(torques[1:])
     assert abs(wire.off_rad_s) < STOPPED_RAD_S
@@ -422,7 +436,7 @@ def test_a_serial_drive_brakes_although_the_line_of_its_encoder_is_gone() -> Non
     host.encoder.prepare(host.cycle_s)
     host.servo.enable()
     host.cycles(100, lambda t: 0.5 * t)
-    entered: list[State] = []
+    entered: list[State402] = []
     host.bench.drive.entered.append(entered.append)
 
     def gone(_data: bytes) -> None:
@@ -440,7 +454,7 @@ def test_a_serial_drive_brakes_although_the_line_of_its_encoder_is_gone() -> Non
     cycle_ns = round(host.cycle_s * NS)
     state = brake(host.servo, watch, host.link.clock, cycle_ns, lambda: False, steps, False)
     assert state is OFF
-    assert entered == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+    assert entered == [State402.QUICK_STOP_ACTIVE, State402.SWITCH_ON_DISABLED]
     assert cycles[0] > 10
     assert not steps.unforeseen
     assert len(steps.problems) == 1
@@ -552,11 +566,11 @@ def serial() -> Iterator[SerialHost]:
 
 def serial_stop(
     host: SerialHost, hurry: Callable[[], bool] = lambda: False
-) -> tuple[SafeState, list[tuple[State, float]], list[float]]:
+) -> tuple[SafeState, list[tuple[State402, float]], list[float]]:
     """Stop a serial drive; return its final state, the states that it entered, and the times of the
     cycles, s from the stop.
     """
-    clock, entered, cycles = host.bench.clock, list[tuple[State, float]](), list[float]()
+    clock, entered, cycles = host.bench.clock, list[tuple[State402, float]](), list[float]()
     began_ns = clock.now_ns()
 
     def since_s() -> float:
@@ -579,7 +593,7 @@ def serial_stop(
 def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost(
     serial: SerialHost,
 ) -> None:
-    entered: list[State] = []
+    entered: list[State402] = []
     serial.bench.drive.entered.append(entered.append)
     clock = serial.bench.clock
     LineFaults(serial.line, clock).lose(False, 0)
@@ -588,7 +602,7 @@ def test_a_serial_drive_is_ordered_at_once_although_its_answers_are_lost(
     serial.servo.quick_stop(at_once=False)
     assert clock.now_ns() == began_ns  # no answer is waited for
     clock.sleep_until_ns(began_ns + round(serial.cycle_s * NS))
-    assert entered[0] is State.QUICK_STOP_ACTIVE
+    assert entered[0] is State402.QUICK_STOP_ACTIVE
 
 
 def test_a_lost_answer_does_not_keep_a_serial_drive_from_its_cycles(serial: SerialHost) -> None:
@@ -596,7 +610,10 @@ def test_a_lost_answer_does_not_keep_a_serial_drive_from_its_cycles(serial: Seri
     found, entered, cycles = serial_stop(serial)
     assert found.verified
     assert not found.problems
-    assert [state for state, _ in entered] == [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED]
+    assert [state for state, _ in entered] == [
+        State402.QUICK_STOP_ACTIVE,
+        State402.SWITCH_ON_DISABLED,
+    ]
     assert cycles[0] < serial.cycle_s
     assert len(cycles) > 10
 
@@ -623,7 +640,7 @@ def test_the_report_of_the_guardian_during_the_order_is_kept(serial: SerialHost)
     found, entered, _ = serial_stop(serial)
     assert found.verified
     assert found.problems == ("the guardian stopped the drive",)
-    assert entered[0][0] is State.QUICK_STOP_ACTIVE
+    assert entered[0][0] is State402.QUICK_STOP_ACTIVE
     assert entered[0][1] < 2 * serial.cycle_s
 
 
@@ -654,23 +671,116 @@ def test_a_bus_that_is_sent_to_but_not_read_carries_the_order_at_once() -> None:
     bus = wire.host.bench.bus
 
     def collect(timeout_s: float) -> list[Any]:
-        raise OSError(5, "gone")
+        raise OSError(errno.ENOBUFS, "no room")
 
     bus.collect = collect  # type: ignore[method-assign]
     assert not wire.safe().verified
-    assert wire.entered[0] is State.QUICK_STOP_ACTIVE
+    assert wire.entered[0] is State402.QUICK_STOP_ACTIVE
     assert wire.entered_s[0] < 0.002
 
 
 def test_a_drive_that_answers_no_order_gets_no_heartbeat() -> None:
-    """A drive in NMT STOPPED receives neither process data nor requests; its watchdog brakes it."""
+    """A drive in NMT STOPPED receives neither process data nor requests; its watchdog brakes it,
+    and it is brought back to PRE-OPERATIONAL to verify that the power is off.
+    """
     wire = Wire("cst")
     wire.host.bench.bus.attach().send(0x000, bytes([0x02, DRIVE_NODE]))
     with pytest.raises(LinkError, match="left the NMT state OPERATIONAL"):
         wire.host.cycles(100)
     wire.began_ns = wire.host.clock.now_ns()
-    assert not wire.safe().verified
+    assert wire.safe().verified
     watch_s = wire.host.servo.watch_s
     assert watch_s is not None
-    assert wire.entered == [State.FAULT_REACTION, State.FAULT]
+    assert wire.entered == [State402.FAULT_REACTION, State402.FAULT]
     assert wire.entered_s[0] < watch_s + 0.002
+
+
+def test_every_state_has_an_answer_to_every_event() -> None:
+    going = {state for state, _ in TRANSITIONS}
+    assert {(state, event) for state in going for event in Event} == set(TRANSITIONS)
+    ended = set(State) - going
+    assert ended == {State.OFF, State.GIVEN_UP, State.RUNAWAY}
+    for state in ended:
+        with pytest.raises(ValueError, match=f"{state.name} on GROWS"):
+            next_state(state, Event.GROWS)
+
+
+def test_from_every_state_the_braking_ends() -> None:
+    for state in {state for state, _ in TRANSITIONS}:
+        ends = [next_state(state, e) for e in (Event.STOPPED, Event.TIME_OVER, Event.GROWS)]
+        assert ends == [State.OFF, State.GIVEN_UP, State.RUNAWAY]
+        assert next_state(state, Event.BRAKES) is State.BRAKING
+
+
+def test_a_drive_without_process_data_that_becomes_faster_is_cut_by_request() -> None:
+    """As the guardian finds a drive that it has not prepared."""
+    for growth, cut in ((0.0, False), (0.5, True)):
+        servo = Servo({})
+        moved = servo.motion
+
+        def faster(moved: Any = moved, servo: Servo = servo, growth: float = growth) -> Any:
+            angle, speed = servo.moved
+            servo.moved = angle + speed * CYCLE_NS / NS, speed + growth
+            return moved()
+
+        servo.moved = (0.0, 0.2)
+        servo.motion = faster  # type: ignore[method-assign]
+        state, steps = braked(servo)
+        assert state is (OFF if cut else BRAKING)
+        assert bool(steps.cut) is cut
+        assert servo.order.count("disable") == cut
+        if cut:
+            assert servo.clock.now_ns() < 0.1 * NS
+
+
+def test_a_cycle_that_shows_a_runaway_ends_the_ramp_at_once() -> None:
+    servo = Servo({"watch": lambda: RunawayError("faster")})
+    servo.prepared = True
+    state, steps = braked(servo)
+    assert servo.order == ["quick_stop", "watch", "disable", "state"]
+    assert (state, steps.cut) == (OFF, "faster")
+
+
+@pytest.mark.parametrize("prepared", [True, False])
+@pytest.mark.parametrize("loop", ["velocity", "phases"])
+def test_a_drive_whose_ramp_goes_the_wrong_way_is_cut(loop: Any, prepared: bool) -> None:
+    """The loop changes its sign in motion; with cycles, and by requests alone."""
+    wire = Wire()
+    host = wire.host
+    host.bench.machine.reverse(loop)
+    judge = Runaway(host.servo.promised_deceleration(), host.servo.limit_steps().angle_rad)
+
+    def watch() -> ServoState | None:
+        if not prepared:
+            host.clock.sleep_until_ns(host.clock.now_ns() + NS // 1000)
+            return None
+        host.cycles(1)
+        sample = host.servo.sample()
+        judge.see(
+            Seen(host.clock.now_ns() / NS, sample.velocity_rad_s, sample.motor_angle_rad / 100)
+        )
+        if judge.grows():
+            raise RunawayError("faster")
+        return host.servo.sent_state()
+
+    host.servo.prepared = prepared
+    safe = make_safe(
+        host.servo, watch, host.clock, NS // 1000, brake=True, hurry=lambda: False, watched=True
+    )
+    assert safe.verified
+    assert safe.cut
+    assert wire.entered[-1] is State402.SWITCH_ON_DISABLED
+    assert wire.off_s < (0.02 if prepared else 0.03)
+    assert abs(wire.off_rad_s) < (3.0 if prepared else 7.0)
+
+
+@pytest.mark.parametrize(("target", "soft"), [(1.0, True), (0.0, False)])
+def test_a_joint_that_is_pulled_to_its_target_is_not_said_to_leave_it(
+    target: float, soft: bool
+) -> None:
+    judge = Runaway(1.0, 1e-5)
+    for n, speed in enumerate([0.0, 0.1, 0.2, 0.3]):
+        judge.see(Seen(n * 0.001, speed, 0.001 * speed * n, 0.001 * speed * n, target))
+    assert judge.leaving is not soft
+    assert (SOFT in grown(judge)) is soft
+    assert SIGNS in grown(judge)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.contact_force import contact_moment
-from identification.diagnosis.rows.clock import run_starts
+from identification.prepare import contact_moment
 from identification.recording import Hoist, Model, Pendulum, Recording
+from identification.views.view import run_starts
 from rig.common.errors import InputError
 from rig.sources import load_source
 

@@ -1,4 +1,4 @@
-"""Shell completion of the command line, as docs/completion.md sets it up."""
+"""Shell completion of the command line, as docs/guides/command_line.md sets it up."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from click.shell_completion import BashComplete
 
-from rig.cli.entry import COMMANDS, cli
+from rig.cli.entry import COMMANDS, cli, status
 
 CODE = "import sys; from rig.cli.entry import main; main()"
-PAGE = Path(__file__).parents[2] / "docs" / "completion.md"
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "command_line.md"
 
 
 def shell(**environment: str) -> str:
@@ -78,3 +78,14 @@ def test_the_names_of_commands_are_completed_without_importing_them() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr == ""
     assert done.stdout.split() == list(COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("typed", "nearest"), [("chekc", "'check'"), ("Identify", "'identify'"), ("zzz", "diagnose")]
+)
+def test_a_mistyped_command_gets_the_nearest_name(
+    typed: str, nearest: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a near name, all names are listed."""
+    assert status([typed]) == 2
+    assert nearest in capsys.readouterr().err

@@ -284,7 +284,7 @@ def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
 
 def test_the_documents_list_every_status() -> None:
     root = Path(cli.__file__).parents[2]
-    page = (root / "docs" / "errors.md").read_text(encoding="utf-8")
+    page = (root / "docs" / "guides" / "command_line.md").read_text(encoding="utf-8")
     assert [
         line[2] for line in page.splitlines() if line.startswith("| ") and line[2].isdigit()
     ] == list("012345")

@@ -70,6 +70,15 @@ class Bench:
     def lacks(self, cycle_s: float) -> Lacks:
         return Lacks()
 
+    def limit_steps(self) -> None:
+        return None
+
+    def promised_deceleration(self) -> float:
+        return 1.0
+
+    def disable(self) -> None:
+        self.told.append(("disable", None))
+
     def take_frames(self) -> list[RawFrame]:
         return [RawFrame(len(self.exchanged), 0x80, b"", True)]
 
@@ -601,6 +610,31 @@ def test_the_greatest_age_is_kept_and_the_present_one_judged() -> None:
     assert caught.value.trip == Trip(
         Check.SAMPLE_AGE, pytest.approx(0.005), 0.004, "s", pytest.approx(0.009)
     )
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "lost", "cause"),
+    [(0.0035, 2, Check.PAUSE), (0.0017, 5, Check.SAMPLE_AGE), (0.0, 5, Check.SAMPLE_AGE)],
+    ids=["a long pause", "a short pause, then a bad cable", "a bad cable"],
+)
+def test_a_pause_of_this_computer_is_named_as_the_cause(
+    pause_s: float, lost: int, cause: Check
+) -> None:
+    bench = Bench()
+    cycle = begun(bench)
+
+    def pause() -> None:
+        bench.encoder_fresh = False
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + round(pause_s * 1e9))
+
+    def heal() -> None:
+        bench.encoder_fresh = True
+
+    bench.actions[3], bench.actions[3 + lost] = pause, heal
+    with pytest.raises(TripError) as caught:
+        cycle.follow([0.1] * 12, 1, "empty")
+    assert caught.value.trip.check is cause
+    assert caught.value.trip.limit == LIMITS.sample_age
 
 
 class Pacer:

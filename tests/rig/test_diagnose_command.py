@@ -13,8 +13,8 @@ import pytest
 from markupsafe import escape
 
 import rig.results.diagnose.diagnose
-from identification.corrected.model import CorrectedModel
 from identification.diagnosis.result import Diagnosis, Shift
+from identification.export.model import CorrectedModel
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status
@@ -198,7 +198,7 @@ def test_the_corrected_model_lies_beside_the_report(
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     assert "gap_rad: 0.0073" in (out / "model.yaml").read_text()
-    assert "(backlash, {'gap_rad': 0.0073" in (out / "model.py").read_text()
+    assert "'backlash': {'gap_rad': 0.0073" in (out / "model.py").read_text()
     # The campaign does not say what a simulated motor needs.
     assert "note: a simulated bench needs resistance_ohm" in capsys.readouterr().out
     assert not (out / "bench.yaml").exists()

@@ -15,7 +15,7 @@ import pytest
 
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis
-from identification.diagnosis.terms.memory import play
+from identification.numerics.series import play
 from identification.recording import Dataset, Recording
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.sources import load_source
@@ -184,7 +184,7 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
 )
 def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
     """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not
-    (docs/diagnosis.md).
+    (docs/measurements.md).
 
     What is left on unseen recordings is held against the weight's own torque too: how well the
     constants alone do there hangs on a static friction that few rows tell. The torque comes from

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench

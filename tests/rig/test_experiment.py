@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from identification.design import propose, search
 from identification.design.excitation import Excitation, Ramps
-from identification.design.intervals import Intervals
 from identification.design.propose import Proposal
+from identification.design.simulated import Intervals
 from rig.cli.entry import status
 from rig.config.sequence import StageSection, Tone, excitation
 from rig.results.design.document import _advice, excitation_words

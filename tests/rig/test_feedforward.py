@@ -14,7 +14,7 @@ import pytest
 
 from drivers.interfaces import Servo
 from drivers.mock.plant.machine import SimulatedMachine
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.recording import Array, Recording
 from identification.tracking import track
 from rig.cli.entry import status

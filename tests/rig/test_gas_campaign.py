@@ -14,7 +14,7 @@ import yaml
 
 from drivers.mock.plant.gas_direct import burn
 from drivers.mock.plant.parts.constants import Machine
-from identification.diagnosis.gas.constants import CONSTANTS
+from identification.diagnosis.gas.burns import CONSTANTS
 from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
 from identification.recording import Dataset, RecordingError

@@ -42,9 +42,12 @@ def changed(record: RunRecord, **fields: Any) -> RunRecord:
     return dataclasses.replace(record, **fields)
 
 
-def test_a_trip_says_first_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -> None:
-    assert go_on_words(stopped, Path("runs/x")).splitlines() == [
-        "first: look for jamming or a weight above the plan",
+def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -> None:
+    """The message of the run stands above these words on the terminal and on the page."""
+    words = go_on_words(stopped, Path("runs/x"))
+    assert f"{stopped.message}\n{words}".count(remedy(Check.CURRENT)) == 1
+    assert words.splitlines() == [
+        f"first: {remedy(Check.CURRENT)}",
         "go on with: rig resume runs/x",
     ]
 
@@ -88,7 +91,7 @@ def test_a_drive_that_was_not_read_back_comes_before_everything(
 def test_every_trip_has_a_remedy_without_a_second_command(stopped: RunRecord, check: Check) -> None:
     assert remedy(check)
     assert "run again" not in remedy(check)
-    record = changed(stopped, trip={**(stopped.trip or {}), "check": check.value})
+    record = changed(stopped, message="", trip={**(stopped.trip or {}), "check": check.value})
     lines = go_on_words(record, Path("x")).splitlines()
     assert lines[0] == f"first: {remedy(check)}"
     by_file = re.search("file|reduce|lower|raise", remedy(check)) is not None

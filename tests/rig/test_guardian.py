@@ -17,7 +17,7 @@ import pytest
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoReadings, ServoState
+from drivers.interfaces import Measuring, ServoMotion, ServoReadings, ServoState
 from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
@@ -264,6 +264,12 @@ class Stuck:
             if ("disable", 1.0) in self.told
             else ServoState.QUICK_STOP_ACTIVE
         )
+
+    def motion(self) -> ServoMotion:
+        return ServoMotion()
+
+    def promised_deceleration(self) -> float:
+        return 1.0
 
 
 def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from drivers.clock import Clock
-from identification.contact_force import contact_force
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from identification.model.valve import throat_area
+from identification.prepare import contact_force
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.ladder import climb
-from identification.estimate.transfer import transfer
+from identification.estimate.ladder import climb, transfer
 from identification.model.ladder import LADDER
 from identification.result import Identification
 from rig.results.simulate.simulate import simulate_source
@@ -63,7 +62,7 @@ def test_sts3032_predicts_the_other_mass_in_volts(recordings: Path) -> None:
 
 @pytest.mark.recordings
 def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_path: Path) -> None:
-    """The evidence behind docs/decisions/0005."""
+    """The evidence for the sign of the zero in the campaign file."""
     text = (CAMPAIGNS / "sts3032_to_heavy.yaml").read_text()
     text = text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared"))
     assert "zero: 0.1258" in text

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import yaml
 
-from identification.corrected.model import CorrectedModel, carried
-from identification.diagnosis.catalogue import MOTION
 from identification.diagnosis.result import Curve
+from identification.effects import EFFECTS, MOTION
+from identification.export.model import CorrectedModel, carried
 from identification.recording import Bench, Recording
 from rig.results.diagnose.model_export import python_text, yaml_text
 
@@ -43,7 +43,7 @@ RECORDING = Recording(
 
 
 def middle(name: str) -> dict[str, float]:
-    given = {q.name: q.low + 0.3 * (q.high - q.low) for q in MOTION[name].parameters}
+    given = {q.name: q.low + 0.3 * (q.high - q.low) for q in EFFECTS[name].parameters}
     special = {
         "wrong_weight": {"recording": 2.0},
         "encoder_slip": {"recording": 2.0, "at_s": 1.0},
@@ -63,13 +63,12 @@ def imported(text: str, tmp_path: Path) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", [None, *MOTION])
+@pytest.mark.parametrize("name", [None, *(e.name for e in MOTION)])
 def test_the_file_computes_what_the_program_does(name: str | None, tmp_path: Path) -> None:
     effects = {} if name is None else {name: middle(name)}
     model = CorrectedModel(PARAMETERS, 2.0, effects)
     module = imported(python_text(model, RECORDING, "bench"), tmp_path)
-    m = model.numbers(RECORDING)
-    assert m == module.M
+    assert model.numbers(RECORDING) == module.M
     s = module.signals(
         module.M, TIME, ANGLE, VELOCITY, ACCELERATION, contact_force=2000.0, weight_mass=20.4,
         current=CURRENT,
@@ -79,10 +78,10 @@ def test_the_file_computes_what_the_program_does(name: str | None, tmp_path: Pat
         (module.torque, model.torque), (module.drive, model.drive), (module.twist, model.twist),
         (module.voltage, model.voltage),
     ):  # fmt: skip
-        assert np.array_equal(theirs(s), ours(s, m))
+        assert theirs(s) == pytest.approx(ours(s), rel=1e-12, abs=1e-12)
     plain = CorrectedModel(PARAMETERS, 2.0)
     moved = [
-        np.max(np.abs(f(s) - g(s, m)))
+        np.max(np.abs(f(s) - g(s)))
         for f, g in (
             (module.torque, plain.torque), (module.drive, plain.drive), (module.twist, plain.twist),
             (module.voltage, plain.voltage),
@@ -98,7 +97,7 @@ def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:
     imports = {line for line in text.splitlines() if line.startswith(("import ", "from "))}
     assert imports == {
         "from __future__ import annotations",
-        "from typing import Any",
+        "from typing import Any, NamedTuple",
         "import numpy as np",
     }
     (tmp_path / "model.py").write_text(text)
@@ -109,6 +108,13 @@ def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:
     )
 
 
+def test_a_gap_in_the_times_is_refused(tmp_path: Path) -> None:
+    module = imported(python_text(CorrectedModel(PARAMETERS), RECORDING, "bench"), tmp_path)
+    kept = np.r_[0:900, 903:2000]
+    with pytest.raises(ValueError, match="evenly spaced"):
+        module.signals(module.M, TIME[kept], ANGLE[kept], VELOCITY[kept], ACCELERATION[kept])
+
+
 def test_a_curve_goes_with_it(tmp_path: Path) -> None:
     grid = np.linspace(-0.3, 0.3, 9)
     model = CorrectedModel(
@@ -116,7 +122,7 @@ def test_a_curve_goes_with_it(tmp_path: Path) -> None:
     )
     module = imported(python_text(model, RECORDING, "bench"), tmp_path)
     s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
-    added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s, module.M)
+    added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s)
     assert added == pytest.approx(np.interp(ANGLE, grid, 0.5 * np.sin(9.0 * grid)))
 
 
@@ -126,7 +132,7 @@ def test_a_curve_against_the_motion_changes_its_sign_with_it(tmp_path: Path) -> 
     model = CorrectedModel(PARAMETERS, 2.0, {}, curve)
     module = imported(python_text(model, RECORDING, "bench"), tmp_path)
     s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
-    added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s, module.M)
+    added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s)
     # At rest the curve keeps the sign of friction.
     assert np.count_nonzero(VELOCITY == 0.0) > 100
     assert added == pytest.approx(s["sense"] * np.interp(ANGLE, grid, 1.0 + grid))

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.cli.entry import status
+from benchmarks.worlds.draw import draw_world
+from benchmarks.worlds.mujoco_plant import plant as module
+from benchmarks.worlds.mujoco_plant.model import xml
+from benchmarks.worlds.mujoco_plant.plant import MujocoPlant
+from benchmarks.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
 from rig.common.errors import InputError
-from rig.results.prove.mujoco_plant import plant as module
-from rig.results.prove.mujoco_plant.model import xml
-from rig.results.prove.mujoco_plant.plant import MujocoPlant
-from rig.results.prove.worlds.draw import draw_world
-from rig.results.prove.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
 
 mujoco = pytest.importorskip("mujoco")
 PLANT = MujocoPlant()
@@ -204,13 +203,11 @@ def test_a_hot_winding_draws_more_voltage() -> None:
 
 
 def test_without_the_package_the_message_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "mujoco", None)
     with pytest.raises(InputError, match=r"pip install 'loadrig\[mujoco\]'"):
         next(iter(PLANT.play(world_of(sine()))))
-    assert status(["prove", "--plant", "mujoco", "--gas"]) == 2
-    assert "--gas cannot be combined" in capsys.readouterr().err
 
 
 def test_a_constant_load_beyond_a_flexible_shaft_stays_constant() -> None:

@@ -139,6 +139,18 @@ def test_a_decaying_current_is_waited_for() -> None:
     assert drive.now < 0.2
 
 
+@pytest.mark.parametrize("phase", [n / 20 for n in range(20) if n != 9])
+def test_a_joint_that_swings_does_not_rest_at_its_turning_points(phase: float) -> None:
+    drive = Drive(angle=lambda t: math.radians(5.0) * math.sin(math.pi * (2.0 * t + phase)))
+    off = proof_of(drive)
+    for patience_s in (PATIENCE_S, 0.0, 0.0, 0.0):
+        proof = off.prove(patience_s=patience_s)
+        assert not proof.off
+        assert "the joint moves" in proof.doubt
+    drive.angle = lambda t: 0.0
+    assert off.prove().off
+
+
 def test_a_coasting_joint_is_waited_for_with_the_current_that_it_generates() -> None:
     speed = 2.0
 

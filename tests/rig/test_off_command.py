@@ -12,6 +12,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,6 +26,7 @@ from drivers.mock.power_state import State
 from drivers.mock.wires.pty import RealTimeBench
 from rig.cli.entry import DEVICE_FAILED, DONE, status
 from rig.common import locks
+from rig.common.errors import InUseError
 from rig.common.locks import hold_bench
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
@@ -212,6 +214,29 @@ def test_who_cannot_be_ended_does_not_keep_the_bench_from_being_made_safe(desk: 
     assert [user.ended for user in done.users] == ["stays"]
     assert done.proved
     assert any("acts all the same" in words for words in desk.said)
+
+
+def test_the_lock_of_a_killed_program_is_waited_for(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk.processes.add(RUN, "rig run")
+    held = hold_bench("other", bus_resources(desk.document.value), "rig run")
+    refused = 0
+
+    def hold(*words: Any) -> locks.Lock:
+        nonlocal refused
+        try:
+            return hold_bench(*words)
+        except InUseError:
+            refused += 1
+            if refused == 3:
+                held.release()
+            raise
+
+    monkeypatch.setattr(off, "hold_bench", hold)
+    assert desk.off().proved
+    assert refused == 3
+    assert not any("acts all the same" in words for words in desk.said)
 
 
 def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: Desk) -> None:

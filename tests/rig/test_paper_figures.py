@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from rig.config.packaged import resolve
 from rig.planning.feedforward import Feedforward
 from rig.results.files import write_texts

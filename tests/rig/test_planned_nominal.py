@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from identification.design.intervals import NAMES
-from identification.model.nominal import NOMINAL
+from identification.design.simulated import NAMES
+from identification.model.parameters import NOMINAL
 from rig.common.errors import InputError
 from rig.common.result_files import IDENTIFY_SCHEMA
 from rig.results.design.planned_nominal import nominal_values

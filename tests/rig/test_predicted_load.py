@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located

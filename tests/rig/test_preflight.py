@@ -400,7 +400,7 @@ def test_what_the_encoder_does_not_report_is_said_before_a_weight_is_asked_for(
     said = []
 
     class Told(AutomaticOperator):
-        def tell(self, words: str) -> None:
+        def tell(self, words: str, typed: str = "") -> None:
             said.append(words)
 
         def confirm_weight(self, stage: str, weight_kg: float) -> float:

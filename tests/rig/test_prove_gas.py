@@ -14,7 +14,7 @@ import pytest
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import problems
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 from rig.cli.entry import status
 from rig.results.prove import gas_simulate
 from rig.results.prove.excitation import CYCLE_S
@@ -29,7 +29,7 @@ SEED = (5, 1)
 
 
 def test_every_gas_effect_can_be_drawn_hidden_and_named() -> None:
-    named = [e.name for e in ENTRIES.values() if e.group == "gas generator"]
+    named = [e.name for e in EFFECTS.values() if e.group == "gas generator"]
     assert list(GAS_SIZES) == list(GAS_CATALOGUE) == named
     assert GAS_OUTSIDE_SIZES.keys() == GAS_OUTSIDE.keys()
 

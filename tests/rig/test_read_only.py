@@ -38,7 +38,7 @@ import click
 
 KERNEL = """\
 import numpy
-    from identification.diagnosis.terms.wave import sine_cosine
+    from identification.numerics.series import sine_cosine
     print(sine_cosine(1.0, numpy.zeros(1)).sum())"""
 
 

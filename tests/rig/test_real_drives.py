@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,11 @@ from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.canopen import ServoSection
 from rig.config.packaged import resolve
+from rig.config.serial_bus import NO_WATCHDOG
+from rig.control.check import describe, examine
 from rig.results.run.page.limits import read_attachments
 from rig.runs.mcap.reader import read_run
-from rig.wiring.bench_text import watcher_of
+from rig.wiring.bench_text import watcher, watcher_of
 from rig.wiring.connect import connect, servo_data
 from rig.wiring.preflight import device_findings, require_startable
 from rig.wiring.scales import servo_scales
@@ -253,3 +256,98 @@ def test_the_eds_file_of_another_maker_is_refused(
         servo._scales = dataclasses.replace(servo._scales, vendor_id=0xFB)
         (found,) = servo.refusals(0.001)
     assert "the drive reports 9Ah, but the units are those of the vendor FBh" in str(found)
+
+
+def shortened(make: str, *indices: str) -> str:
+    """Return the EDS of a make without objects."""
+    return re.sub(rf"(?ms)^\[({'|'.join(indices)})(sub\d+)?\].*?(?=^\[)", "", description(make))
+
+
+@pytest.mark.parametrize(
+    ("lacks", "watched"), [(("1016",), True), (("1016", "100D"), False), (("100C", "100D"), True)]
+)
+def test_a_drive_without_a_heartbeat_consumer_is_guarded_or_has_reduced_limits(
+    here: Path, lacks: tuple[str, ...], watched: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = bench("Technosoft", eds=shortened("Technosoft", *lacks))
+    loaded = load_bench(name).value
+    assert (loaded.watched, loaded.limits.torque_N_m) == (watched, 75 if watched else 45)
+    assert status(["check", name, "--json", "check.json"]) == 0
+    told = json.loads(Path("check.json").read_text())
+    assert (told["good"], told["has_watchdog"]) == (True, watched)
+    assert told["watched_by"] == ("drive" if watched else "nobody")
+    assert (NO_WATCHDOG in capsys.readouterr().out) is not watched
+    assert status(["run", "short.yaml", "--bench", name, "--yes", "--out", "o"]) == 0
+    record = json.loads(Path("o/run.json").read_text())
+    assert (record["state"], record["de_energised"]) == ("done", True)
+    shown = capsys.readouterr()
+    assert (NO_WATCHDOG in shown.out + shown.err) is not watched
+
+
+@pytest.mark.parametrize("behaviour", [0, 2])
+def test_a_drive_that_leaves_operational_without_its_master_is_commissioned(
+    here: Path, behaviour: int
+) -> None:
+    eds = description("Elmo")
+    head = eds.index("DefaultValue=", eds.index("[1029sub1]"))
+    eds = eds[:head] + f"DefaultValue={behaviour}" + eds[eds.index("\n", head) :]
+    name = bench("Elmo", eds=eds)
+    words = ["commission", name, "--yes", "--angle", "0", "--out", "o"]
+    assert status(words) == 0
+
+
+@pytest.mark.parametrize("address", [(0x60C2, 1), (0x6007, 0), (0x1016, 1), (0x605A, 0)])
+def test_an_object_that_only_the_eds_has_is_a_problem_of_the_check(
+    here: Path, address: tuple[int, int]
+) -> None:
+    document = load_bench(bench("Elmo"))
+
+    def attach(made: Any) -> Any:
+        del made.drive.objects.entries[address[0] << 8 | address[1]]
+        return made.clock
+
+    with connect(document, 0, realtime=False, attach=attach) as devices:
+        found, readings = examine(document, devices, 0, [])
+    assert not found["good"]
+    assert any(f"{address[0]:04X}h:{address[1]:02X}h" in text for text in found["problems"])
+    assert "NOT good" in describe(found, readings, watcher(devices))
+
+
+def of_axis(offset: int) -> str:
+    """Return the EDS of a make for another axis of a device with several."""
+    return re.sub(
+        r"(?m)^\[6([0-7])",
+        lambda head: f"[{0x60 + offset // 0x100 + int(head[1]):02X}",
+        description("Elmo"),
+    )
+
+
+def test_the_second_axis_of_a_node_runs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = bench("Elmo", "object_offset: 0x800, ", eds=of_axis(0x800))
+    assert load_bench(name).value.watched
+    assert status(["check", name]) == 0
+    assert status(["run", "short.yaml", "--bench", name, "--yes", "--out", "o"]) == 0
+    capsys.readouterr()
+    assert status(["check", bench("Elmo", eds=of_axis(0x800))]) == 2
+    assert "6040h:00h is not in the device's EDS" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "keys", ["object_offset: 0x400, ", "object_offset: 0x800, sub_index: 1, ", "sub_index: 9, "]
+)
+def test_an_axis_that_cannot_be_is_refused(here: Path, keys: str) -> None:
+    with pytest.raises(InputError):
+        load_bench(bench("Elmo", keys))
+
+
+def test_objects_with_another_meaning_are_not_used(here: Path) -> None:
+    name = bench("Elmo", "device: zlac8015d, ")
+    document = load_bench(name)
+    with connect(document, 0, realtime=False) as devices:
+        servo: Any = devices.servo
+        assert not servo._channel.describes(0x606C, 0)
+        assert not servo._channel.describes(0x6083, 0)
+        assert servo._motion.mode == 1
+        words = servo.lacks(0.001).words
+        assert any("6083h" in text for text in words)
+        assert not list(servo.description_refusals())

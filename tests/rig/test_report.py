@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.paper_method import identify_paper
 from identification.recording import Bench, Dataset, Recording
 from identification.result import Identification
 from rig.common.result_files import Provenance

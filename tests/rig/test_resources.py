@@ -77,8 +77,8 @@ def test_a_port_is_the_same_under_all_its_names(
     by_id = tmp_path / "usb-FTDI-port0"
     by_id.symlink_to(tmp_path / "ttyUSB0")
     monkeypatch.chdir(tmp_path)
-    keys = {
-        resources(bench)[0].key
+    keys = [
+        {part.key for part in resources(bench)}
         for bench in (
             serial_bench(str(tmp_path / "ttyUSB0"), str(tmp_path / "ttyUSB0")),
             serial_bench(str(by_id), str(by_id)),
@@ -86,8 +86,21 @@ def test_a_port_is_the_same_under_all_its_names(
             can_bench("slcan", "ttyUSB0"),
             can_bench("slcan", "./usb-FTDI-port0@1"),
         )
-    }
-    assert keys == {str(tmp_path.resolve() / "ttyUSB0")}
+    ]
+    real = tmp_path.resolve()
+    assert set.intersection(*keys) == {str(real / "ttyUSB0")}
+    assert set.union(*keys) == {str(real / "ttyUSB0"), str(real / "usb-FTDI-port0")}
+
+
+def test_a_port_is_the_same_after_its_adapter_was_unplugged_and_plugged_in(tmp_path: Path) -> None:
+    by_id = tmp_path / "usb-FTDI-port0"
+    by_id.symlink_to(tmp_path / "ttyUSB0")
+    bench = can_bench("slcan", str(by_id))
+    before = set(resources(bench))
+    by_id.unlink()
+    assert before & set(resources(bench))
+    by_id.symlink_to(tmp_path / "ttyUSB1")
+    assert before & set(resources(bench))
 
 
 def test_drive_and_encoder_each_have_a_port() -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rig.common.sample import Sample
 from rig.control.safety import Check, Latch, Trip, check, check_stage_time, remedy
 from rig.planning.limits import GasLimits, Limits
+from rig.wiring.runaway import SIGNS
 
 LIMITS = Limits(
     angle_min=-0.5,
@@ -280,6 +281,10 @@ def test_messages_in_full() -> None:
 WORDS = {
     Check.NOT_RESET: ("not reset", "confirm the weight at the prompt"),
     Check.SAMPLE_AGE: ("sample age", "check the bus cabling, termination and load, then run again"),
+    Check.PAUSE: (
+        "sample age after a pause of this computer",
+        "close other programs on this computer, then run again",
+    ),
     Check.DRIVE_STATE: (
         "drive state",
         "read the drive's error code (603Fh), remove its cause, then run again",
@@ -290,6 +295,10 @@ WORDS = {
         "reduce amplitude or frequency, or check the drive gains for oscillation",
     ),
     Check.CURRENT: ("motor current", "look for jamming or a weight above the plan, then run again"),
+    Check.RUNAWAY: (
+        "speed of a joint that runs away from its target",
+        f"the power was cut without a ramp: {SIGNS}",
+    ),
     Check.TORQUE: ("joint torque", "look for jamming or a weight above the plan, then run again"),
     Check.FOLLOWING_ERROR: (
         "following error",

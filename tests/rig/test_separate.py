@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from identification.diagnosis.catalogue import ENTRIES, MOTION
+from identification.effects import EFFECTS, MOTION
+from identification.effects.effect import Separation
 from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
@@ -20,13 +21,14 @@ likes.
 
 
 def test_every_effect_has_an_experiment_or_needs_a_hand() -> None:
-    assert set(RECIPES) == set(MOTION) - BY_HAND
+    assert {e.name for e in MOTION if e.separation is None} == BY_HAND
+    assert set(RECIPES) == set(Separation)
 
 
-@pytest.mark.parametrize("name", list(RECIPES))
+@pytest.mark.parametrize("name", [e.name for e in MOTION if e.separation is not None])
 def test_the_experiment_is_a_plan_within_the_bench_s_limits(name: str, tmp_path: Path) -> None:
     bench = load_bench("practical")
-    text = separating_sequence([name, *ENTRIES[name].look_alikes], bench.value)
+    text = separating_sequence([name, *EFFECTS[name].look_alikes], bench.value)
     assert text is not None
     file = tmp_path / "split.yaml"
     file.write_text(text)

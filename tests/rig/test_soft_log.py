@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from identification.estimate.default import identify
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated

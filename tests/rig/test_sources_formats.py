@@ -340,7 +340,7 @@ def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
     write_mcap(path, [("/sample", 0, b"\x01")], "protobuf")
     with pytest.raises(
         InputError,
-        match=r"protobuf messages; found /sample \(protobuf .*\); open a run .* by its folder",
+        match=r"protobuf messages that can be decoded; found /sample \(protobuf with jsonschema\)",
     ):
         McapTable(path)
     path.write_bytes(path.read_bytes()[:40])

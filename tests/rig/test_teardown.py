@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import Measuring, ServoLimits, ServoReadings, ServoState
+from drivers.interfaces import Measuring, ServoLimits, ServoMotion, ServoReadings, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import (
     INSISTENT_ATTEMPTS,
@@ -84,6 +84,7 @@ class Servo:
         self.power = ON
         self.sent: ServoState | None = None
         self.current = self.angle = 0.0
+        self.moved = (0.0, 0.0)
         self.clock = Clock(self)
 
     def pass_time(self, ns: int) -> None:
@@ -129,6 +130,12 @@ class Servo:
 
     def measuring(self) -> Measuring:
         return Measuring(1e-5, 100.0, 0.015, 15.0)
+
+    def motion(self) -> ServoMotion:
+        return ServoMotion(*self.moved)
+
+    def promised_deceleration(self) -> float:
+        return 1.0
 
     def write_limits(self, limits: ServoLimits) -> None:
         self._do("write_limits")

@@ -36,15 +36,7 @@ def test_a_drawn_bench(tmp_path: Path, mistake: str | None) -> None:
         (TENFOLD, 0, "epos_serial"),
         (TENFOLD, 6, "mock"),
         (TENFOLD, 808, "epos_serial"),
-        pytest.param(
-            TENFOLD,
-            822,
-            "epos_serial",
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="a trip within few counts: the factor is stated as 100, and as rough",
-            ),
-        ),
+        (TENFOLD, 822, "epos_serial"),
     ],
 )
 def test_a_mistake_is_found_on_every_transport(

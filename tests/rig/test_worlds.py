@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.worlds import draw as drawing
+from benchmarks.worlds.coverage import WORDS, uncovered
+from benchmarks.worlds.draw import draw_world, without_effects, worlds_assignment
+from benchmarks.worlds.files import campaign, truth_of_world
+from benchmarks.worlds.logger import columns
+from benchmarks.worlds.motion import MOTIONS, Reach, command
+from benchmarks.worlds.mujoco_plant.plant import MujocoPlant
+from benchmarks.worlds.seal import log_of, seal_worlds
+from benchmarks.worlds.sizes import NEEDS, SIZES
+from benchmarks.worlds.torque import Course
+from benchmarks.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.results.prove.engines import Processes
-from rig.results.prove.mujoco_plant.plant import MujocoPlant
 from rig.results.prove.truth import load_truth
-from rig.results.prove.worlds import draw as drawing
-from rig.results.prove.worlds.coverage import WORDS, uncovered
-from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
-from rig.results.prove.worlds.files import campaign, truth_of_world
-from rig.results.prove.worlds.logger import columns
-from rig.results.prove.worlds.motion import MOTIONS, Reach, command
-from rig.results.prove.worlds.seal import log_of, seal_worlds
-from rig.results.prove.worlds.sizes import NEEDS, SIZES
-from rig.results.prove.worlds.torque import Course
-from rig.results.prove.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.sources import load_source
 
 IN_CATALOGUE = [name for name in SIZES if not name.startswith("x_")]

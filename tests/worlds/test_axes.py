@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig.results.prove.mujoco_plant.plant import MujocoPlant
-from rig.results.prove.own_plant.plant import OwnPlant
-from rig.results.prove.worlds import draw as drawing
-from rig.results.prove.worlds.draw import draw_world
-from rig.results.prove.worlds.files import write_world
-from rig.results.prove.worlds.logger import columns
-from rig.results.prove.worlds.motion import MOTIONS, Reach
-from rig.results.prove.worlds.torque import Load, course
-from rig.results.prove.worlds.world import COMMAND_S, Array, LoopKind, Motion, Signals, World
+from benchmarks.worlds import draw as drawing
+from benchmarks.worlds.draw import draw_world
+from benchmarks.worlds.files import write_world
+from benchmarks.worlds.logger import columns
+from benchmarks.worlds.motion import MOTIONS, Reach
+from benchmarks.worlds.mujoco_plant.plant import MujocoPlant
+from benchmarks.worlds.own_plant.plant import OwnPlant
+from benchmarks.worlds.third.plant import OdePlant
+from benchmarks.worlds.torque import Load, course
+from benchmarks.worlds.world import COMMAND_S, Array, LoopKind, Motion, Signals, World
 from rig.sources import load_source
-from tests.worlds.plant import OdePlant
 
 ODE = OdePlant()
 MISSING = find_spec("mujoco") is None

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.results.prove.mujoco_plant.plant import MujocoPlant
-from rig.results.prove.worlds import draw as drawing
-from rig.results.prove.worlds.draw import draw_world
-from rig.results.prove.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
-from tests.worlds.plant import OdePlant
+from benchmarks.worlds import draw as drawing
+from benchmarks.worlds.draw import draw_world
+from benchmarks.worlds.mujoco_plant.plant import MujocoPlant
+from benchmarks.worlds.third.plant import OdePlant
+from benchmarks.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
 
 RATE_HZ = 4000
 ODE = OdePlant()
@@ -172,9 +172,9 @@ def test_electric_effects_are_in_the_voltage(plain: tuple[World, Signals]) -> No
 def test_every_effect_plays(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drawing, "LONGEST_S", drawing.SHORTEST_S)
     monkeypatch.setattr(drawing, "MOST", 3)
-    from identification.diagnosis.catalogue import MOTION
+    from identification.effects import MOTION
 
-    assert ODE.effects <= MOTION.keys()
+    assert ODE.effects <= {e.name for e in MOTION}
     for n, name in enumerate(sorted({*ODE.effects, *ODE.outside})):
         world = draw_world("one", (name,), (31, n))
         last = world.recordings[-1]

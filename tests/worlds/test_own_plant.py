@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from benchmarks.worlds.own_plant.machine import OF_THE_WORLD, STIFF_HZ
+from benchmarks.worlds.own_plant.plant import OwnPlant
+from benchmarks.worlds.third.kernel import replay
+from benchmarks.worlds.third.plant import initial_state, values_of
+from benchmarks.worlds.world import Array, LoopKind, Motion, Pendulum, World
 from drivers.mock.plant.effects.table import CATALOGUE
-from rig.results.prove.own_plant.machine import OF_THE_WORLD, STIFF_HZ
-from rig.results.prove.own_plant.plant import OwnPlant
-from rig.results.prove.worlds.world import Array, LoopKind, Motion, Pendulum, World
-from tests.worlds.kernel import replay
-from tests.worlds.plant import initial_state, values_of
 from tests.worlds.test_axes import drawn
 from tests.worlds.test_ode_plant import RATE_HZ, world_of
 

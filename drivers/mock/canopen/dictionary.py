@@ -93,6 +93,8 @@ class DeviceDictionary:
         checks: Hooks ``(subindex, value)`` by index.
         written: Hooks ``(subindex, value)`` by index.
         deaf: Indices of objects to which writes are acknowledged but ignored.
+        places: Key that an object has on the bus to its key in this dictionary, for the objects
+            that are moved on the bus.
     """
 
     def __init__(self, eds: Path, node_id: int) -> None:
@@ -102,6 +104,7 @@ class DeviceDictionary:
         self.checks: dict[int, Callable[[int, int], None]] = {}
         self.written: dict[int, Callable[[int, int], None]] = {}
         self.deaf: frozenset[int] = frozenset()
+        self.places: Mapping[int, int] = {}
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
@@ -129,17 +132,29 @@ class DeviceDictionary:
         """Return an integer value."""
         return self.values[key(index, subindex)]
 
-    def entry(self, index: int, subindex: int) -> Entry:
-        """Find an object.
+    def kept(self, index: int, subindex: int = 0) -> int:
+        """Return the value of an object of the communication profile; 0 if the device does not have
+        the object.
+        """
+        number = key(index, subindex)
+        return self.values[number] if number in self.entries else 0
+
+    def place(self, number: int) -> int:
+        """Return the key in this dictionary of an object by its key on the bus.
 
         Raises:
             SdoAbortError: There is no such object or subindex.
         """
-        entry = self.entries.get(key(index, subindex))
-        if entry is None:
-            indices = (number >> 8 for number in self.entries)
-            raise SdoAbortError(NO_SUBINDEX if index in indices else NO_OBJECT)
-        return entry
+        own = self.places.get(number, number)
+        if own not in self.entries or (own == number and number in self.places.values()):
+            outside = self.places or self.entries
+            known = any(other >> 8 == number >> 8 for other in outside)
+            raise SdoAbortError(NO_SUBINDEX if known else NO_OBJECT)
+        return own
+
+    def entry(self, index: int, subindex: int) -> Entry:
+        """Find an object; the errors are those of :meth:`place`."""
+        return self.entries[self.place(key(index, subindex))]
 
     def read(self, index: int, subindex: int) -> bytes:
         """Return the encoded value, clamped to the range of the object.
@@ -147,12 +162,13 @@ class DeviceDictionary:
         Raises:
             SdoAbortError: There is no such object, or it cannot be read.
         """
-        entry = self.entry(index, subindex)
+        number = self.place(key(index, subindex))
+        entry = self.entries[number]
         if not entry.readable:
             raise SdoAbortError(WRITE_ONLY)
         if entry.code is None:
-            return self.texts[key(index, subindex)].encode("ascii")
-        return struct.pack(f"<{entry.code}", held(entry.code, self.values[key(index, subindex)]))
+            return self.texts[number].encode("ascii")
+        return struct.pack(f"<{entry.code}", held(entry.code, self.values[number]))
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
         """Store an encoded value received by SDO.
@@ -161,7 +177,9 @@ class DeviceDictionary:
             SdoAbortError: There is no such object, it cannot be written, or the value has the wrong
                 length or range.
         """
-        entry = self.entry(index, subindex)
+        number = self.place(key(index, subindex))
+        entry = self.entries[number]
+        index, subindex = number >> 8, number & 0xFF
         if not entry.writable:
             raise SdoAbortError(READ_ONLY)
         if entry.code is None or len(data) != entry.size:
@@ -175,7 +193,7 @@ class DeviceDictionary:
             check(subindex, value)
         if index in self.deaf:
             return
-        self.values[key(index, subindex)] = value
+        self.values[number] = value
         if written := self.written.get(index):
             written(subindex, value)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.clock import SimulatedClock
+from drivers.frame_flags import REMOTE_FLAG
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import DeviceDictionary, SdoAbortError, key
 from drivers.mock.canopen.process_data import ProcessData
@@ -40,6 +41,10 @@ class Nmt(IntEnum):
 class SimulatedNode:
     """Base of the simulated devices; a subclass implements the hooks at the end of the class.
 
+    Attributes:
+        remote_frames: Whether the device answers remote frames, that is, guard requests.
+        sdo_delay_ns: Time that the device takes for an SDO answer, ns.
+
     Args:
         bus: Bus of the device.
         clock: Simulated time.
@@ -57,6 +62,8 @@ class SimulatedNode:
         clock_offset_us: int,
     ) -> None:
         self.node_id = node_id
+        self.remote_frames = True
+        self.sdo_delay_ns = 0
         self.state = Nmt.INITIALISING
         self.objects = DeviceDictionary(eds, node_id)
         self._values = self.objects.values
@@ -71,13 +78,19 @@ class SimulatedNode:
         self._watch = Timer(clock, self._check_heartbeat)
         self._watched: int | None = None
         self._heard_ns = 0
+        self._toggle = 0
+        self._life = Timer(clock, lambda: self._master_lost())
         self.objects.written[0x1017] = lambda _sub, _value: self._start_producer()
         if key(0x1016, 1) in self.objects.entries:
             self.objects.written[0x1016] = lambda _sub, _value: self._start_consumer()
+        self.objects.written[0x100C] = self.objects.written[0x100D] = lambda _sub, _value: (
+            self._life.stop() if not self._life_ns() else None
+        )
         self.objects.checks[0x1003] = self._check_history
         self.objects.written[0x1003] = lambda _sub, _value: self.objects.reset(0x1003, 0x1003)
         self._port.listen(0x000, self._on_nmt)
         self._port.listen(0x080, self._on_sync)
+        self._port.listen(REMOTE_FLAG | 0x700 + node_id, self._on_guard_request)
 
     def boot(self) -> None:
         """Send the boot-up frame and enter PRE-OPERATIONAL, as after power-on."""
@@ -112,7 +125,12 @@ class SimulatedNode:
         if self.state is Nmt.STOPPED:
             return
         response = self._sdo.answer(data)
-        if response is not None:
+        if response is None:
+            return
+        if self.sdo_delay_ns:
+            due = self._clock.now_ns() + self.sdo_delay_ns
+            self._clock.call_at(due, lambda: self._port.send(0x580 + self.node_id, response))
+        else:
             self._port.send(0x580 + self.node_id, response)
 
     def _on_sync(self, _data: bytes) -> None:
@@ -157,7 +175,8 @@ class SimulatedNode:
     def _restart(self, application: bool) -> None:
         self._set_state(Nmt.INITIALISING)
         self._watch.stop()
-        self._watched = None
+        self._life.stop()
+        self._watched, self._toggle = None, 0
         self._sdo.reset()
         self.halt()
         self.objects.reset(0, 0xFFFF if application else 0x1FFF)
@@ -170,7 +189,7 @@ class SimulatedNode:
         self._process_data.activate(state is Nmt.OPERATIONAL)
 
     def _start_producer(self) -> None:
-        period_ms = self.objects.integer(0x1017)
+        period_ms = self.objects.kept(0x1017)
         self._producer.stop()
         if period_ms:
             self._producer.start(self._clock.now_ns() + period_ms * _MS)
@@ -209,9 +228,26 @@ class SimulatedNode:
             self._watch.start(due)
             return
         self._heard_ns = -1
+        self._master_lost()
+
+    def _life_ns(self) -> int:
+        """Return the life time of the node guarding, ns; 0 if the life guarding is off."""
+        kept = self.objects.kept
+        return kept(0x100C) * kept(0x100D) * _MS
+
+    def _on_guard_request(self, _data: bytes) -> None:
+        # A device that sends heartbeats does no node guarding (CiA 301, 7.2.8.2.2).
+        if self.state is Nmt.INITIALISING or self.objects.kept(0x1017) or not self.remote_frames:
+            return
+        self._port.send(0x700 + self.node_id, bytes([self.state | self._toggle]))
+        self._toggle ^= 0x80
+        if life_ns := self._life_ns():
+            self._life.start(self._clock.now_ns() + life_ns)
+
+    def _master_lost(self) -> None:
         self.emergency(HEARTBEAT_LOST, COMMUNICATION)
         self.connection_lost(HEARTBEAT_LOST)
-        behaviour = self.objects.integer(0x1029, 1)
+        behaviour = self.objects.kept(0x1029, 1)
         if behaviour == 0 and self.state is Nmt.OPERATIONAL:
             self._set_state(Nmt.PRE_OPERATIONAL)
         elif behaviour == 2:

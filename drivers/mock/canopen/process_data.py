@@ -181,7 +181,8 @@ class ProcessData:
         cob_id, count = read(index, 1), read(index + 0x200, 0)
         if cob_id & _INVALID or not count:
             return None
-        keys = tuple(read(index + 0x200, sub) >> 8 for sub in range(1, count + 1))
+        place = self._dictionary.place
+        keys = tuple(place(read(index + 0x200, sub) >> 8) for sub in range(1, count + 1))
         codes = "".join(self._dictionary.entries[number].code or "" for number in keys)
         return cob_id & 0x7FF, read(index, 2), keys, struct.Struct("<" + codes)
 

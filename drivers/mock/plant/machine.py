@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import cmath
+import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ from drivers.mock.plant.record import (
     record_cycles,
 )
 
+Loop = Literal["position", "velocity", "phases"]
+LOOPS: Final[tuple[Loop, ...]] = get_args(Loop)
+"""The parts of a drive that may have the wrong sign, see :meth:`SimulatedMachine.reverse`."""
 _NOISE_BLOCK = 1 << 16
 _REFERENCE_MASS_KG = 30.6
 _NO_PATH = np.zeros(0)
@@ -70,6 +74,21 @@ class Truth(NamedTuple):
     contact_force_N: float
 
 
+@dataclasses.dataclass
+class Extremes:
+    """Greatest joint speed, rad/s, and least and greatest joint angle, rad."""
+
+    speed_rad_s: float
+    low_rad: float
+    high_rad: float
+
+    def take(self, truth: Truth) -> None:
+        """Take a state of the machine."""
+        self.speed_rad_s = max(self.speed_rad_s, abs(truth.velocity_rad_s))
+        self.low_rad = min(self.low_rad, truth.angle_rad)
+        self.high_rad = max(self.high_rad, truth.angle_rad)
+
+
 class SimulatedMachine:
     """Motor, gear, friction, lever with weights and the control loops of the drive, integrated with
     a constant step.
@@ -97,6 +116,8 @@ class SimulatedMachine:
             any_size: Whether effects may have sizes outside the ranges of the catalogue.
         """
         self.constants = machine
+        self._cascade = machine.loops
+        self._marked: Extremes | None = None
         self.loop_ns = round(1e9 / machine.loops.rate_Hz)
         self._rng = rng
         self._noise = rng.standard_normal(_NOISE_BLOCK)
@@ -220,7 +241,27 @@ class SimulatedMachine:
 
     def control(self, position: bool, speed: bool) -> None:
         """Close or open the drive's position and speed loops before the joint moves."""
-        close_loops(self._d, self.constants.loops, position, speed)
+        close_loops(self._d, self._cascade, position, speed)
+
+    def reverse(self, loop: Loop) -> None:
+        """Give one loop of the drive the wrong sign, or the right sign again.
+
+        The loop ``phases`` is the winding: with two phases swapped, each current gives the opposite
+        torque, while the loop of the current itself still works.
+        """
+        d, cascade = self._d, self._cascade
+        gain = cascade.velocity_gain_N_m_s_rad
+        if loop == "phases":
+            d[loops.TORQUE_PER_AMPERE] *= -1.0
+            d[loops.EMF_PER_SPEED] *= -1.0
+        # The current command is a torque over the torque constant, whose sign the drive does not
+        # know; one gain has to change its sign with it.
+        if loop == "position" or gain is None:
+            d[loops.POSITION_GAIN] *= -1.0
+            self._cascade = dataclasses.replace(cascade, position_gain=-cascade.position_gain)
+        else:
+            d[loops.VELOCITY_GAIN] *= -1.0
+            self._cascade = dataclasses.replace(cascade, velocity_gain_N_m_s_rad=-gain)
 
     def spin(self, speed_rad_s: float) -> None:
         """Command a joint speed until the next command, without the position loop."""
@@ -259,9 +300,10 @@ class SimulatedMachine:
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
-        opened = take_over(s, self._d, self.constants.loops)
+        opened = take_over(s, self._d, self._cascade)
         if not opened and s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
-            s[loops.TARGET_STEP] = 0.0
+            # The last target is reached, and the ramp starts at the measured speed.
+            s[loops.TARGET_STEP] = s[loops.VELOCITY_ESTIMATE] * self._d[loops.LOOP_S]
         s[loops.MODE] = loops.BRAKE
         s[loops.OFFSET] = 0.0
         s[loops.BRAKE_STEP] = deceleration_rad_s2 * self._d[loops.LOOP_S]
@@ -273,6 +315,14 @@ class SimulatedMachine:
             ValueError: ``duration_ns`` is not a whole number of loop periods.
         """
         self._advance(self._loops_in(duration_ns), _NO_PATH)
+        if self._marked is not None:
+            self._marked.take(self.truth())
+
+    def mark(self) -> Extremes:
+        """Return the extremes of the motion from now on, which further steps update."""
+        truth = self.truth()
+        self._marked = Extremes(abs(truth.velocity_rad_s), truth.angle_rad, truth.angle_rad)
+        return self._marked
 
     def _loops_in(self, duration_ns: int) -> int:
         count, rest = divmod(duration_ns, self.loop_ns)

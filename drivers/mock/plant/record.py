@@ -40,8 +40,6 @@ from drivers.mock.plant.parts.loops import (
     LATCHED,
 ) = range(10)
 
-_NO_PATH = np.zeros(0)
-
 
 class Latches(NamedTuple):
     """Values of drive and joint encoder at each SYNC before conversion to device units; arrays of

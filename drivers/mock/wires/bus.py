@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import can
 
-from drivers.can.port import ERROR_FLAG, raw_frame
+from drivers.can.port import ERROR_FLAG, REMOTE_FLAG, raw_frame
 from drivers.can.timing import frame_bits
 from drivers.clock import NS, SimulatedClock
 from drivers.interfaces import RawFrame
@@ -33,6 +33,11 @@ def _of_python_can() -> Iterator[None]:
         raise can.CanOperationError(str(error)) from error
 
 
+def _rank(identifier: int) -> int:
+    """Return the identifier by which a frame takes part in the arbitration."""
+    return identifier & ~REMOTE_FLAG
+
+
 class Port:
     """One controller on the bus: sends its frames in order, and receives the identifiers for which
     it has a handler.
@@ -48,7 +53,7 @@ class Port:
         """Queue a frame; the frame is sent when it wins the arbitration."""
         self.queue.append((identifier, data))
         if len(self.queue) == 1:
-            self._bus.contend(identifier, self.number)
+            self._bus.contend(_rank(identifier), self.number)
 
     def listen(self, identifier: int, handler: Handler) -> None:
         """Pass every frame with this identifier from any other controller to ``handler``."""
@@ -114,7 +119,8 @@ class SimulatedBus(can.BusABC):
         """Send the waiting frame with the lowest identifier; return its duration, ns."""
         _, number = heapq.heappop(self._contenders)
         self._sender = sender = self._ports[number]
-        return self._times[len(sender.queue[0][1])]
+        identifier, data = sender.queue[0]
+        return self._times[0 if identifier & REMOTE_FLAG else len(data)]
 
     def _arrived(self) -> None:
         """Deliver the frame on the bus and the frames that follow it, up to the next event of
@@ -126,7 +132,7 @@ class SimulatedBus(can.BusABC):
             queue = sender.queue
             frame: tuple[int, bytes] | None = queue.popleft()
             if queue:
-                heapq.heappush(contenders, (queue[0][0], sender.number))
+                heapq.heappush(contenders, (_rank(queue[0][0]), sender.number))
             if self.frame_filters:
                 frame = self._filtered(now, frame, sender is self._host)
             if frame is not None:
@@ -193,7 +199,10 @@ class SimulatedBus(can.BusABC):
             can.CanOperationError: The bus is down or closed.
         """
         with _of_python_can():
-            self.transmit(msg.arbitration_id, bytes(msg.data))
+            if msg.is_remote_frame:
+                self.transmit(msg.arbitration_id | REMOTE_FLAG, bytes(msg.dlc))
+            else:
+                self.transmit(msg.arbitration_id, bytes(msg.data))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes python-can's filters.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
+from drivers.frame_flags import REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from drivers.mock.wires.bus import SimulatedBus
 
@@ -20,7 +21,7 @@ class LawicelAdapter:
     """Serial side of a LAWICEL adapter ("slcan"); a
     :class:`~drivers.mock.wires.serial_line.Station`.
 
-    The adapter handles only data frames with 11-bit identifiers, which the simulated devices use.
+    The adapter handles frames with 11-bit identifiers, which the simulated devices use.
     The adapter does not answer settings, because hosts do not wait for an answer.
 
     Args:
@@ -56,24 +57,21 @@ class LawicelAdapter:
                 self._open = True
             case b"C":
                 self._open = False
-            case b"t" if self._open:
+            case b"t" | b"r" if self._open:
                 return self._send(line)
             case code if code[0] not in _SETTINGS:
                 return _BELL
         return b""
 
     def _send(self, line: bytes) -> bytes:
-        if len(line) < 5 or not set(line[1:]) <= _HEX or len(line) != 5 + 2 * int(line[4:5], 16):
+        if len(line) < 5 or not set(line[1:]) <= _HEX:
             return _BELL
-        identifier = int(line[1:4], 16)
-        data = bytes.fromhex(line[5:].decode())
-        return (
-            b""
-            if identifier <= _STANDARD
-            and len(data) <= 8
-            and _transmitted(self._bus, identifier, data)
-            else _BELL
-        )
+        identifier, length, remote = int(line[1:4], 16), int(line[4:5], 16), line.startswith(b"r")
+        if len(line) != 5 + (0 if remote else 2 * length) or identifier > _STANDARD or length > 8:
+            return _BELL
+        data = bytes(length) if remote else bytes.fromhex(line[5:].decode())
+        sent = _transmitted(self._bus, identifier | (REMOTE_FLAG if remote else 0), data)
+        return b"" if sent else _BELL
 
 
 def _lines(frames: Iterable[RawFrame]) -> bytes:

@@ -18,8 +18,8 @@ from identification.diagnosis.fit.linear import (
 )
 from identification.diagnosis.fit.stack import stack_of
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.terms.term import Context
-from identification.estimate.uncertainty.parameter_table import WIDEST
+from identification.effects.effect import Context
+from identification.estimate.parameter_table import WIDEST
 from identification.numerics.spread import CONFIDENCE
 
 APPROXIMATION_SHARE, APPROXIMATION_RAD = 0.02, 0.01

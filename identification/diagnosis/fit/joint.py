@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,11 +22,11 @@ from identification.diagnosis.fit.linear import (
 from identification.diagnosis.fit.linear import Added as Added
 from identification.diagnosis.fit.stack import Stack, connected, stack_of, with_effect_basis
 from identification.diagnosis.rows.equations import Equation, equations
-from identification.diagnosis.rows.nominal import STATICS, Nominal
-from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.term import Shape
+from identification.effects.effect import Shape
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array, RecordingError
+from identification.views.nominal import STATICS, Nominal
+from identification.views.view import View
 
 ROUNDS = 30
 """Greatest number of Gauss-Newton rounds of one joint fit."""
@@ -238,44 +238,13 @@ def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, 
 
 def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
     """Return the nominal values with those quantities of the effects on which regressors of other
-    effects depend: undeclared load, current offset, torque ripple and efficiency.
+    effects depend.
     """
-    ripple = next(
-        ((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ()
-    )
-    return replace(
-        nominal,
-        undeclared=undeclared_load(effects),
-        zero_A=current_offset(effects),
-        ripple=ripple,
-        efficiency=1.0 / (1.0 + gear_loss(effects)),
-    )
-
-
-def undeclared_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
-    """Return the coefficients of the load torque that turns with the joint and that effects add, as
-    in ``undeclared`` of :class:`Nominal`.
-    """
-    found = {e.term.name: e.coefficients for e in effects}
-    sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
-    slope, constant = found.get("return_spring", (0.0, 0.0))
-    return sine, -cosine, slope, -constant
-
-
-def gear_loss(effects: Sequence[Added]) -> float:
-    """Return 1 / efficiency - 1 of the transmission, from the identified effects."""
-    return sum(
-        max(e.coefficients[0], 0.0)
-        for e in effects
-        if e.term.name == "transmission_efficiency" and e.coefficients
-    )
-
-
-def current_offset(effects: Sequence[Added]) -> float:
-    """Return the logged current at zero true current, from the identified effects, A."""
-    return sum(
-        e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients
-    )
+    nominal = nominal.without_effects()
+    for effect in effects:
+        if effect.coefficients:
+            nominal = effect.term.feeds_back(nominal, effect.shape, effect.coefficients)
+    return nominal
 
 
 class _SingleEffect(NamedTuple):
@@ -398,3 +367,77 @@ def _grid_minimum(cost: Callable[[Shape], float], effect: Added, share: float) -
                     best, least = trial, value
         width *= 2.0 / (GRID_POINTS - 1)
     return best
+
+
+# Evaluates the nominal model at given values of its parameters, such as those of ``rig identify``,
+# in the form of a fit.
+
+
+def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[str, float]) -> Joint:
+    """Return the nominal model at given values of its parameters, with the residual of every
+    equation.
+
+    Args:
+        views: The fitted recordings.
+        unit: Unit of the torque.
+        like: A fit of the nominal model to these recordings; its noise and its blocks of rows are
+            used.
+        values: Name to value; nominal parameters that are not named keep their fitted values.
+    """
+    known = {n: v for n, v in values.items() if n in like.nominal.values}
+    nominal = replace(like.nominal, values={**like.nominal.values, **known})
+    stack = stack_of(equations(views, nominal, unit, like.stack.equations), nominal, like.stack)
+    residual = np.concatenate([_remaining(e, nominal.free) / e.sigma for e in stack.equations])
+    return Joint(nominal, (), stack.equations, residual, stack)
+
+
+def _remaining(equation: Equation, given: Sequence[str]) -> Array:
+    """Return the residual of an equation after a linear fit of the parameters that are not given.
+
+    In the torque equation only the rotor's share of the inertia is fitted. In every other equation
+    all parameters are fitted, because none of them is a nominal parameter, such as the zero of an
+    encoder.
+    """
+    held = given if equation.name == "torque" else ()
+    other = equation.tangent[:, [name not in held for name in equation.names]]
+    if not other.shape[1]:
+        return equation.residual
+    return np.asarray(
+        equation.residual - other @ np.linalg.lstsq(other, equation.residual, rcond=None)[0]
+    )
+
+
+# The part of a fit that is due to one of its effects.
+
+SET_BY_EFFECTS = ("fitted_alpha", "presliding_stiffness", "late_s")
+"""Nominal values that an effect sets at the start of a fit (`Effect.begin`)."""
+
+
+def contribution(stack: Stack, effect: Added) -> Array:
+    """Return the whitened contribution of an effect, shape (n,)."""
+    columns = stack.whitened(stack.columns(effect.term, effect.shape))
+    return np.asarray(columns @ np.array(effect.coefficients))
+
+
+def without_effect(joint: Joint, k: int) -> Stack:
+    """Return the stack of a fit in which effect ``k`` is missing: its residual contains this
+    effect; the nominal tangent and the other effects are projected out.
+    """
+    others = tuple(e for j, e in enumerate(joint.effects) if j != k)
+    views, unit = joint.equations[0].views, joint.equations[0].unit
+    nominal = nominal_after_effects(_without_own_values(joint.nominal, joint.effects[k]), others)
+    rows = equations(views, nominal, unit, joint.stack.equations)
+    bare = stack_of(rows, nominal, joint.stack)
+    left = np.concatenate([e.residual / e.sigma for e in rows])
+    for effect in others:
+        left = left - contribution(bare, effect)
+    bare = replace(bare, residual=bare.projected(left[:, None])[:, 0])
+    return with_effect_basis(bare, effect_derivatives(bare, others))
+
+
+def _without_own_values(nominal: Nominal, effect: Added) -> Nominal:
+    """Return the nominal values without those that the effect has set."""
+    bare, _ = start_fit(nominal, ())
+    begun, _ = effect.term.begin(bare, effect.shape)
+    own = [name for name in SET_BY_EFFECTS if getattr(begun, name) != getattr(bare, name)]
+    return replace(nominal, **{name: getattr(bare, name) for name in own})

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.diagnosis.fit.stack import Stack, view_regressors
-from identification.diagnosis.rows.nominal import SPEEDS
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.effects.effect import Context, Effect, Shape
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array
+from identification.views.nominal import SPEEDS
 
 SCALE_FACTOR = 4.0
 """Factor that is the half width of the search of a parameter with a logarithmic scale."""
@@ -27,7 +27,7 @@ search.
 class Added:
     """One effect in the model: its term, nonlinear parameters and coefficients."""
 
-    term: Term
+    term: Effect
     shape: Shape
     coefficients: tuple[float, ...]
 

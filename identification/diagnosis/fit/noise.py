@@ -17,13 +17,12 @@ from identification.diagnosis.rows.equations import (
     Equation,
     held_voltage,
     least_noise,
+    noise,
     own_noise,
+    without_tones,
 )
-from identification.diagnosis.rows.row_noise import noise, without_tones
-from identification.diagnosis.rows.view import View
+from identification.views.view import View
 
-FAST_EFFECTS = ("cogging", "torque_ripple", "gear_mesh_ripple")
-"""Effects that may vary by their full amplitude from row to row."""
 LOWER_NOISE_RATIO = 0.5
 """Ratio of the new to the old noise estimate, below which the new estimate is used.
 
@@ -47,7 +46,7 @@ def with_lower_noise(
         baseline: Fit of the nominal model.
         joint: Fit with every effect identified so far.
     """
-    if joint.effects[-1].term.name not in FAST_EFFECTS:
+    if not joint.effects[-1].term.fast:
         return baseline, joint
     before = _with_lower(baseline, [_with_noise_of(e, joint) for e in joint.equations])
     if before is baseline:
@@ -59,7 +58,7 @@ def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
     """Return an equation with the noise that is estimated from the residual of a fit, but at most
     the present noise.
     """
-    if equation.name == "breakaway":
+    if not equation.judges:
         return equation
     rest = without_tones(
         joint.residual[joint.stack.part(equation.name)], equation.owner, equation.time

@@ -6,19 +6,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.within_limits import infeasible_as_fitted
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
 from identification.estimate.default import free_names, solve_stages
-from identification.estimate.equation_error.bandwidth import common_bandwidth
+from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
 from identification.model.ladder import LADDER, bears_load
 from identification.prepare import prepare, torque_unit
-from identification.recording import Dataset, Model, Recording
+from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.views.nominal import Nominal
+from identification.views.view import View, views
 
 SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
 """Quantiles of the speed between which trial Stribeck speeds are placed, and number of trial
@@ -164,3 +165,60 @@ def estimated_nominal(
             ),
         )
     return Nominal(values, free, model.alpha)
+
+
+# Chooses the recordings and the bandwidth of a diagnosis.
+
+
+class Chosen(NamedTuple):
+    """Recordings and bandwidth of a diagnosis.
+
+    Attributes:
+        dataset: The dataset; recordings that cannot be used have the role ``unused``.
+        bandwidth: Bandwidth of all errors, Hz.
+        warnings: Texts that state which recordings are not used, and why.
+    """
+
+    dataset: Dataset
+    bandwidth: float
+    warnings: tuple[str, ...] = ()
+
+
+def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
+    """Return the recordings to use, and the bandwidth of all errors.
+
+    Loaded recordings in which the joint rests nearly all the time do not determine friction under
+    load. Such recordings are not used, and only the unloaded recordings are diagnosed.
+
+    Args:
+        dataset: The dataset.
+        bandwidth_Hz: Bandwidth of all errors, or None for a bandwidth chosen from the recordings.
+
+    Raises:
+        RecordingError: No recording has the role ``fit``.
+    """
+    fitted = dataset.part("fit")
+    if not fitted:
+        raise RecordingError(
+            "no recording has the role fit, but a diagnosis needs at least one; set `role: fit` in "
+            "the campaign file"
+        )
+    bandwidth = bandwidth_Hz or bandwidth_of(fitted)
+    moving = {
+        stage: samples_in_motion([prepare(r, bandwidth) for r in fitted if r.stage == stage])
+        for stage in {r.stage for r in fitted}
+    }
+    rests = moving.get("loaded", LEAST_MOTION) < LEAST_MOTION
+    if not rests or moving.get("unloaded", 0) < LEAST_MOTION:
+        return Chosen(dataset, bandwidth)
+    kept = tuple(
+        replace(r, role="unused") if r.stage == "loaded" else r for r in dataset.recordings
+    )
+    names = ", ".join(r.name for r in dataset.recordings if r.stage == "loaded")
+    warning = (
+        f"{names}: at a bandwidth of {bandwidth:.3g} Hz these loaded recordings have "
+        f"{moving['loaded']} samples in motion, and at least {LEAST_MOTION} are needed. Therefore "
+        "no loaded recording is used, and effects of the load are not diagnosed; add recordings in "
+        "which the loaded joint moves longer"
+    )
+    return Chosen(replace(dataset, recordings=kept), bandwidth, (warning,))

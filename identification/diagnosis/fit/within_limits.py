@@ -25,10 +25,10 @@ from identification.diagnosis.fit.joint import Joint, nominal_after_effects, sta
 from identification.diagnosis.fit.linear import Added, effect_derivatives
 from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
 from identification.diagnosis.rows.equations import equations
-from identification.diagnosis.rows.nominal import LARGEST_STEP, SPEEDS, Nominal
-from identification.diagnosis.rows.view import View
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
+from identification.views.nominal import LARGEST_STEP, SPEEDS, Nominal
+from identification.views.view import View
 
 ROUNDS = 8
 """Greatest number of steps; several steps are needed because the fall of friction, and regressors

@@ -13,19 +13,15 @@ from time import perf_counter
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.entry import title
-from identification.diagnosis.gas.burns import Burn, burns, noise
-from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
+from identification.diagnosis.gas.burns import CONSTANTS, VOLUME, Burn, burns, noise
 from identification.diagnosis.gas.fit import Fitted, fit, nominal_model
 from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded_rows
 from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Selected, search
-from identification.diagnosis.gas.terms import GasEffect
 from identification.diagnosis.result import (
     Diagnosis,
-    Effect,
     Estimate,
     Fit,
+    IdentifiedEffect,
     Location,
     Map,
     ResidualTrace,
@@ -36,7 +32,9 @@ from identification.diagnosis.result import (
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import Axis, curve, map_over, ranges
 from identification.diagnosis.selection.comparison import probability
-from identification.diagnosis.verdict.wording import finding
+from identification.diagnosis.verdict.statement import finding
+from identification.effects.effect import title
+from identification.effects.gas_generator import GasEffect
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
 
@@ -59,7 +57,7 @@ def diagnose_gas(
     effects.
 
     The constants of propellant, valve and sensors, within their tolerances
-    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the state at the start of every
+    (:data:`identification.diagnosis.gas.burns.CONSTANTS`), and the state at the start of every
     recording are fitted together with the effects.
 
     Args:
@@ -150,7 +148,7 @@ def _explained(found: GasSearch) -> float:
     return min(1.0, max(0.0, (before - max(after, 1.0)) / max(before - 1.0, 1e-12)))
 
 
-def _effects(found: GasSearch, where: Location) -> tuple[Effect, ...]:
+def _effects(found: GasSearch, where: Location) -> tuple[IdentifiedEffect, ...]:
     sizes = intervals(found)
     taken = {t.name: t for t in found.taken}
     return tuple(
@@ -165,10 +163,10 @@ def _effect(
     sizes: Mapping[str, Estimate],
     where: Location,
     explained: float,
-) -> Effect:
-    entry = ENTRIES[effect.term.name]
+) -> IdentifiedEffect:
+    entry = effect.term
     sure = min([probability(r.preference) for r in taken.rivals], default=_GREATEST_CONFIDENCE)
-    return Effect(
+    return IdentifiedEffect(
         name=entry.name,
         alias_group=(entry.name, *(r.name for r in taken.rivals if r.open)),
         confidence=min(_GREATEST_CONFIDENCE, sure) * (0.5 + 0.5 * explained),
@@ -207,7 +205,7 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
     at = count - sum(len(e.term.sizes) for e in final.model.effects)
     out = []
     for effect in final.model.effects:
-        units = {q.name: q.unit for q in ENTRIES[effect.term.name].parameters}
+        units = {q.name: q.unit for q in effect.term.parameters}
         sizes = {}
         for name, size in effect.term.sizes.items():
             value, half = effect.parameters[name], float(wide[at])
@@ -298,7 +296,11 @@ def _traces(
 
 
 def _statement(
-    verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Location | None, p_value: float
+    verdict: Verdict,
+    effects: Sequence[IdentifiedEffect],
+    main: Fit,
+    where: Location | None,
+    p_value: float,
 ) -> str:
     error = f"pressure error {main.baseline_rms:.3g} Pa; noise floor {main.noise_floor_rms:.3g}"
     if verdict is Verdict.NOTHING_MISSING:

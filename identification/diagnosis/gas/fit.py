@@ -8,18 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.gas.burns import Burn, generator
-from identification.diagnosis.gas.constants import (
+from identification.diagnosis.gas.burns import (
     CONSTANTS,
     PRESSURE,
     PROPELLANT,
     VOLUME,
+    Burn,
+    generator,
     nominal_constants,
 )
-from identification.diagnosis.gas.terms import GasEffect, effect_at
-from identification.model import gas_kernel as kernel
+from identification.effects.gas_generator import GasEffect, effect_at
+from identification.model import gas_generator as kernel
 from identification.model.gas_generator import constants
-from identification.numerics.levenberg_marquardt import minimise
+from identification.numerics.least_squares import minimise
 from identification.recording import Array
 from identification.signals import BoolArray
 

@@ -14,18 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from identification.diagnosis.fit.candidate import Candidate
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.fit.stack import Candidate, Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, simulate, simulated_burn
-from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.rows.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import edges
-from identification.diagnosis.rows.nominal import Nominal
-from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
+from identification.effects import GAS
+from identification.effects.gas_generator import GasEffect, GasGeneratorEffect
+from identification.estimate.equation_error import BLOCK_CORRELATION_TIMES
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array
+from identification.views.nominal import Nominal
 
 PRESSURE = "pressure"
 """Name of the equation."""
@@ -109,13 +109,13 @@ def padded_rows(stack: Stack, values: Array) -> Array:
 
 
 def candidates(
-    burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
+    burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasGeneratorEffect] = GAS
 ) -> Iterator[Candidate]:
     """Yield every effect at all trial parameters, linearised about the fit; the coefficients are in
     the unit of the effect.
     """
     for term in terms:
-        for shape in term.shapes:
+        for shape in term.start_values:
             columns = {PRESSURE: padded_rows(stack, slope(burns, fitted, term, shape)[:, None])}
             found = stack.candidate(term.name, shape, columns)
             if found is not None:
@@ -123,14 +123,14 @@ def candidates(
 
 
 def starts(
-    burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
+    burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasGeneratorEffect
 ) -> list[tuple[float, float, tuple[float, ...]]]:
     """Fit the size of an effect by linear least squares at each set of trial parameters; return
     (decrease of the sum of squares, size, trial parameters) for each set, the greatest decrease
     first.
     """
     found = []
-    for shape in term.shapes:
+    for shape in term.start_values:
         column = stack.projected(
             stack.whitened(
                 {PRESSURE: padded_rows(stack, slope(burns, fitted, term, shape)[:, None])}
@@ -142,7 +142,9 @@ def starts(
     return sorted(found, reverse=True)
 
 
-def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[float, ...]) -> Array:
+def slope(
+    burns: Sequence[Burn], fitted: Fitted, term: GasGeneratorEffect, shape: tuple[float, ...]
+) -> Array:
     """Return the derivative of the pressure with respect to an effect's size, Pa over the unit of
     the size, shape (n,).
     """

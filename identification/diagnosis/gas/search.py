@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, fit, nominal_model
 from identification.diagnosis.gas.rows import candidates, families, padded_rows, stack_of, starts
-from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import sign_flip_p_value
 from identification.diagnosis.selection.removal import LEAST_FURTHER
+from identification.effects import GAS
+from identification.effects.gas_generator import GasEffect, GasGeneratorEffect
 from identification.recording import Array
 
 MOST_EFFECTS = 2
@@ -209,7 +209,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     them.
     """
     named = {e.term.name for e in here.model.effects}
-    left = [t for t in GAS_TERMS if t.name not in named]
+    left = [t for t in GAS if t.name not in named]
     tried = [*candidates(burns, stack, here, left), *families(burns, stack, here)]
     by_shape, by_size, by_belief = (
         sign_flip_p_value(tried, stack.blocks, rng, LEAST_SHARE),
@@ -273,7 +273,7 @@ def _fits_with_one_more(
     """
     named = {e.term.name for e in here.model.effects}
     fresh, found = nominal_model(burns), []
-    for term in GAS_TERMS:
+    for term in GAS:
         if term.name in named:
             continue
         trials = starts(burns, stack, here, term)[:TRIALS_FITTED]
@@ -288,7 +288,7 @@ def _fits_with_one_more(
 
 
 def _with(
-    model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]
+    model: Model, start: Model, term: GasGeneratorEffect, size: float, shape: tuple[float, ...]
 ) -> Model:
     """Return the start of a fit with the effects of a model and one further effect. The constants
     are those of ``start``, because nominal constants are better start values than constants of a
@@ -300,7 +300,7 @@ def _with(
 
 def plausible(effect: GasEffect) -> bool:
     """Whether an effect's parameters are within the ranges of the catalogue."""
-    ranges = {q.name: (q.low, q.high) for q in ENTRIES[effect.term.name].parameters}
+    ranges = {q.name: (q.low, q.high) for q in effect.term.parameters}
     return all(
         ranges[name][0] <= value <= ranges[name][1] for name, value in effect.parameters.items()
     )
@@ -311,7 +311,7 @@ def reversed_sign(effect: GasEffect) -> bool:
     that becomes wider is not a negative deposit.
     """
     name = next(iter(effect.term.sizes))
-    low = next(q.low for q in ENTRIES[effect.term.name].parameters if q.name == name)
+    low = next(q.low for q in effect.term.parameters if q.name == name)
     return effect.parameters[name] < low
 
 

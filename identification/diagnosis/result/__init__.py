@@ -7,13 +7,13 @@ from identification.diagnosis.result.records import (
     Diagnosis as Diagnosis,
 )
 from identification.diagnosis.result.records import (
-    Effect as Effect,
-)
-from identification.diagnosis.result.records import (
     Estimate as Estimate,
 )
 from identification.diagnosis.result.records import (
     Fit as Fit,
+)
+from identification.diagnosis.result.records import (
+    IdentifiedEffect as IdentifiedEffect,
 )
 from identification.diagnosis.result.records import (
     Location as Location,

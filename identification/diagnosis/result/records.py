@@ -61,7 +61,7 @@ class Location:
 
 
 @dataclass(frozen=True)
-class Effect:
+class IdentifiedEffect:
     """One identified effect.
 
     Attributes:
@@ -220,7 +220,7 @@ class Diagnosis:
 
     verdict: Verdict
     statement: str
-    effects: tuple[Effect, ...]
+    effects: tuple[IdentifiedEffect, ...]
     fit: Fit
     fits: tuple[Fit, ...]
     parameters: Mapping[str, float]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from identification.diagnosis.rows.equations import Equation
-from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
+from identification.estimate.equation_error import BLOCK_CORRELATION_TIMES
 from identification.numerics.compiled import compiled
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array
@@ -69,7 +69,7 @@ def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple
     """
     length = LEAST_BLOCK_S
     for equation, residual in zip(equations, residuals, strict=True):
-        if equation.name == "breakaway":
+        if not equation.judges:
             continue
         for view in equation.views:
             mine = residual[equation.owner == view.index]

@@ -17,15 +17,156 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.diagnosis.rows.instants import INSTANTS, voltage_change
-from identification.diagnosis.rows.marks import RISE_SAMPLES
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.row_noise import noise, without_tones
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.model.units import unit_on
+from identification.model.parameters import unit_on
 from identification.recording import Array
-from identification.signals import BoolArray, central_difference, quantum
+from identification.signals import BoolArray, Decimator, central_difference, quantum, resample
+from identification.views.marks import RISE_SAMPLES
+from identification.views.nominal import Nominal, winding_voltage
+from identification.views.view import View
+
+# Describes what samples at instants leave unknown about the mean of voltage and current over a
+# sample period, to which the voltage equation applies.
+
+
+def voltage_change(view: View) -> Array:
+    """Return the change of the voltage over one sample period, V, shape (n,); zero for an averaged
+    channel.
+
+    A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
+    channel is declared as averaged, start and duration of this cycle are unknown; therefore the
+    delay of the voltage is a parameter of the voltage equation.
+    """
+    assert view.voltage is not None
+    if "voltage" in view.recording.averaged:
+        return np.zeros(len(view.time))
+    return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
+
+
+def command_ripple(view: View) -> Array:
+    """Return the acceleration of the command, rad/s^2 or m/s^2, shape (n,); zero without a command,
+    or if voltage and current are averaged.
+
+    A loop that receives a command at intervals changes the current in steps. With feed-forward the
+    steps are in proportion to the acceleration of the command. If log and loop are synchronised,
+    all samples are taken at one phase of the steps, so that their difference from the mean over a
+    sample period is in proportion to this acceleration.
+    """
+    recording = view.recording
+    command = recording.channels.get("command")
+    if command is None or {"voltage", "current"} <= recording.averaged:
+        return np.zeros(len(view.time))
+    speed = central_difference(resample(recording.time, command, view.time), view.step)
+    return central_difference(speed, view.step)
+
+
+INSTANTS: Mapping[str, Callable[[View], Array]] = {
+    "hold": voltage_change,
+    "ripple": command_ripple,
+}
+"""Parameters that samples at instants add to the voltage equation, each with the function that
+computes its column.
+"""
+
+
+def between_samples(views: Sequence[View]) -> float:
+    """Return the error of the voltage equation, V, that voltages and currents between the samples
+    may cause; 0 for averaged channels.
+
+    A control loop that is faster than the log changes voltage and current between two samples. If
+    log and loop are synchronised, every sample is taken at one phase of the loop's cycle, so that
+    the error depends on the motion and no filter averages it. This error is not white noise, but
+    the deviation of an instant within a sample period times the rate of change of the voltage, or
+    of the voltage across the resistance.
+
+    Args:
+        views: Recordings with voltage and current.
+    """
+    voltages = [v.voltage for v in views if "voltage" not in v.recording.averaged]
+    drops = [
+        v.current * (v.recording.bench.resistance or 0.0)
+        for v in views
+        if v.current is not None and "current" not in v.recording.averaged
+    ]
+    return math.hypot(_instant(voltages), _instant(drops))
+
+
+def _instant(channels: Sequence[Array | None]) -> float:
+    """Return the rms error of using samples in place of means over their periods, from the changes
+    between the samples.
+    """
+    changes = [np.diff(c[np.isfinite(c)]) for c in channels if c is not None]
+    every = np.concatenate([np.zeros(1), *changes])
+    return float(np.sqrt(np.mean(every**2) / 12.0))
+
+
+# Estimates the noise of rows from their differences.
+
+LEAST_ROWS_OF_A_TONE = 300
+"""Least number of rows from which a tone is removed. The strongest sine explains 2 log(n/2)/n of n
+rows of white noise, which is 3 % here.
+"""
+TONE_PADDING, TONE_TRIALS = 4, 10
+"""Ratio of the length of the padded spectrum, in which a tone is searched, to the number of rows;
+and number of trial frequencies below and above the greatest line of this spectrum.
+"""
+
+
+def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
+    """Return the scatter of a filtered series that is due to white noise before the filter.
+
+    Third differences within recordings remove changes that are smooth from row to row, and the
+    median removes rare outliers. The correlation between rows due to the filter is taken into
+    account.
+    """
+    difference = np.diff(series, n=3)
+    same = owner[3:] == owner[:-3]
+    spread = 1.4826 * float(np.median(np.abs(difference[same]))) if np.any(same) else 0.0
+    taps, factor = low_pass.taps, low_pass.factor
+    lags = [
+        float(taps[k * factor :] @ taps[: len(taps) - k * factor])
+        if k * factor < len(taps)
+        else 0.0
+        for k in range(4)
+    ]
+    weights = np.convolve([1.0, -3.0, 3.0, -1.0], [-1.0, 3.0, -3.0, 1.0])[3:]
+    gain = weights[0] * lags[0] + 2.0 * float(weights[1:] @ np.array(lags[1:]))
+    return spread * float(np.sqrt(lags[0] / gain))
+
+
+def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
+    """Return the rows with the strongest sine of each recording subtracted.
+
+    In differences from row to row, a torque at one frequency would count as noise.
+    """
+    out = series.copy()
+    for index in np.unique(owner):
+        mine = owner == index
+        if np.sum(mine) >= LEAST_ROWS_OF_A_TONE:
+            out[mine] -= _tone(series[mine], time[mine] - time[mine][0])
+    return out
+
+
+def _tone(rows: Array, time: Array) -> Array:
+    """Return the sine that explains the greatest part of the rows; ``time`` are the times of the
+    rows, which need not be evenly spaced.
+    """
+    step = float(np.min(np.diff(time)))
+    place = np.round(time / step).astype(np.int64)
+    even = np.zeros(int(place[-1]) + 1)
+    even[place] = rows - np.mean(rows)
+    padded = TONE_PADDING * len(even)
+    strongest = int(np.argmax(np.abs(np.fft.rfft(even, padded))[1:])) + 1
+    best, least = np.zeros(len(rows)), math.inf
+    for offset in np.linspace(-1.0, 1.0, 2 * TONE_TRIALS + 1):
+        phase = 2.0 * math.pi * (strongest + float(offset)) / (padded * step) * time
+        columns = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        sine = columns @ np.linalg.lstsq(columns, rows, rcond=None)[0]
+        left = float(np.sum((rows - sine) ** 2))
+        if left < least:
+            best, least = sine, left
+    return best
+
 
 LEAST_BREAKAWAYS = 12
 """Least number of breakaways, over all recordings, for a breakaway equation."""
@@ -44,6 +185,11 @@ no noise.
 """
 ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
 """Error of the most accurate encoders for one turn, rad."""
+AT_INSTANTS = frozenset({"breakaway"})
+"""Equations that hold at instants alone, with one row per instant; the other equations hold
+throughout, and their rows are outputs of the filter. An equation at instants judges no model: it
+has few rows, and their noise is large because an instant is known only to within one sample.
+"""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -81,6 +227,11 @@ class Equation:
     sigma: float
     own: Mapping[int, float] = field(default_factory=dict)
     accuracy: float = 0.0
+
+    @property
+    def judges(self) -> bool:
+        """Whether the equation judges models."""
+        return self.name not in AT_INSTANTS
 
     def allowed(self) -> Array:
         """Return the mean square of noise and sensor error of each row over the square of
@@ -133,7 +284,7 @@ def _stack(
     parts = []
     for view, at in zip(views, places, strict=True):
         series = np.atleast_2d(per_view(view))
-        if name == "breakaway":
+        if name in AT_INSTANTS:
             parts.append((series[:, view.breakaways] * _sharpness(view))[:, at].T)
         else:
             parts.append(view.low_pass.chosen(series, at))
@@ -157,7 +308,7 @@ def _build(
     counts = [int(np.sum(k)) for k in kept]
     owner = np.repeat([v.index for v in views], counts)
     times = [
-        (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k]
+        (v.time[v.breakaways] if name in AT_INSTANTS else v.kept_times)[k]
         for v, k in zip(views, kept, strict=True)
     ]
     columns = _stack(name, views, places, tangent)
@@ -169,7 +320,7 @@ def _build(
         return replace(found, sigma=before.sigma, own=before.own, accuracy=before.accuracy)
     basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     rest = residual - basis @ (basis.T @ residual)
-    if name == "breakaway":
+    if name in AT_INSTANTS:
         scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
         return replace(found, sigma=max(scatter, least_noise(found)))
     rest = without_tones(rest, owner, when)
@@ -330,19 +481,8 @@ def _voltage(views: Sequence[View]) -> Equation | None:
         return None
 
     def measured(view: View) -> Array:
-        bench = view.recording.bench
         assert view.voltage is not None
-        assert view.current is not None
-        assert bench.resistance is not None
-        assert bench.back_emf_constant is not None
-        inductive = (bench.inductance or 0.0) * central_difference(view.current, view.step)
-        emf = bench.back_emf_constant * view.motor_speed
-        return (
-            np.where(np.isnan(view.voltage), 0.0, view.voltage)
-            - bench.resistance * view.current
-            - inductive
-            - emf
-        )
+        return np.where(np.isnan(view.voltage), 0.0, view.voltage) - winding_voltage(view)
 
     unsure = {name: make for name, make in INSTANTS.items() if any(np.any(make(v)) for v in known)}
 

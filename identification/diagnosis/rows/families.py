@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 
 from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.view import View, lacks_common_origin
 from identification.recording import Array
 from identification.signals import central_difference
+from identification.views.view import View, lacks_common_origin
 
 BINS = 8
 LEAST_ROWS = 5

@@ -19,7 +19,7 @@ class SelectionRules:
             level by construction (D4, D5).
         tested_from: Ratio of an equation's mean-square mismatch to that of the noise, from which
             the equation is tested. Basis: some hundred independent rows determine the mean square
-            of the noise to about a tenth (decisions 36, 43).
+            of the noise to about a tenth (decision 13).
         excess: Ratio of the mean-square mismatch to that of the noise, up to which the mismatch is
             attributed to noise, or counts as explained. Basis: chosen on development trials; the
             noise may be underestimated, because it is estimated from frequencies above the
@@ -65,17 +65,17 @@ class SelectionRules:
         same_fit: Square of the difference of two fits over the square of their mismatch, below
             which the fits are equal. Basis: a difference of a tenth of the mismatch.
         further_share: Share of the mismatch beyond the noise that one more effect must explain.
-            Basis: chosen on development trials (decision 21); the error of the first effect's
+            Basis: chosen on development trials (decision 13); the error of the first effect's
             regressor leaves a smaller share.
         shape_errors: Least gain of one more effect, as a multiple of the error of the regressors of
             the other effects. Basis: chosen; ten times the gain that this error may cause
-            (decision 21).
+            (decision 13).
         nearly_all: Share of the mismatch beyond the noise from which one more effect is accepted
             even if its gain is less than `shape_errors` requires. Basis: chosen on development
-            trials (decision 21).
+            trials (decision 13).
         further_searches: Greatest number of further searches, each without the effects that were
             dropped before. Basis: one search for each effect that was selected in place of another
-            (decision 43).
+            (decision 13).
         parts: Number of parts of the cross-validation, made of blocks of time, if one recording
             alone determines a parameter. Basis: chosen; three quarters of the rows remain for the
             fit.
@@ -91,8 +91,8 @@ class SelectionRules:
             reversal must explain for the mismatch to count as hysteretic. Basis: chosen on
             development trials.
         adequate: Share of the mismatch's power beyond the noise that the effects must explain
-            together. Basis: chosen on development trials; the proofs in docs/diagnosis.md were run
-            with this value.
+            together. Basis: chosen on development trials; the proofs in docs/measurements.md were
+            run with this value.
         adequate_after_removal: Share of the mismatch's power beyond the noise that the remaining
             effects must explain if others were dropped because they do not reduce the error on
             unused recordings. Basis: chosen; more than half must be explained.
@@ -106,12 +106,12 @@ class SelectionRules:
             is 1 on average; below the limit, each of two equal contributions is more than twice
             their sum.
         greatest_confidence: Greatest confidence in any effect. Basis: chosen; on machines made by
-            others an identified effect is right less often (docs/diagnosis.md).
+            others an identified effect is right less often (docs/measurements.md).
         incomplete_confidence: Greatest confidence in an effect if the test finds further missing
             physics, or in an effect that was not selected first and whose mismatch is faint. Basis:
             on three simulators 22 of 33 such effects were right (48 to 82 %).
         faint_confidence: Greatest confidence in an effect whose mismatch is faint. Basis: another
-            effect may cause a tenth of the mismatch (docs/diagnosis.md).
+            effect may cause a tenth of the mismatch (docs/measurements.md).
         implausible_confidence: Confidence in a rival that fits as well, but with a parameter
             outside its plausible range. Basis: the one-sided level of 5 % of `rejected`.
         own_coordinate: Ratio of the share of the mismatch that the catalogue's coordinate of an

@@ -24,7 +24,7 @@ from identification.diagnosis.rows.families import (
 )
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.beside import mismatch_of
-from identification.model.units import unit_on
+from identification.model.parameters import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 

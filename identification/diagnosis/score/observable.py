@@ -17,7 +17,7 @@ from scipy import stats
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.effects.effect import Context, Effect, Shape
 from identification.recording import Array
 
 
@@ -48,7 +48,7 @@ class _Trial:
     """An effect at trial parameters.
 
     Attributes:
-        term: Term of the effect.
+        term: Effect of the effect.
         shape: Trial values of its nonlinear parameters.
         span: Orthonormal regressors with the tangent projected out, shape (n, k).
         left: Share of the squares of the regressors that remains after the projection.
@@ -56,7 +56,7 @@ class _Trial:
         rows: Number of rows of the effect's equations.
     """
 
-    term: Term
+    term: Effect
     shape: Shape
     span: Array
     left: float
@@ -64,7 +64,7 @@ class _Trial:
     rows: int
 
 
-def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
+def observable(joint: Joint, terms: Sequence[Effect]) -> tuple[Observable, ...]:
     """Return the observability of each effect, in the order of the terms.
 
     Args:
@@ -87,7 +87,7 @@ def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
     return tuple(out)
 
 
-def _trials(stack: Stack, context: Context, term: Term) -> Iterator[_Trial]:
+def _trials(stack: Stack, context: Context, term: Effect) -> Iterator[_Trial]:
     for shape in term.shapes(context):
         columns = stack.columns(term, shape)
         if not columns:
@@ -154,3 +154,41 @@ def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[
         middle = sorted(linear, key=lambda found: found[0])[len(linear) // 2]
         return {name: float(value) for name, value in middle[1].items()}
     return dict(min(shaped, key=lambda found: found[0])[1]) if shaped else {}
+
+
+# Finds effects that are collinear with the nominal model, so that recordings with these loads and
+# channels cannot show them.
+#
+# For example, if friction is the only load, a gear with 80 % efficiency is equivalent to nominal
+# parameters that are larger by 1/0.8.
+
+
+def collinear_effects(baseline: Joint, terms: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of effects that are collinear with the nominal tangent, whatever their size.
+
+    Only effects without nonlinear parameters are tested, because an effect with several trial
+    parameters is not collinear at all of them. The breakaway equation is not used, because its
+    tangent includes the delay of the breakaway.
+
+    Args:
+        baseline: Fit of the nominal model.
+        terms: Terms of the effects that were tried.
+    """
+    context = Context(baseline.equations[0].views, baseline.nominal)
+    stack = baseline.stack
+    judging = np.ones(len(stack.residual), dtype=bool)
+    for equation in stack.equations:
+        judging[stack.part(equation.name)] = equation.judges
+    found = []
+    for term in terms:
+        shapes = list(term.shapes(context))
+        columns = stack.columns(term, shapes[0]) if len(shapes) == 1 else {}
+        if not columns:
+            continue
+        whole = stack.whitened(columns)
+        before, after = (
+            np.linalg.norm(rows[judging], axis=0) for rows in (whole, stack.projected(whole))
+        )
+        if np.all(before > 0.0) and np.all(after < RULES.collinear_below * before):
+            found.append(term.name)
+    return tuple(found)

@@ -9,13 +9,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.candidate import Candidate, log_surprise
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.fit.stack import Candidate, Stack, log_surprise
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import families
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Context, Term
+from identification.effects.effect import Context, Effect
 from identification.recording import Array
 
 DRAWS = 999
@@ -29,7 +28,9 @@ is used.
 """
 
 
-def trial_candidates(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
+def trial_candidates(
+    stack: Stack, context: Context, terms: Sequence[Effect]
+) -> Iterator[Candidate]:
     """Yield every effect at all trial parameters for which these recordings give a candidate."""
     for term in terms:
         for shape in term.shapes(context):
@@ -191,7 +192,7 @@ def size_p_value(joint: Joint, only: str = "") -> float:
     """
     chances = []
     for equation in joint.equations:
-        if equation.name == "breakaway" or (only and equation.name != only):
+        if not equation.judges or (only and equation.name != only):
             continue
         rows = over_own_noise(joint, equation)
         powers = np.minimum(np.abs(rows), RULES.outlier) ** 2

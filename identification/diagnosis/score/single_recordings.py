@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from identification.diagnosis.result import ResidualTrace
-from identification.diagnosis.rows.view import View
 from identification.recording import Array
+from identification.views.view import View
 
 LONG_S = 0.3
 """Least duration of a rest, s. At the end of a shorter rest, under a torque that rises fast, the

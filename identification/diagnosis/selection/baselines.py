@@ -26,7 +26,7 @@ from scipy import linalg
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.effects.effect import Context, Effect, Shape
 from identification.recording import Array
 
 MOST_STEPS = 40
@@ -77,7 +77,7 @@ class Library:
     rows: int
 
 
-def library(joint: Joint, terms: Sequence[Term]) -> Library:
+def library(joint: Joint, terms: Sequence[Effect]) -> Library:
     """Return the regressors that the search tests on the mismatch of the nominal model.
 
     Args:

@@ -9,17 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.within_limits import infeasible
-from identification.diagnosis.rows.scales import speed_scale, torque_scale, travel_scale
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms.device import REFERENCE_MASS_KG
-from identification.diagnosis.terms.term import Context
-from identification.model.units import LINEAR, PHASES, parameter_title
+from identification.effects.device import REFERENCE_MASS_KG
+from identification.effects.effect import Context, Dimension
+from identification.model.parameters import LINEAR, parameter_title
 from identification.recording import Array
+from identification.views.view import View, speed_scale, torque_scale, travel_scale
 
 USUAL_CURRENT_A, USUAL_VOLTAGE_V, USUAL_INERTIA_KG_M2 = 13.0, 40.0, 0.2
 """Greatest current and voltage, and inertia at the joint, on the practical bench."""
@@ -115,11 +113,11 @@ def implausible(joint: Joint) -> str:
     found = last.parameters(Context(views, joint.nominal))
     scales = _scales(views, joint.nominal.get("J"))
     motion = views[0].recording.bench.motion
-    for q in ENTRIES[last.term.name].parameters:
-        scale = scales.get(q.unit, 1.0)
+    for q in last.term.parameters:
+        scale = scales[q.dimension]
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
-        if motion == LINEAR and q.unit == "rad" and not q.name.startswith(PHASES):
+        if motion == LINEAR and q.dimension is Dimension.ANGLE:
             # A range in rad does not apply to m; it is scaled by the ratio of the travels of the
             # two benches.
             low, high = (limit * travel_scale(views) for limit in (q.low, q.high))
@@ -131,9 +129,9 @@ def implausible(joint: Joint) -> str:
     return ""
 
 
-def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
+def _scales(views: Sequence[View], inertia: float) -> dict[Dimension, float]:
     """Return the scale of this bench relative to the practical bench, for which the ranges of the
-    catalogue are stated, by unit.
+    catalogue are stated, by dimension; a dimension without a scale is an error.
 
     Args:
         views: Recordings.
@@ -146,23 +144,32 @@ def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
     # A slow motion needs a small part of the supply voltage; the resistance of the supply does not
     # follow the motion.
     supply = _greatest([c for v in views for c in (v.voltage, v.supply)], USUAL_VOLTAGE_V)
-    return {
-        "A": current,
-        "A/s": current,
-        "V": voltage,
-        "ohm": supply / current,
-        "K/W": 1.0 / (voltage * current),
-        "kg": mass,
-        "N m": torque,
-        "N m/s": torque,
-        "1/rad": 1.0 / angle,
-        "N m/rad": torque / angle,
-        "N m s/rad": torque / speed,
-        "N m s^2/rad^2": torque / speed**2,
+    same = (
+        Dimension.NUMBER,
+        Dimension.CYCLES,
+        Dimension.TIME,
+        Dimension.FREQUENCY,
+        Dimension.PHASE,
+        Dimension.ANGLE,
+    )
+    return dict.fromkeys(same, 1.0) | {
+        Dimension.CURRENT: current,
+        Dimension.CURRENT_RATE: current,
+        Dimension.VOLTAGE: voltage,
+        Dimension.RESISTANCE: supply / current,
+        Dimension.THERMAL_RESISTANCE: 1.0 / (voltage * current),
+        Dimension.MASS: mass,
+        Dimension.TORQUE: torque,
+        Dimension.TORQUE_RATE: torque,
+        Dimension.SLOPE: 1.0 / angle,
+        Dimension.STIFFNESS: torque / angle,
+        Dimension.VISCOSITY: torque / speed,
+        Dimension.DRAG: torque / speed**2,
         # The inertia of a load is stated for the reference mass. The scale is that of the
         # identified inertia too, because a fast machine moves more inertia than follows from
         # torque, travel and speed.
-        "kg m^2": max(torque * angle / speed**2, inertia / USUAL_INERTIA_KG_M2) / (mass or 1.0),
+        Dimension.INERTIA: max(torque * angle / speed**2, inertia / USUAL_INERTIA_KG_M2)
+        / (mass or 1.0),
     }
 
 

@@ -14,29 +14,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.marks import QUICK_SAMPLES
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Contender, Round, advantage
-from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import (
-    ROTOR_SHARE,
-    TWIST_COUNTS,
-    Gap,
-    Loop,
-    count_of_twist,
-    lead,
-)
+from identification.effects.effect import Clearance, Effect
+from identification.effects.transmission import ROTOR_SHARE, count_of_twist, lead
 from identification.recording import Array
+from identification.views.marks import QUICK_SAMPLES
+from identification.views.nominal import Nominal
+from identification.views.view import View
 
-PAIR = ("backlash", "coupling_hysteresis")
 INNER = 0.6
 """Central share of a crossing that is used, because near its ends a gap transmits torque too."""
 LEAST_SPEED_RAD_S = 0.02
@@ -133,41 +125,38 @@ def gap_or_loop(
     baseline: Joint,
     joint: Joint,
     rounds: list[Round],
-    terms: Sequence[Term],
+    terms: Sequence[Effect],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
     """If backlash or coupling hysteresis was identified, select one of the two by the torque that
     is transmitted during crossings; return the fit and the selection rounds.
     """
-    named = [e for e in joint.effects if e.term.name in PAIR]
-    by_name = {t.name: t for t in terms}
-    if not named or not set(PAIR) <= by_name.keys():
+    kinds = [t for t in terms if isinstance(t, Clearance)]
+    named = [e for e in joint.effects if isinstance(e.term, Clearance)]
+    if not named or len(kinds) < 2:
         return joint, rounds
-    own = min(named, key=lambda e: PAIR.index(e.term.name))
+    own = min(named, key=_rises)
     if len(named) > 1:
         # If a transmission has both a gap and a loop, the angles resemble those of one larger gap
         # or loop.
-        joint = fit(
-            views,
-            unit,
-            joint.nominal,
-            [e for e in joint.effects if e is own or e not in named],
-            baseline,
-        )
-        rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
+        kept = [e for e in joint.effects if e is own or e not in named]
+        joint = fit(views, unit, joint.nominal, kept, baseline)
+        others = {e.term.name for e in named if e is not own}
+        rounds = [r for r in rounds if r.name not in others]
         own = next(e for e in joint.effects if e.term.name == own.term.name)
-    gap, rotor = _gap_and_rotor(own)
+    gap, rotor = _kind(own).travel_and_rotor(own.shape)
     seen = crossing_torque(views, joint.nominal, gap, rotor)
-    other = _other_of_pair(
-        own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views)
-    )
+    kind = next(k for k in kinds if k.torque_rises != _rises(own))
+    assumed = ROTOR_SHARE * joint.nominal.get("J")
+    other = _with_travel(kind, gap, seen, assumed, count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
     prefers_other = _preference(views, own, joint, beside, seen)
     best, loser, name = (
         (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
     )
-    rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
+    both = {own.term.name, other.term.name}
+    rival = Contender((both - {name}).pop(), loser, abs(prefers_other), "")
     if seen is None:
         note = "too few crossings last long enough to distinguish a gap from a hysteresis loop"
     else:
@@ -177,7 +166,7 @@ def gap_or_loop(
         )
     steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
     out = [
-        Round(name, (rival, *(r for r in taken.rivals if r.name not in PAIR)))
+        Round(name, (rival, *(r for r in taken.rivals if r.name not in both)))
         if taken.name == own.term.name
         else taken
         for taken in rounds
@@ -198,13 +187,13 @@ def _preference(
         beside: Fit with the other effect in place of the identified effect, as the last effect.
         seen: Torque from the crossings, or None if too few crossings last long enough.
     """
-    loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
+    loop = own if _rises(own) else beside.effects[-1]
     prefers_loop = (
-        _loop_preference(views, loop.torque)
+        _loop_preference(views, _kind(loop).closing_torque(loop.shape))
         if seen is None
         else (seen.share - RULES.loop_share) / seen.error
     )
-    prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
+    prefers_other = -prefers_loop if _rises(own) else prefers_loop
     if _weight_exceeds_friction(views, joint.nominal):
         # If a weight exceeds the friction, a gap and a loop differ in the angles too; the tests by
         # angles and by torque are combined by Stouffer's sum.
@@ -212,15 +201,6 @@ def _preference(
             1.0 if seen is None else math.sqrt(2.0)
         )
     return prefers_other
-
-
-def _gap_and_rotor(effect: Added) -> tuple[float, float]:
-    """Return the travel of the motor while the valve rests, rad, and the inertia of the rotor, kg
-    m^2, from the nonlinear parameters of a gap or a loop.
-    """
-    if effect.term.name == "backlash":
-        return Gap(*effect.shape).width, Gap(*effect.shape).rotor
-    return 2.0 * Loop(*effect.shape).deflection, Loop(*effect.shape).rotor
 
 
 def _loop_preference(views: Sequence[View], torque: float) -> float:
@@ -252,29 +232,33 @@ def _weight_exceeds_friction(views: Sequence[View], nominal: Nominal) -> bool:
     )
 
 
-def _other_of_pair(
-    own: Added,
-    by_name: dict[str, Term],
-    gap: float,
-    seen: Crossing | None,
-    rotor: float,
-    twist: float,
+def _with_travel(
+    kind: Clearance, travel: float, seen: Crossing | None, rotor: float, twist: float
 ) -> Added:
-    """Return the start values of the other effect of the pair, with the size of the identified
+    """Return the start values of the other effect of the pair, with the travel of the identified
     effect; a loop has the closing torque from the crossings.
 
     The fit of a loop starts from the rotor inertia that is estimated from the crossings, or from
-    the assumed inertia ``rotor``, kg m^2. The fit of a gap starts from a shaft compliance of
-    ``twist``, rad/(N m), per encoder count.
+    the assumed inertia ``rotor``, kg m^2, and from a shaft compliance of ``twist``, rad/(N m), per
+    encoder count.
     """
-    counts = 0.5 * TWIST_COUNTS[1]
-    if own.term.name != "backlash":
-        return Added(by_name["backlash"], Gap(gap, counts, twist, rotor), (1.0,))
-    term, loop = by_name["coupling_hysteresis"], Loop(1.0, rotor, 0.5 * gap, counts, twist)
-    if seen is None or seen.torque <= 0.0:
-        return Added(term, loop, (1.0,))
-    loop = loop._replace(torque=seen.torque, rotor=seen.inertia if seen.inertia > 0.0 else rotor)
-    # The closing torque is fixed, because the crossings determine it better than the angles; the
-    # other nonlinear parameters are fitted.
-    sought = {k: reach for k, reach in term.refine.items() if Loop._fields[k] != "torque"}
-    return Added(replace(term, refine=sought), loop, (1.0,))
+    if not kind.torque_rises or seen is None or seen.torque <= 0.0:
+        return Added(*kind.of_travel(travel, rotor, twist, None), (1.0,))
+    found = seen.inertia if seen.inertia > 0.0 else rotor
+    return Added(*kind.of_travel(travel, found, twist, seen.torque), (1.0,))
+
+
+def distinguished_by_crossings(one: Effect, other: Effect) -> bool:
+    """Whether the torque during crossings distinguishes two effects."""
+    pair = isinstance(one, Clearance) and isinstance(other, Clearance)
+    return pair and one.name != other.name
+
+
+def _kind(effect: Added) -> Clearance:
+    assert isinstance(effect.term, Clearance)
+    return effect.term
+
+
+def _rises(effect: Added) -> bool:
+    """Whether the torque rises while the travel of an effect is crossed."""
+    return _kind(effect).torque_rises

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.intervals import undetermined_size
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.linear import Added
@@ -25,7 +24,6 @@ from identification.diagnosis.fit.within_limits import (
     within_limits,
 )
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import (
     Contender,
@@ -33,7 +31,7 @@ from identification.diagnosis.selection.comparison import (
     implausible,
     preference,
 )
-from identification.diagnosis.selection.crossing import PAIR
+from identification.diagnosis.selection.crossing import distinguished_by_crossings
 from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.selection.unseen import (
@@ -43,7 +41,10 @@ from identification.diagnosis.selection.unseen import (
     reduction,
     validation_residual,
 )
+from identification.effects import EFFECTS
+from identification.effects.effect import title
 from identification.recording import Array
+from identification.views.view import View
 
 DROPPED = "drop"
 """Name of a step that drops an effect because the effect does not reduce the error on unused
@@ -192,7 +193,7 @@ def _with_rivals_judged(
         tried = within_limits(case.here, case.unit, rival.joint)
         there = _seen_aside(case, tried, rival.name)
         # The torque during crossings has already decided between a gap and a loop.
-        if {taken.name, rival.name} == set(PAIR):
+        if distinguished_by_crossings(EFFECTS[taken.name], EFFECTS[rival.name]):
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
             stack, left, names = seen

@@ -17,23 +17,14 @@ from identification.diagnosis.fit.joint import Joint, nominal_after_effects
 from identification.diagnosis.fit.linear import effect_derivatives
 from identification.diagnosis.fit.stack import Stack, with_effect_basis
 from identification.diagnosis.selection.comparison import Contender, Round, parameter_count
-from identification.diagnosis.selection.crossing import PAIR
+from identification.diagnosis.selection.crossing import distinguished_by_crossings
 from identification.diagnosis.selection.removal import LEAST_FURTHER
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.terms.term import Context, Term
-from identification.diagnosis.terms.voltage_drop import change_at_zero
+from identification.effects.effect import Context, Effect
 from identification.recording import Array
 
-ONE_ENCODER_ALIASES: Mapping[str, tuple[str, ...]] = {
-    "presliding": ("compliance", "coupling_hysteresis")
-}
-"""Effects that recordings of the motor's encoder alone do not distinguish. After a reversal the
-torque rises with the travel of the motor until the joint slips, whether the friction contact, or a
-shaft or coupling between motor and joint, is elastic.
-"""
 
-
-def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
+def with_indistinct_effects(found: Search, terms: Sequence[Effect]) -> Search:
     """Return the search with effects that these recordings cannot distinguish from an identified
     effect as further rivals. Such a rival is open, that is, not rejected.
 
@@ -49,12 +40,12 @@ def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
     return replace(found, rounds=rounds)
 
 
-def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Sequence[Term]) -> Round:
+def _with_indistinct_rivals(
+    final: Joint, place: int, taken: Round, terms: Sequence[Effect]
+) -> Round:
     alike = _indistinct_effects(final, place, terms)
-    if _without_joint_encoder(final):
-        alike += ONE_ENCODER_ALIASES.get(taken.name, ())
-    if taken.name == "brush_drop" and _is_step(final, place):
-        alike += ("inverter_dead_time",)
+    views, own = final.equations[0].views, final.effects[place]
+    alike += own.term.indistinct(own.parameters(Context(views, final.nominal)), views)
     tested = {r.name for r in taken.rivals}
     rivals = [
         replace(r, preference=min(r.preference, 0.0)) if r.name in alike else r
@@ -64,22 +55,7 @@ def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Seque
     return Round(taken.name, tuple(rivals))
 
 
-def _is_step(final: Joint, place: int) -> bool:
-    """Whether the range of current over which a brush drop is reached is at most the change of the
-    current within one sample period, so that the drop may be the step of a dead time.
-    """
-    views, effect = final.equations[0].views, final.effects[place]
-    reached = effect.parameters(Context(views, final.nominal))["current_A"]
-    return reached <= change_at_zero(views)
-
-
-def _without_joint_encoder(joint: Joint) -> bool:
-    """Whether no recording has a joint angle in addition to the motor angle."""
-    channels = [v.recording.channels for v in joint.equations[0].views]
-    return all("motor_angle" in c and "angle" not in c for c in channels)
-
-
-def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list[str]:
+def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> list[str]:
     """Return the effects that have no more parameters than an identified effect, and whose
     regressors, at one set of trial parameters, contain the contribution of the identified effect.
 
@@ -98,7 +74,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list
     context = Context(final.equations[0].views, without.nominal)
     found = []
     for term in terms:
-        if term.name == own.term.name or {own.term.name, term.name} == set(PAIR):
+        if term.name == own.term.name or distinguished_by_crossings(own.term, term):
             continue
         if not columns.keys() & term.columns.keys():
             continue

@@ -12,8 +12,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import beyond_noise
 from identification.diagnosis.selection.removal import (
@@ -21,7 +21,7 @@ from identification.diagnosis.selection.removal import (
     left_beyond_noise,
     would_be_removed,
 )
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.effects.effect import Context, Effect, Shape
 
 TRIALS = 3
 """Number of trial parameters of an effect without a score; a fit searches within a factor of 4 of
@@ -29,7 +29,7 @@ each trial parameter.
 """
 
 
-def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Term]) -> list[Candidate]:
+def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -> list[Candidate]:
     """Return the best candidate of each effect that is not negligible, best first.
 
     Args:
@@ -46,7 +46,7 @@ def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Term]) -> 
     )
 
 
-def _rank(candidate: Candidate, term: Term) -> float:
+def _rank(candidate: Candidate, term: Effect) -> float:
     """Return by what the trials of one effect are compared: the score, and for an effect whose
     nonlinear parameters determine its size, the score at this size.
 
@@ -62,7 +62,7 @@ def _rank(candidate: Candidate, term: Term) -> float:
 def finalist_groups(
     baseline: Joint,
     joint: Joint,
-    terms: Mapping[str, Term],
+    terms: Mapping[str, Effect],
     ranked: Sequence[Candidate],
     missing: Callable[[str], bool],
 ) -> Iterator[list[Candidate]]:
@@ -104,7 +104,7 @@ def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
 
 
 def unscored(
-    joint: Joint, terms: Mapping[str, Term], scored: Collection[Candidate]
+    joint: Joint, terms: Mapping[str, Effect], scored: Collection[Candidate]
 ) -> list[Candidate]:
     """Return candidates of the effects without a score whose size is given by a nonlinear
     parameter, in the equations whose mismatch is beyond the noise.

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 from scipy import stats
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.start import feasible_or_first
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.view import View
+from identification.diagnosis.rows.equations import AT_INSTANTS
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import (
     Contender,
@@ -27,7 +27,8 @@ from identification.diagnosis.selection.comparison import (
     preferred,
     simplest,
 )
-from identification.diagnosis.terms.term import EXACT, ROUGH, Term
+from identification.effects.effect import EXACT, ROUGH, Effect
+from identification.views.view import View
 
 LEAST_FURTHER = RULES.shape_errors * ROUGH
 """Gain of an effect, relative to the gain of another effect, below which the first gain may be due
@@ -88,7 +89,7 @@ def _why_removed(share: float, needed: float) -> str:
 
 
 def _explained_share(
-    baseline: Joint, without: Joint, joint: Joint, term: Term
+    baseline: Joint, without: Joint, joint: Joint, term: Effect
 ) -> tuple[float, float]:
     """Return the share of the mismatch beyond the noise that one effect explains, and the share
     that it must explain.
@@ -105,7 +106,7 @@ def _explained_share(
     return gain / left, needed
 
 
-def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
+def would_be_removed(baseline: Joint, joint: Joint, term: Effect, candidate: Candidate) -> bool:
     """Whether one more effect would be removed again after its fit, by its predicted gain.
 
     An effect would be removed if no mismatch beyond the noise remains in its equations, and if it
@@ -121,7 +122,7 @@ def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candi
     )
 
 
-def _least_gain(beside: Joint, term: Term) -> float:
+def _least_gain(beside: Joint, term: Effect) -> float:
     """Return the gain, relative to that of the other effects, below which the gain of an effect may
     be due to errors of the other effects' regressors, if no other mismatch remains.
     """
@@ -129,7 +130,7 @@ def _least_gain(beside: Joint, term: Term) -> float:
     return RULES.shape_errors * error if error > EXACT else error
 
 
-def _regressor_error(beside: Joint, term: Term) -> float:
+def _regressor_error(beside: Joint, term: Effect) -> float:
     """Return the error of the regressors of the other effects, relative to the gain of these
     effects.
     """
@@ -198,30 +199,28 @@ def with_best_rivals(
     return joint, rounds
 
 
-def share_equation(one: Term, other: Term) -> bool:
+def share_equation(one: Effect, other: Effect) -> bool:
     """Whether two effects appear in the same equation and so can replace each other."""
-    return bool((one.columns.keys() & other.columns.keys()) - {"breakaway"})
+    return bool((one.columns.keys() & other.columns.keys()) - AT_INSTANTS)
 
 
-def left_beyond_noise(joint: Joint, term: Term) -> float:
+def left_beyond_noise(joint: Joint, term: Effect) -> float:
     """Return the sum of whitened squares beyond the noise that remains in the equations by which an
     effect is judged.
     """
     return _beyond_noise(joint, _judging_rows(joint, term))
 
 
-def judging_equations(joint: Joint, term: Term) -> list[str]:
+def judging_equations(joint: Joint, term: Effect) -> list[str]:
     """Return the names of the equations by which an effect is judged.
 
-    The breakaway equation has one row per rest, and its noise is large because the time of the
-    breakaway is known only to within one sample. Therefore the breakaway equation judges only
-    effects that appear in no other equation.
+    An equation at instants judges only effects that appear in no other equation.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
-    return [name for name in names if name != "breakaway" or len(names) == 1]
+    return [name for name in names if name not in AT_INSTANTS or len(names) == 1]
 
 
-def _judging_rows(joint: Joint, term: Term) -> list[slice]:
+def _judging_rows(joint: Joint, term: Effect) -> list[slice]:
     """Return the rows of the equations by which an effect is judged."""
     return [joint.stack.part(name) for name in judging_equations(joint, term)]
 

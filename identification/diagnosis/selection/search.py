@@ -10,13 +10,12 @@ from functools import partial
 
 import numpy as np
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.noise import FAST_EFFECTS, with_lower_noise
+from identification.diagnosis.fit.noise import with_lower_noise
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.start import feasible_or_first, with_assumed_fall
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import (
     DRAWS,
@@ -45,7 +44,8 @@ from identification.diagnosis.selection.removal import (
     with_best_rivals,
     with_needed_effects,
 )
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.effects.effect import Context, Effect, Shape
+from identification.views.view import View
 
 Progress = Callable[[str, float], None]
 
@@ -81,14 +81,15 @@ class Options:
     """Options of a search.
 
     Attributes:
-        until: Names of effects; the search ends when one of these effects is selected.
+        until_flexible: Whether the search ends when an effect is selected with which the
+            transmission is flexible.
         fixed: Nominal parameters that are not estimated.
         thorough: Whether effects without a score are fitted too before the first effect is
             selected. A score is a linearisation about the nominal fit, which may be far from the
             right parameters.
     """
 
-    until: Collection[str] = ()
+    until_flexible: bool = False
     fixed: Collection[str] = ()
     thorough: bool = False
 
@@ -106,7 +107,7 @@ class _Case:
 
     views: tuple[View, ...]
     unit: str
-    terms: Mapping[str, Term]
+    terms: Mapping[str, Effect]
     options: Options
 
 
@@ -131,7 +132,7 @@ def search(
     views: Sequence[View],
     unit: str,
     baseline: Joint,
-    terms: Sequence[Term],
+    terms: Sequence[Effect],
     rng: np.random.Generator,
     progress: Progress,
     options: Options = Options(),
@@ -173,16 +174,17 @@ def search(
         joint, added = taken
         rounds.append(added)
         baseline, joint = with_lower_noise(views, unit, baseline, joint)
-        if added.name in options.until:
+        if options.until_flexible and case.terms[added.name].flexible:
             break
-    if not rounds or rounds[-1].name not in options.until:
+    ended = options.until_flexible and rounds and case.terms[rounds[-1].name].flexible
+    if not ended:
         joint, rounds = _final_effects(case, (baseline, joint), rounds, progress, steps)
     p_value, p_after = p_values[0], p_values[-1]
     return Search(baseline, joint, tuple(rounds), p_value, p_after, test.loudest, tuple(steps))
 
 
 def _missing_test(
-    joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator
+    joint: Joint, case: _Case, left: Sequence[Effect], rng: np.random.Generator
 ) -> _Test:
     """Test whether physics is missing, by size and by sign flips.
 
@@ -190,7 +192,7 @@ def _missing_test(
     full amplitude from row to row are tested in any case, because the noise estimate contains them.
     """
     beyond = beyond_noise(joint)
-    shown = [t for t in left if t.name in FAST_EFFECTS or beyond & {*judging_equations(joint, t)}]
+    shown = [t for t in left if t.fast or beyond & {*judging_equations(joint, t)}]
     trials = tuple(trial_candidates(joint.stack, Context(case.views, joint.nominal), shown))
     # The name of a generic family starts with the name of its equation.
     unnamed = tuple(c for c in generic_candidates(joint.stack) if c.name.split(" ")[0] in beyond)
@@ -366,7 +368,7 @@ def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shap
 
 def _missing(
     joint: Joint,
-    terms: Mapping[str, Term],
+    terms: Mapping[str, Effect],
     candidates: Sequence[Candidate],
     rng: np.random.Generator,
     name: str,

@@ -12,9 +12,9 @@ from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.linear import Added
 from identification.diagnosis.fit.stack import Stack, stack_of
 from identification.diagnosis.rows.equations import Equation, equations
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.recording import Array
+from identification.views.view import View
 
 
 def validation_residual(
@@ -73,7 +73,7 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
     for effect in effects:
         if not effect.term.start:
             continue
-        begun = replace(effect.term, name=f"start of {effect.term.name}", columns=effect.term.start)
+        begun = effect.term.modified(name=f"start of {effect.term.name}", columns=effect.term.start)
         columns = stack.columns(begun, effect.shape)
         if not columns:
             continue

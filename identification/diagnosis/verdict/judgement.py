@@ -8,23 +8,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.single_effect import contribution, without_effect
+from identification.diagnosis.fit.joint import Joint, contribution, without_effect
 from identification.diagnosis.fit.stack import Stack
-from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
-from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.instants import between_samples
+from identification.diagnosis.result import (
+    Estimate,
+    IdentifiedEffect,
+    Location,
+    Map,
+    Rival,
+    Verdict,
+)
+from identification.diagnosis.rows.equations import Equation, between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
 from identification.diagnosis.score.significance import greatest, over_own_noise
 from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.excess import Excess, excess_of
-from identification.diagnosis.verdict.reasons import Kind, Reason, reason_outside
-from identification.diagnosis.verdict.wording import finding
-from identification.model.units import parameter_unit
+from identification.diagnosis.verdict.reasons import Excess, Kind, Reason, excess_of, reason_outside
+from identification.diagnosis.verdict.statement import finding
+from identification.effects import EFFECTS
+from identification.model.parameters import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Array, Bench
 
@@ -74,8 +78,6 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     where = location(main, drawn[0], before) if drawn else None
     if found.p_value > RULES.level:
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
-    # The breakaway equation judges no model: it has one row per rest, and its noise is large
-    # because the instant of a breakaway is known only to within one sample.
     least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, least):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
@@ -116,7 +118,7 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
             as noise. A mismatch of at least :data:`VISIBLE` times the noise never counts as noise.
     """
     for equation in joint.equations:
-        if equation.name == "breakaway":
+        if not equation.judges:
             continue
         rows = over_own_noise(joint, equation)
         if between and equation.name == "voltage":
@@ -137,7 +139,7 @@ def main_equation(found: Search) -> Equation:
     if found.p_value > RULES.level:
         return found.baseline.equations[0]
     # The breakaway equation judges no model, even if the pattern of its mismatch is significant.
-    judges = [e for e in found.baseline.equations if e.name != "breakaway"]
+    judges = [e for e in found.baseline.equations if e.judges]
     if found.final.effects:
         base = found.baseline
         return _most_reduced(base.equations, base.stack, base.residual, found.final.residual)
@@ -164,9 +166,9 @@ def _most_reduced(
         return float(np.sum(before[rows] ** 2) - np.sum(after[rows] ** 2))
 
     most = max(equations, key=reduction)
-    if most.name == "breakaway":
+    if not most.judges:
         return most
-    others = [e for e in equations if e.name != "breakaway"]
+    others = [e for e in equations if e.judges]
     return max(others, key=lambda e: reduction(e) / max(1, len(e.residual)))
 
 
@@ -183,7 +185,7 @@ def _open_rivals(taken: Round) -> tuple[str, ...]:
     return tuple(r.name for r in taken.rivals if r.preference < RULES.rejected)
 
 
-def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
+def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffect, ...]:
     """Return every accepted effect with its parameters, rivals and confidence, in the order of
     their selection.
 
@@ -216,8 +218,8 @@ def _effect(
     taken: Round,
     excess: Mapping[str, Excess],
     rng: np.random.Generator,
-) -> Effect:
-    entry = ENTRIES[taken.name]
+) -> IdentifiedEffect:
+    entry = EFFECTS[taken.name]
     motion, amperes = own_bench(found).motion, found.baseline.equations[0].unit == "A"
     units = {q.name: parameter_unit(motion, q.name, q.unit, amperes) for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
@@ -239,7 +241,7 @@ def _effect(
         )
         for r in taken.rivals
     )
-    return Effect(
+    return IdentifiedEffect(
         name=taken.name,
         alias_group=(taken.name, *open_names),
         confidence=confidence,
@@ -278,7 +280,7 @@ def _location_of(
     main = _most_reduced(shown, missing, left, found.final.residual)
     rows = missing.part(main.name)
     before, after = main.sigma * left[rows], main.sigma * found.final.residual[rows]
-    stated = ENTRIES[effect.term.name].coordinate.split(":")[0]
+    stated = effect.term.coordinate.split(":")[0]
     drawn = maps(missing, main, before, after, rng, stated)
     where = location(main, best_map(drawn, stated), before)
     if effect.term.place is None:

@@ -3,24 +3,70 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.rows.instants import between_samples
+from identification.diagnosis.rows.equations import AT_INSTANTS, Equation, between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.held_out import DROPPED
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.excess import (
+from identification.diagnosis.verdict.judgement import effects_of, little_unseen
+from identification.diagnosis.verdict.reasons import (
+    Kind,
+    Reason,
     equations_of_effects,
     excess_of,
     judged_equation,
 )
-from identification.diagnosis.verdict.judgement import effects_of, little_unseen
-from identification.diagnosis.verdict.reasons import Kind, Reason
+from identification.effects import MOTION
+from identification.effects.effect import Needs, title
+from identification.model.parameters import LINEAR
+from identification.recording import Bench, Recording
+from identification.views.view import View, lacks_common_origin, one_clock
+
+# Finds effects that recordings cannot show because their angles have no common origin, because
+# they have no common clock, or because the bench has no angle with which the effect is periodic.
+
+
+def unrecorded_effects(
+    fitted: Sequence[Recording], views: Sequence[View]
+) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Return effects to exclude from the search, and warnings that state the reason.
+
+    Args:
+        fitted: Recordings to fit.
+        views: Views of these recordings.
+    """
+    absent = _not_on(fitted[0].bench)
+    warnings = []
+    if lacks_common_origin(views):
+        absent |= {Needs.COMMON_ZERO}
+        local = [title(e.name) for e in MOTION if Needs.COMMON_ZERO in e.needs]
+        warnings.append(
+            "only speed was recorded, no angle: the angle of each recording is counted from its "
+            f"first sample, so that effects at a fixed angle ({', '.join(local)}) are not "
+            "searched for, and each recording has phases of its own"
+        )
+    if not one_clock(fitted):
+        warnings.append(
+            "the recordings have no common clock, so each recording is assumed to start cold, with "
+            "running time counted from its first sample; if the start times are known, state "
+            "`start` in the campaign file"
+        )
+    return frozenset(e.name for e in MOTION if e.needs & absent), tuple(warnings)
+
+
+def _not_on(bench: Bench) -> frozenset[Needs]:
+    """Return which angles the bench, by its description, does not have; on a linear bench the angle
+    of the motor is known only if the gear ratio (rad/m) is known.
+    """
+    if bench.motion != LINEAR:
+        return frozenset()
+    motor = {Needs.MOTOR_TURN} if bench.gear_ratio == 1.0 else set()
+    return frozenset({Needs.JOINT_TURN, *motor})
+
 
 _ENDS: Mapping[str, str] = {
     "stop": "the best candidate of the catalogue",
@@ -135,6 +181,6 @@ def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:
             f"{math.sqrt(e.after) * of[e.equation].sigma:.3g} {of[e.equation].unit} rms; "
             f"noise floor {of[e.equation].sigma:.3g}"
             for e in excess_of(found)
-            if e.equation not in ("breakaway", *acting) and e.after > RULES.excess
+            if e.equation not in AT_INSTANTS | {*acting} and e.after > RULES.excess
         ),
     )

@@ -3,17 +3,380 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from identification.estimate.prediction.coordinates import Coordinates, Point
-from identification.estimate.prediction.pieces import Piece
+from identification.model.ladder import SIMULATED, bears_load, drive_share
+from identification.model.parameters import DRIVE_SHARE
 from identification.numerics.arrays import Array
-from identification.numerics.bounded_descent import bounded_step, minimise_within
-from identification.numerics.levenberg_marquardt import Minimum, huber_weight
-from identification.numerics.spread import correlation_samples
+from identification.numerics.least_squares import (
+    Box,
+    Minimum,
+    bounded_step,
+    huber_weight,
+    minimise_within,
+)
+from identification.numerics.spread import Spread, correlation_samples
+from identification.prepare import Prepared, contact_moment, joint_angle, uniform_grid
+from identification.recording import Bench, Model, Recording, RecordingError
+from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
+
+STEP_S = 2e-3
+"""Greatest integration step in a search, s; a recording with a shorter sample period has one step
+per sample.
+"""
+LEAST_SAMPLES = 20
+"""Least number of samples in a piece."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Ratios of motor constants to the declared constants.
+
+    Attributes:
+        torque_constant: Ratio of Km and of Ke; both are the same constant in SI units.
+        resistance: Ratio of R.
+    """
+
+    torque_constant: float = 1.0
+    resistance: float = 1.0
+
+    def bench(self, declared: Bench) -> Bench:
+        """Return the constants of a bench with these motor constants."""
+        km, ke, r = declared.torque_constant, declared.back_emf_constant, declared.resistance
+        return replace(
+            declared,
+            torque_constant=None if km is None else km * self.torque_constant,
+            back_emf_constant=None if ke is None else ke * self.torque_constant,
+            resistance=None if r is None else r * self.resistance,
+        )
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One prediction of the angle, from a measured initial state.
+
+    Attributes:
+        recording: The recording that contains the piece.
+        inputs: Inputs of the simulation, shape (n,).
+        angle: Measured angle, rad, shape (n,); the first value is the initial state.
+        velocity: Initial velocity, rad/s.
+        volts: Whether ``inputs.added`` is the motor voltage; has no effect if there is a
+            controller.
+    """
+
+    recording: Recording
+    inputs: Inputs
+    angle: Array
+    velocity: float
+    volts: bool
+
+    def predict(
+        self, values: Mapping[str, float], motor: Motor, lateness: float, alpha: float
+    ) -> Array:
+        """Return the simulated angle, rad, shape (n,).
+
+        Args:
+            values: Parameters by name, SI.
+            motor: Motor constants.
+            lateness: Delay with which a logged command acts, s.
+            alpha: Stribeck exponent.
+        """
+        bench = motor.bench(self.recording.bench)
+        inputs = self.inputs
+        if lateness:
+            command = np.interp(inputs.time - lateness, inputs.time, inputs.command)
+            inputs = replace(inputs, command=command)
+        loop = self._loop(bench)
+        body = body_of(values, self.recording, alpha)
+        return simulate(body, loop, inputs, float(self.angle[0]), self.velocity, STEP_S).angle
+
+    def _loop(self, bench: Bench) -> Array:
+        controller = self.recording.controller
+        if controller is not None and "command" in self.recording.channels:
+            return loop_of(controller, replace(self.recording, bench=bench))
+        if not self.volts:
+            return np.array([0.0, 0.0, math.inf, 1.0, 0.0])
+        assert bench.resistance is not None
+        assert bench.back_emf_constant is not None
+        per_volt = bench.ampere_torque / bench.resistance
+        return np.array(
+            [0.0, 0.0, math.inf, per_volt, per_volt * bench.back_emf_constant * bench.gear_ratio]
+        )
+
+
+def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
+    """Return the pieces of a recording.
+
+    Args:
+        prepared: The recording; without a controller its velocity gives the initial states.
+        horizon: Length of a piece, s. With None, the piece is the whole recording if the controller
+            is known; otherwise the length is :func:`open_horizon`.
+
+    Raises:
+        RecordingError: The recording has no angle, or no input for a simulation.
+    """
+    recording = prepared.recording
+    angle = joint_angle(recording)
+    if angle is None:
+        raise RecordingError(
+            f"{recording.name}: the recording has no angle channel, and a prediction starts from "
+            "the measured angle; add a channel `angle` or `motor_angle`"
+        )
+    looped = recording.controller is not None and "command" in recording.channels
+    inputs, volts = (inputs_of(recording), False) if looped else _open_inputs(recording)
+    if horizon is None:
+        horizon = math.inf if looped else open_horizon(prepared)
+    speed = np.interp(recording.time, uniform_grid(recording), prepared.raw_velocity)
+    ends = _ends(recording.time, horizon)
+    pieces = []
+    for first, last in pairwise(ends):
+        span = slice(first, last)
+        part = Inputs(
+            inputs.time[span],
+            inputs.command[span],
+            inputs.scale[span],
+            inputs.added[span],
+            inputs.moment[span],
+        )
+        if not np.all(np.isfinite(part.added)):
+            continue
+        start = 0.0 if looped and first == 0 else float(speed[first])
+        pieces.append(Piece(recording, part, angle[span], start, volts))
+    return pieces
+
+
+def open_horizon(prepared: Prepared) -> float:
+    """Return the mean time between reversals of the velocity, s. With pieces of this length,
+    friction changes its sign about once in a piece.
+    """
+    moving = prepared.velocity[prepared.used]
+    turns = int(np.sum(np.sign(moving[1:]) * np.sign(moving[:-1]) < 0.0))
+    time = prepared.recording.time
+    return float(time[-1] - time[0]) / (turns + 1)
+
+
+def _ends(time: Array, horizon: float) -> Sequence[int]:
+    """Return the index of the first sample of each piece, followed by the total number of
+    samples.
+    """
+    whole = float(time[-1] - time[0])
+    count = 1 if not math.isfinite(horizon) else max(round(whole / horizon), 1)
+    count = max(min(count, len(time) // LEAST_SAMPLES), 1)
+    edges = time[0] + whole * np.arange(1, count) / count
+    return [0, *(int(k) for k in np.searchsorted(time, edges)), len(time)]
+
+
+def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
+    """Return the measured torque or voltage of the drive as inputs, NaN while the power stage is
+    off, and whether the input is a voltage.
+
+    Raises:
+        RecordingError: No torque, current or voltage channel.
+    """
+    channels, bench, time = recording.channels, recording.bench, recording.time
+    if "torque" in channels:
+        added, volts = channels["torque"], False
+    elif "current" in channels:
+        added, volts = channels["current"] * bench.ampere_torque, False
+    elif "voltage" in channels and bench.resistance is not None:
+        added, volts = channels["voltage"], True
+        if "enabled" in channels:
+            added = np.where(channels["enabled"] < 0.5, np.nan, added)
+    else:
+        raise RecordingError(
+            f"{recording.name}: the recording has no input for a simulation; add a torque, "
+            "current or voltage channel, or a `command` channel and the `controller` section"
+        )
+    angle = joint_angle(recording)
+    still, ones = np.zeros(len(time)), np.ones(len(time))
+    moment = contact_moment(recording, time, still if angle is None else angle)
+    return Inputs(time, still, ones, added, moment), volts
+
+
+CONSTANTS = ("torque_constant", "resistance")
+LATENESS = "lateness"
+RELATIVE_STD = 0.3
+"""Relative standard deviation of a motor constant, unless the campaign states one. Motor constants
+deviate because of warm windings, tolerances of magnets, and torque losses in gears.
+"""
+_FASTEST_SHARE, _SLOWEST_SHARE = 1.0 / 3.0, 1e-3
+_LATEST = 5.0
+"""Greatest lateness, in sample periods."""
+_MOST_MU, _MOST_SHARE = 0.9, 5.0
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of the signals, SI, from which bounds and steps of finite differences follow.
+
+    Attributes:
+        torque: Greatest drive torque.
+        speed: Greatest speed.
+        inertia: Inertia at the start of the search.
+        period: Sample period.
+    """
+
+    torque: float
+    speed: float
+    inertia: float
+    period: float
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Bounds of one coordinate, and its step for finite differences."""
+
+    low: float
+    high: float
+    step: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """The parameters of one simulation.
+
+    Attributes:
+        values: Friction and inertia by name, SI.
+        motor: Ratios of the motor constants to the declared motor constants.
+        lateness: Delay with which a logged command acts, s.
+    """
+
+    values: Mapping[str, float]
+    motor: Motor
+    lateness: float
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The free coordinates of one friction model (rung) of the ladder.
+
+    Attributes:
+        rung: Name of the rung, of :data:`identification.model.ladder.SIMULATED`.
+        names: Free coordinates, in the order of x.
+        axes: Bounds and step of each coordinate, by name.
+        model: Declared model; its fixed parameters do not change.
+        prior: Standard deviation of the prior of a coordinate, by name; a prior is centred at 0.
+    """
+
+    rung: str
+    names: tuple[str, ...]
+    axes: Mapping[str, Axis]
+    model: Model
+    prior: Mapping[str, float]
+
+    @property
+    def box(self) -> Box:
+        """Bounds of x."""
+        axes = [self.axes[n] for n in self.names]
+        return Box(np.array([a.low for a in axes]), np.array([a.high for a in axes]))
+
+    def steps(self) -> Array:
+        """Return the steps of finite differences, shape (p,)."""
+        return np.array([self.axes[n].step for n in self.names])
+
+    def start(self, values: Mapping[str, float]) -> Array:
+        """Return the coordinates of named parameters, with the declared motor constants, shape
+        (p,).
+        """
+        share = drive_share(self.rung)
+        # At rest the motor torque balances the external torque, so that the transmitted load
+        # |external torque - motor torque| is twice the external torque.
+        carried = 1.0 + share
+        coulomb, gear = values.get("Mc", 0.0), values.get("mu_gc", 0.0)
+        x = {
+            "Mc": coulomb,
+            "rise": max(values.get("Ms", 0.0) - coulomb, 0.0),
+            "omega_sf": math.log(max(values.get("omega_sf", 1.0), 1e-12)),
+            "sigma_2": values.get("sigma_2", 0.0),
+            "J": values.get("J", 0.0),
+            "mu_gc": gear / carried,
+            "gear_rise": max(values.get("mu_gs", 0.0) - gear, 0.0) / carried,
+            DRIVE_SHARE: share,
+            "offset": values.get("offset", 0.0),
+        }
+        return self.box.clip(np.array([x.get(n, 0.0) for n in self.names]))
+
+    def point(self, x: Array) -> Point:
+        """Return the parameters at x."""
+        found = dict(zip(self.names, (float(v) for v in x), strict=True))
+        fixed = self.model.fixed
+        values = {n: float(v) for n, v in fixed.items()}
+        values |= {n: found[n] for n in ("Mc", "sigma_2", "J", "mu_gc", "offset") if n in found}
+        if "rise" in found:
+            values["Ms"] = values["Mc"] + found["rise"]
+        if "omega_sf" in found:
+            values["omega_sf"] = math.exp(found["omega_sf"])
+        if "gear_rise" in found:
+            values["mu_gs"] = values["mu_gc"] + found["gear_rise"]
+        share = found.get(DRIVE_SHARE, drive_share(self.rung))
+        if share:
+            values[DRIVE_SHARE] = share
+        motor = Motor(**{n: math.exp(found.get(n, 0.0)) for n in CONSTANTS})
+        return Point(values, motor, found.get(LATENESS, 0.0))
+
+    def prior_rows(self, x: Array) -> Array:
+        """Return the standardised distances from the centres of the priors, shape (k,)."""
+        at = dict(zip(self.names, x, strict=True))
+        return np.array([at[n] / s for n, s in self.prior.items()])
+
+
+def priors(recording: Recording) -> dict[str, float]:
+    """Return the standard deviation of the logarithm of each motor constant."""
+    bench, stated = recording.bench, recording.uncertainties
+    declared = {"torque_constant": bench.torque_constant, "resistance": bench.resistance}
+    return {
+        name: stated.get(f"bench.{name}", RELATIVE_STD * value) / value
+        for name, value in declared.items()
+        if value is not None
+    }
+
+
+def coordinates(
+    rung: str, model: Model, pieces: Sequence[Piece], scales: Scales, *, free: bool
+) -> Coordinates:
+    """Return the coordinates of one friction model (rung).
+
+    Args:
+        rung: Name of the rung.
+        model: Declared model.
+        pieces: Pieces of recordings that are predicted.
+        scales: Sizes of the signals.
+        free: Whether the motor constants are free, within their priors.
+    """
+    t, w = scales.torque, scales.speed
+    small = 5e-4 * t
+    axes = {
+        "Mc": Axis(0.0, t, small),
+        "rise": Axis(0.0, t, small),
+        "omega_sf": Axis(math.log(_SLOWEST_SHARE * w), math.log(_FASTEST_SHARE * w), 1e-2),
+        "sigma_2": Axis(0.0, t / w, 2e-3 * t / w),
+        "J": Axis(1e-3 * scales.inertia, 1e2 * scales.inertia, 1e-2 * scales.inertia),
+        "mu_gc": Axis(0.0, _MOST_MU, 1e-3),
+        "gear_rise": Axis(0.0, _MOST_MU, 1e-3),
+        DRIVE_SHARE: Axis(0.0, _MOST_SHARE, 5e-3),
+        "offset": Axis(-t, t, small),
+        "torque_constant": Axis(-1.5, 1.5, 3e-3),
+        "resistance": Axis(-1.5, 1.5, 3e-3),
+        LATENESS: Axis(0.0, _LATEST * scales.period, 0.03 * scales.period),
+    }
+    looped = [p.recording.controller for p in pieces if "command" in p.recording.channels]
+    driven = any(p.volts for p in pieces) or any(c and c.output != "torque" for c in looped)
+    names = ["Mc", "rise", "omega_sf", "sigma_2", "J"]
+    names += ["mu_gc", "gear_rise"] if bears_load(rung) else []
+    names += [DRIVE_SHARE] if DRIVE_SHARE in SIMULATED[rung] else []
+    names += ["offset"] if "offset" in model.terms else []
+    held = set(model.fixed) | ({"rise"} if "Ms" in model.fixed else set())
+    prior = {}
+    if free and driven:
+        prior = priors(pieces[0].recording)
+    names = [n for n in names if n not in held] + list(prior)
+    names += [LATENESS] if any(looped) else []
+    return Coordinates(rung, tuple(names), axes, model, prior)
+
 
 QUADRATIC = 0.2
 """Angle error up to which the cost is quadratic, relative to the median absolute error at the start
@@ -202,3 +565,88 @@ def _slope(pieces: Sequence[Piece], c: Coordinates, x: Array, here: Array) -> Ar
         other[k] += step if x[k] + step <= high else -step
         slope[:, k] = (_errors(pieces, c, other) - here) / (other[k] - x[k])
     return slope
+
+
+KM, RESISTANCE = CONSTANTS
+PER_VOLT = "torque_per_volt"
+"""Km i / R, N m/V: the combination of torque constant and resistance that a voltage and an angle
+determine well.
+"""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A motor constant: its declared and its fitted value.
+
+    Attributes:
+        name: ``torque_constant``, ``resistance`` or ``torque_per_volt``.
+        unit: SI.
+        declared: Declared value.
+        prior: Relative standard deviation of the declared value, or None for a derived constant.
+        value: Fitted value.
+        low: Lower end of the 90 % interval of the fitted value.
+        high: Upper end of the 90 % interval of the fitted value.
+        moved: Whether the interval excludes the declared value.
+    """
+
+    name: str
+    unit: str
+    declared: float
+    prior: float | None
+    value: float
+    low: float
+    high: float
+
+    @property
+    def change(self) -> float:
+        """Relative change from the declared value."""
+        return self.value / self.declared - 1.0
+
+    @property
+    def moved(self) -> bool:
+        """Whether the interval excludes the declared value."""
+        return not self.low <= self.declared <= self.high
+
+
+def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[Constant, ...]:
+    """Return the motor constants of a fit in which they were free.
+
+    The interval is the wider of two intervals: from the curvature of cost and priors at the
+    minimum, and from the fits to drawn recordings.
+
+    Args:
+        pieces: The fitted pieces of recordings.
+        found: The fit.
+        points: Coordinates of the drawn fits, shape (r, p).
+    """
+    c = found.coordinates
+    if not c.prior:
+        return ()
+    normals, _ = pulls(pieces, found)
+    prior = np.array([1.0 / c.prior[n] ** 2 if n in c.prior else 0.0 for n in c.names])
+    inner = (found.x > c.box.low) & (found.x < c.box.high)
+    curvature = (np.sum(normals, axis=0) + np.diag(prior))[np.ix_(inner, inner)]
+    covariance = np.zeros((len(c.names), len(c.names)))
+    covariance[np.ix_(inner, inner)] = np.linalg.pinv(curvature, hermitian=True)
+    bench = pieces[0].recording.bench
+    km, r = bench.torque_constant, bench.resistance
+    assert km is not None
+    assert r is not None
+    freedom = len({p.recording.name for p in pieces}) - 1.0
+    scatter = np.zeros_like(covariance)
+    if len(points) > 1:
+        scatter = np.atleast_2d(np.cov(points, rowvar=False))
+    both = [Spread(c.names, each, max(freedom, 1.0)) for each in (covariance, scatter)]
+    at = dict(zip(c.names, found.x, strict=True))
+    rows: tuple[tuple[str, str, float, float | None, dict[str, float]], ...] = (
+        (KM, "N m/A", km, c.prior[KM], {KM: 1.0}),
+        (RESISTANCE, "ohm", r, c.prior[RESISTANCE], {RESISTANCE: 1.0}),
+        (PER_VOLT, "N m/V", km * bench.gear_ratio / r, None, {KM: 1.0, RESISTANCE: -1.0}),
+    )
+    made = []
+    for name, unit, declared, std, weights in rows:
+        ratio = sum(weight * at[n] for n, weight in weights.items())
+        half = max(spread.half_width_along(weights) for spread in both)
+        value, low, high = (declared * math.exp(ratio + side * half) for side in (0.0, -1.0, 1.0))
+        made.append(Constant(name, unit, declared, std, value, low, high))
+    return tuple(made)

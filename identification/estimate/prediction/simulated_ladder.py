@@ -9,25 +9,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.default import by_load, solve_stages
-from identification.estimate.equation_error.bandwidth import common_bandwidth
+from identification.estimate.equation_error import common_bandwidth
 from identification.estimate.ladder import REPLICATES, Interval
-from identification.estimate.prediction.constants import Constant, constants
-from identification.estimate.prediction.coordinates import (
-    LATENESS,
-    Coordinates,
-    Scales,
-    coordinates,
-)
 from identification.estimate.prediction.loop_fit import (
     FOLDS,
+    LATENESS,
+    Constant,
+    Coordinates,
     LoopFit,
+    Piece,
+    Scales,
+    constants,
+    coordinates,
     drawn,
     errors,
     fit_loop,
+    pieces_of,
     pulls,
     refit,
 )
-from identification.estimate.prediction.pieces import Piece, pieces_of
 from identification.model.ladder import DIRECTIONAL, SIMULATED, bears_load
 from identification.model.parameters import DRIVE_SHARE
 from identification.numerics.arrays import Array

@@ -21,8 +21,6 @@ else:
     Kind = click.ParamType
 
 Answers = dict[str, Any]
-Derived = Callable[[Mapping[str, Any]], Any]
-"""Function that computes a default from the earlier answers."""
 
 
 class Number(Kind):

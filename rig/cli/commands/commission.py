@@ -29,10 +29,12 @@ from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.config.packaged import packaged
 from rig.control.attendance import connected
+from rig.control.remote import stoppable
 from rig.fault_injection.scene import Scene
 from rig.results.commission import commission_document, commission_record, difference
 from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.terminal import text as shown
+from rig.runs.catalogue.walk import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
 from rig.runs.run_record import Ending
@@ -44,7 +46,7 @@ from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
 
-RECORD_FILE = "commission.json"
+RECORD_FILE = COMMISSION_JSON
 PATCH_FILE = "bench.patch"
 
 
@@ -63,14 +65,14 @@ PATCH_FILE = "bench.patch"
 @click.option(
     "--angle",
     "angle_deg",
-    type=float,
+    type=shared.Number(),
     help="True joint angle at the start, deg. Without this option the program asks for the angle; "
     "with --yes and without this option the angle is not checked.",
 )
 @click.option(
     "--speed-limit",
     "fastest_deg_s",
-    type=click.FloatRange(min=1.0),
+    type=shared.Number(min=1.0),
     default=FASTEST_DEG_S,
     show_default=True,
     help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; with soft "
@@ -87,14 +89,14 @@ PATCH_FILE = "bench.patch"
 @click.option(
     "--home-angle",
     "home_deg",
-    type=float,
+    type=shared.Number(),
     help="True joint angle of the home position, deg. [default: --angle if the homing method moves "
     "nothing, else the angle of the joint encoder]",
 )
 @click.option(
     "--home-time",
     "home_time_s",
-    type=click.FloatRange(min=1.0),
+    type=shared.Number(min=1.0),
     help="Longest time of the homing, s. [default: 5 if the homing method moves nothing, else from "
     "the limits of angle and speed]",
 )
@@ -124,10 +126,11 @@ def command(
 ) -> int:
     """Go through BENCH with the operator before its first run, step by step and at low limits.
 
-    The steps are identity, readings, zero, limits, hold, watchdog, a small move, stop, and a larger
-    move. Each step states what will move and which devices are under power, asks for consent, and
-    shows the measured values. Take all weights off first, and keep a hand on the emergency stop.
-    After every step under power, the program takes the power off and reads the drive's state back.
+    The steps are identity, readings, zero, limits, signs, hold, watchdog, a small move, stop, and a
+    larger move. Each step states what will move and which devices are under power, asks for
+    consent, and shows the measured values. Take all weights off first, and keep a hand on the
+    emergency stop. After every step under power, the program takes the power off and reads the
+    drive's state back.
 
     If a value of the bench file is wrong (unit, sign, ratio, zero, torque constant), the step names
     the key and the right value; after the operator agrees, the steps begin again with this value.
@@ -205,10 +208,15 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
     folder = plan.folder
     screen = Screen()
     screen.silence()
-    with noting_folder(folder), closing(screen), StopButton(screen.say) as stop:
+    with (
+        noting_folder(folder),
+        closing(screen),
+        StopButton(screen.say) as stop,
+        stoppable(stop, screen, plan.document.value, "commissioning") as control,
+    ):
         interview: Interview = AutomaticInterview(screen, angle_deg)
         if not yes:
-            interview = TypedInterview(screen, Prompt(screen), stop, angle_deg)
+            interview = TypedInterview(screen, Prompt(screen, control=control), stop, angle_deg)
         with create_folder(folder, "rig commission"):
             result = commission(
                 plan.document,
@@ -249,8 +257,9 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
         InputError: An option is not permitted, or nobody attends a real bench.
     """
     if document.value.simulated:
-        if mistake is not None and document.value.servo.kind != "canopen":
-            raise InputError("--mistake: works with simulated drives of kind canopen only")
+        any_drive = mistake is None or MISTAKES[mistake].any_drive
+        if not any_drive and document.value.servo.kind != "canopen":
+            raise InputError(f"--mistake {mistake}: needs a simulated drive of kind canopen")
         return
     if yes:
         raise InputError(
@@ -285,10 +294,9 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
     """
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
-        spoil = MISTAKES[mistake or ""].spoil
-        if spoil is not None and isinstance(mock, SimulatedBench):
-            # Serial lines and their devices exist only after the host has opened the lines.
-            mock.clock.call_at(mock.clock.now_ns(), lambda: spoil(mock, Scene(mock).sensor))
+        chosen = MISTAKES[mistake or ""]
+        # Serial lines and their devices exist only after the host has opened the lines.
+        mock.clock.call_at(mock.clock.now_ns(), lambda: chosen.build_into(mock, Scene(mock).sensor))
         return mock.clock
 
     @contextmanager

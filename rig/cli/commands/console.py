@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import click
 
 from rig.cli.entry import DONE
-from rig.common.errors import InputError
 from rig.common.places import require_folder
 from rig.config.bench import load_bench
 from rig.config.packaged import names
@@ -51,7 +49,8 @@ def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """
     require_folder(runs, "--runs")
     shown = frozenset(load_bench(bench).value.name for bench in benches)
-    serve = _server()
+    from rig.console.serve import serve  # the server is imported only where it is needed
+
     click.echo("STOP in the page is a software stop, not an emergency stop.")
     # The bench that `rig run` takes by default is offered first.
     packaged = sorted(names("benches"), key=lambda name: name != DEFAULT_BENCH)
@@ -64,18 +63,3 @@ def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
 
 def _announce(address: str) -> None:
     click.echo(f"console: {address}")
-
-
-def _server() -> Callable[[Starter, frozenset[str], int, Callable[[str], None]], None]:
-    """Return the function that serves the console.
-
-    Raises:
-        InputError: The extra ``console`` is not installed.
-    """
-    try:
-        from rig.console.serve import serve
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"`rig console` needs {error.name}; install the extra: pip install 'loadrig[console]'"
-        ) from error
-    return serve

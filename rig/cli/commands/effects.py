@@ -21,12 +21,12 @@ def command(name: str | None, json_file: Path | None) -> None:
       rig effects
       rig effects backlash
     """
-    from identification.diagnosis.catalogue import ENTRIES
+    from identification.effects import EFFECTS
     from rig.common.places import require_file, write_json
     from rig.results.effects import effects_record, entry_of, overview, whole
 
     require_file(json_file, "--json")
-    shown = [entry_of(name)] if name else list(ENTRIES.values())
+    shown = [entry_of(name)] if name else list(EFFECTS.values())
     click.echo(whole(shown[0]) if name else overview(shown))
     if json_file is not None:
         write_json(json_file, effects_record(shown))

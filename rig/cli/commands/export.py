@@ -22,6 +22,7 @@ from rig.runs.export import (
     export_traffic,
     extension,
     files,
+    with_ending,
 )
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE
@@ -35,7 +36,7 @@ from rig.sources import load_source
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="File to write [default: <source name>.<format>].",
+    help="File to write [default: <source name>.<format>]; an ending that is missing is added.",
 )
 def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
@@ -58,7 +59,7 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
       rig export runs/stopped --partial
       rig export runs/demo --format candump
     """
-    path = out or Path(f"{source_name(source)}.{extension(kind)}")
+    path = with_ending(out, kind) if out else Path(f"{source_name(source)}.{extension(kind)}")
     require_file(path, "--out")
     if kind in TRAFFIC:
         return _traffic(source, path, kind)

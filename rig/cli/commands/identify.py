@@ -69,7 +69,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
 @click.option(
     "--current-noise",
     metavar="A",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=shared.Number(min=0.0, min_open=True),
     help="With --plan: noise of the logged current, rms. [default: the value in the --nominal "
     "file, else a thousandth of the current limit]",
 )

@@ -20,6 +20,7 @@ from rig.config.bench import Bench, load_bench
 from rig.control.attendance import connected
 from rig.control.jog import Jog, held_only_here, move, plan_jog
 from rig.control.progress import RunProgress
+from rig.control.remote import stoppable
 from rig.control.sequencer import Outcome
 from rig.planning.plan import bench_limits
 from rig.runs.run_record import Ending
@@ -40,11 +41,17 @@ SCHEMA = "loadrig.jog/1"
 @click.option(
     "--to",
     "angles",
-    type=float,
+    type=shared.Number(),
     multiple=True,
     help="Joint angle, deg; may be given several times.",
 )
-@click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
+@click.option(
+    "--speed",
+    type=shared.Number(),
+    default=5.0,
+    show_default=True,
+    help="Greatest speed on the way, deg/s.",
+)
 @click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
 @shared.simulated_seed
 @shared.reset_fault()
@@ -80,12 +87,14 @@ def command(
     with (
         closing(screen),
         StopButton(screen.say) as stop,
+        stoppable(stop, screen, document.value, "jog") as control,
         connected(stop, document, seed, realtime, purpose="rig jog") as devices,
     ):
         say_taken_over(devices.lock, screen)
         for warning in unprotected(devices):
             screen.say(warning)
-        batches = [angles] if angles else _asked(Prompt(screen), stop, screen)
+        prompt = Prompt(screen, control=control)
+        batches = [angles] if angles else _asked(prompt, stop, screen)
         for batch in batches:
             try:
                 jog = plan_jog(document.value, batch, speed)
@@ -94,7 +103,7 @@ def command(
                 continue
             if not agreed and (words := held_only_here(jog, document.value, devices)) is not None:
                 screen.say(words)
-                agreed = _agreed(Prompt(screen), stop, screen, document.value.simulated)
+                agreed = _agreed(prompt, stop, screen, document.value.simulated)
                 if not agreed:
                     outcome = _unmoved(devices, document.value)
                     break

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,23 +13,11 @@ from rig.common.errors import InputError
 
 if TYPE_CHECKING:
     from rig.results.prove.engines import Engine
-    from rig.results.prove.worlds.seal import Plant
-
-OWN, OWN_WORLDS, MUJOCO, WORLDS = "own", "own-worlds", "mujoco", "worlds"
 
 
 @click.command("prove")
 @click.option(
     "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="Number of trials."
-)
-@click.option(
-    "--plant",
-    type=click.Choice([OWN, OWN_WORLDS, MUJOCO]),
-    default=OWN,
-    show_default=True,
-    help="Simulated machine. `own`: the project's machine on one bench, whose constants vary. "
-    "`own-worlds`: the project's machine in worlds, in which loops, encoders, loggers, motions and "
-    "loads also vary. `mujoco`: a machine in MuJoCo, in worlds (needs the extra `mujoco`).",
 )
 @click.option(
     "--seal",
@@ -75,7 +62,6 @@ OWN, OWN_WORLDS, MUJOCO, WORLDS = "own", "own-worlds", "mujoco", "worlds"
 @shared.result_file
 def command(
     rigs: int,
-    plant: str,
     home: Path | None,
     source: Path | None,
     out: Path,
@@ -99,8 +85,6 @@ def command(
       rig prove --rigs 24 --jobs 2 --out proof
       rig prove --gas --rigs 100 --out gas-proof
       rig prove --seal sealed --rigs 24 --seed 7
-      rig prove --plant own-worlds --rigs 12 --jobs 2 --out worlds-proof
-      rig prove --plant mujoco --rigs 12 --jobs 2 --out mujoco-proof
       rig prove --from sealed-by-others --json proof.json
       rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
     """
@@ -108,7 +92,7 @@ def command(
     from rig.common.places import require_file, require_folder
     from rig.results.prove.engines.choice import engine
 
-    _require_one_task(home, source, gas, plant)
+    _require_one_task(home, source, gas)
     require_folder(out, "--out")
     require_file(json_file, "--json")
     started = time.perf_counter()
@@ -116,11 +100,8 @@ def command(
         with engine(jobs, workers, scheduler) as shared_out:
             if home is not None:
                 require_folder(home, "--seal")
-                _seal(home, plant, rigs, seed, shared_out)
+                _seal(home, rigs, seed, shared_out)
                 return
-            if plant != OWN:
-                source = out / WORLDS
-                _seal(source, plant, rigs, seed, shared_out, repeated=True)
             if source is not None:
                 rows = _judge(source, out, rigs, seed, shared_out)
             else:
@@ -153,7 +134,7 @@ def _show(
     click.echo(f"report: {out / PAGE_FILE}")
 
 
-def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: str) -> None:
+def _require_one_task(home: Path | None, source: Path | None, gas: bool) -> None:
     """Check that options do not contradict each other.
 
     Raises:
@@ -163,10 +144,8 @@ def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: 
         raise InputError(
             "--seal writes trials and --from reads trials; give only one of these options"
         )
-    if gas and (home is not None or source is not None or plant != OWN):
-        raise InputError("--gas cannot be combined with --seal, --from or --plant; leave --gas out")
-    if source is not None and plant != OWN:
-        raise InputError("--from judges trials that exist already; leave --plant out")
+    if gas and (home is not None or source is not None):
+        raise InputError("--gas cannot be combined with --seal or --from; leave --gas out")
 
 
 def _prove(
@@ -185,50 +164,15 @@ def _prove(
         return work(proof, judge, engine, keep, bar)
 
 
-def _seal(
-    home: Path, plant: str, rigs: int, seed: int, engine: Engine, repeated: bool = False
-) -> None:
-    """Draw and seal trials; print their digests.
-
-    Args:
-        home: Folder of the sealed trials.
-        plant: Name of the plant.
-        rigs: Number of trials.
-        seed: Seed of the draws.
-        engine: Engine that simulates the trials.
-        repeated: Whether the digests are equal for equal seeds; False if the truths are sent to
-            others later.
-    """
+def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
+    """Draw trials, seal them into a folder, and print their digests."""
     from rig.results.prove.interchange.own import seal_own
     from rig.terminal.bar import ShareBar
 
     with ShareBar() as bar:
-        if plant == OWN:
-            sealed = seal_own(home, rigs, seed, engine, bar)
-        else:
-            from rig.results.prove.seal import random_salt, repeated_salt
-            from rig.results.prove.worlds.seal import seal_worlds
-
-            salt = partial(repeated_salt, seed) if repeated else random_salt
-            sealed = seal_worlds(home, _plant(plant), rigs, seed, engine, bar, salt)
+        sealed = seal_own(home, rigs, seed, engine, bar)
     for rig in sealed:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
-
-
-def _plant(name: str) -> Plant:
-    """Return the plant of worlds with this name.
-
-    Raises:
-        InputError: The plant needs a package that is not installed.
-    """
-    if name == OWN_WORLDS:
-        from rig.results.prove.own_plant.plant import OwnPlant
-
-        return OwnPlant()
-    from rig.results.prove.mujoco_plant.plant import MujocoPlant, require_mujoco
-
-    require_mujoco()
-    return MujocoPlant()
 
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:

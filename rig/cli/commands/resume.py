@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +28,7 @@ from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
 from rig.runs.resume import prepare, stopped_words
-from rig.runs.run import bench_constants, first_unfinished
+from rig.runs.run import bench_constants, first_unfinished, require_space
 from rig.runs.run_record import FEEDFORWARD_INPUT, RunRecord
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
@@ -107,6 +108,8 @@ def command(
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
+    left = plan.stages[first_unfinished(record) or 0 :]
+    require_space(run, dataclasses.replace(plan, stages=left).cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     status = _carry_out(inputs, plan, run, yes, in_console, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status

@@ -11,7 +11,7 @@ import click
 
 from rig.cli import options as shared
 from rig.cli.accepting import accept_at_the_end, given_acceptance, limits_before
-from rig.cli.aftermath import conclude, status_of
+from rig.cli.aftermath import conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.locks import OWNER_FILE
@@ -32,7 +32,7 @@ from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
-from rig.runs.run import bench_constants, create_folder, require_unused
+from rig.runs.run import bench_constants, create_folder, require_space, require_unused
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
@@ -82,7 +82,7 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--prompt-timeout",
     "prompt_timeout_s",
-    type=click.FloatRange(min=0, min_open=True),
+    type=shared.Number(min=0, min_open=True),
     help="Seconds to wait for an answer; then the run stops with status 3. [default: "
     "prompt_timeout_s of "
     "the bench file]",
@@ -160,6 +160,7 @@ def _run(options: _Options) -> int:
     # If another program uses the folder, the message of the lock is more helpful.
     if not (path / OWNER_FILE).exists():
         require_unused(path)
+    require_space(path, plan.cycles)
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(
         bench,
@@ -220,7 +221,7 @@ def _carry_out(
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
     if injector is not None:
-        click.echo(describe_findings(injector.conclude(status_of(outcome), outcome.message)))
+        click.echo(describe_findings(injector.conclude(status, outcome.message)))
     if status != DONE:
         return status
     return accept_at_the_end(path, options.junit_file)

@@ -55,7 +55,7 @@ _FILTERS = (
         "--weight",
         "weight_kg",
         metavar="KG",
-        type=click.FloatRange(min=0),
+        type=shared.Number(min=0),
         help="Only runs with this mass on the lever.",
     ),
     click.option(

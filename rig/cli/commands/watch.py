@@ -9,6 +9,7 @@ from urllib.parse import urlencode
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
 from rig.runs.live import HOST, Offer, layout, sdk, serve
@@ -40,7 +41,7 @@ _NO_TOKEN = (
 @click.option(
     "--last",
     metavar="SECONDS",
-    type=click.FloatRange(min=0.0),
+    type=shared.Number(min=0.0),
     help="Send only the last SECONDS of the existing part of the recording. [default: all]",
 )
 @click.option(

@@ -34,9 +34,13 @@ class Measure:
 
 
 MEASURES: Mapping[str, Measure] = {
-    "lateness": Measure(("p50", "p99", "worst"), "time", "delay of the start of a control cycle"),
+    "lateness": Measure(
+        ("p50", "p99", "worst"), "time", "delay of the start of a control cycle; quantiles to 1 %"
+    ),
     "answer": Measure(
-        ("p50", "p99", "worst"), "time", "age of a sample when the program checks it"
+        ("p50", "p99", "worst"),
+        "time",
+        "age of a sample when the program checks it; quantiles to 1 %",
     ),
     "tracking error": Measure(("rms", "worst"), "angle", "command minus joint angle"),
     "disagreement": Measure(("rms", "worst"), "angle", "drive's encoder minus joint encoder"),

@@ -2,16 +2,23 @@
 
 const HEIGHT = 150;
 const DASH = [6, 4];
+const OUT_OF_SIGHT = 10; // drawings of the charts in sight for each drawing of all charts
 
-function colour(name) {
+export function colour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+export function axisStyle() {
+  return { stroke: colour("--soft"), grid: { stroke: colour("--line"), width: 0.5 },
+    ticks: { stroke: colour("--line") }, font: "12px system-ui", labelFont: "12px system-ui" };
 }
 
 export function shownNumber(value, unit) {
   if (value === null || value === undefined || Number.isNaN(value)) return "not reported";
   const size = Math.abs(value);
   const digits = size >= 100 ? 1 : size >= 1 ? 2 : 3;
-  return `${value.toFixed(digits)} ${unit}`;
+  // A value that rounds to zero has no sign.
+  return `${value.toFixed(digits).replace(/^-(?=[0.]+$)/, "")} ${unit}`;
 }
 
 export function limitWords(channel) {
@@ -39,6 +46,7 @@ export class Charts {
       this.draw();
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
+    addEventListener("beforeprint", () => this.draw(true));
     new ResizeObserver(() => {
       if (holder.clientWidth === this.width) return;
       this.width = holder.clientWidth;
@@ -55,6 +63,7 @@ export class Charts {
     this.window = 30;
     this.latest = 0;
     this.continued = [];
+    this.turn = -1; // the first drawing is of all charts
   }
 
   // Builds one chart for each channel.
@@ -75,7 +84,7 @@ export class Charts {
     this.visible.clear();
     this.holder.replaceChildren();
     this.list = this.channels.map((channel) => this.build(channel));
-    this.draw();
+    this.draw(true);
   }
 
   build(channel) {
@@ -100,8 +109,7 @@ export class Charts {
   }
 
   options(channel, place) {
-    const axis = { stroke: colour("--soft"), grid: { stroke: colour("--line"), width: 0.5 },
-      ticks: { stroke: colour("--line") } };
+    const axis = axisStyle();
     return {
       width: Math.max(this.holder.clientWidth ? place.clientWidth : 300, 200),
       height: HEIGHT,
@@ -160,16 +168,22 @@ export class Charts {
     }
     this.first += drop;
     this.draw();
+    // The charts out of sight get the end of the recording as well.
+    clearTimeout(this.rest);
+    this.rest = setTimeout(() => this.draw(true), 1000);
   }
 
-  draw() {
+  // Charts out of sight are drawn more rarely; `all` draws them too.
+  draw(all = false) {
     if (document.hidden || !this.low.length) return;
+    this.turn = (this.turn + 1) % OUT_OF_SIGHT;
+    const every = all || this.turn === 0;
     const count = this.low[0].length;
     const times = Array.from({ length: count }, (_, i) => (this.first + i + 0.5) * this.interval);
     this.list.forEach((chart, c) => {
       const there = this.low[c]?.some((value) => value !== null);
       chart.box.hidden = !there && count > 0;
-      if (!there || !this.visible.has(chart.box)) return;
+      if (!there || !(every || this.visible.has(chart.box))) return;
       chart.plot.setData([times, this.low[c], this.high[c]], false);
       const start = this.latest - this.window;
       chart.plot.batch(() => {
@@ -189,6 +203,12 @@ export class Charts {
     return found;
   }
 
+  // Returns the least and the greatest value of the axis of a chart.
+  axis(name) {
+    const { min, max } = this.list.find((chart) => chart.channel.name === name).plot.scales.y;
+    return [min, max];
+  }
+
   // Empties the charts: another run is shown.
   clear() {
     this.reset();
@@ -201,7 +221,8 @@ export class Charts {
   values(values, when) {
     this.list.forEach((chart, c) => {
       const value = values[c];
-      chart.now.textContent = `${when} ${shownNumber(value, chart.channel.unit)}${share(value, chart.channel)}`;
+      const known = value !== null && value !== undefined;
+      chart.now.textContent = `${known ? `${when} ` : ""}${shownNumber(value, chart.channel.unit)}${share(value, chart.channel)}`;
     });
   }
 }
@@ -214,7 +235,9 @@ function share(value, channel) {
 
 function range(low, high) {
   if (low === null || high === null) return [-1, 1];
-  const margin = Math.max((high - low) * 0.1, Math.abs(high) * 1e-3, 1e-3);
+  // A constant value is in the middle, with a few percent around it.
+  const margin = high === low ? Math.max(Math.abs(high) * 0.05, 1e-3)
+    : Math.max((high - low) * 0.1, Math.abs(high) * 1e-3, 1e-3);
   return [low - margin, high + margin];
 }
 

@@ -1,14 +1,25 @@
-// Torque against speed: points of the excitations, and the curve of the last identification.
+// Torque against speed: points of the excitations by mass, and the curves of the last identification.
 
-const PAD = { left: 52, right: 10, top: 8, bottom: 34 };
+import { axisStyle, colour } from "./charts.js";
+
+const COLOURS = ["--chart", "--second", "--green", "--purple"];
+const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
+const HEIGHT = 300;
 
 export class Friction {
-  constructor(canvas, words) {
-    this.canvas = canvas;
+  constructor(holder, legend, words) {
+    this.holder = holder;
+    this.legend = legend;
     this.words = words;
-    this.rows = [];
-    this.curves = null;
+    this.signature = "";
+    this.masses = {};
     this.waiting = false;
+    this.reset();
+    new ResizeObserver(() => this.schedule()).observe(holder);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      this.signature = "";
+      this.schedule();
+    });
   }
 
   reset() {
@@ -23,11 +34,16 @@ export class Friction {
     this.schedule();
   }
 
+  // Takes the mass of each excitation, by its number.
+  weigh(masses) {
+    this.masses = masses;
+    this.schedule();
+  }
+
   use(curves) {
     this.curves = curves;
-    this.words.textContent = curves
-      ? `Points are means of 10 samples in excitations: circles are points of odd excitations, squares of even excitations. Lines: friction by ${curves.source}; dashed where a mass hangs.`
-      : "Points are means of 10 samples in excitations: circles are points of odd excitations, squares of even excitations. No identification of this bench was found beside the run.";
+    this.words.textContent = `Points are means of 10 samples in excitations. ${curves
+      ? `Lines: friction by ${curves.source}.` : "No identification of this bench was found beside the run."}`;
     this.schedule();
   }
 
@@ -40,82 +56,74 @@ export class Friction {
     });
   }
 
+  // Returns the masses that are drawn, kg, in order; null for points whose mass is not known yet.
+  loads() {
+    const found = new Set(this.rows.map(([, , segment]) => this.masses[segment] ?? null));
+    for (const line of this.curves?.lines || []) found.add(line.mass_kg);
+    return [...found].sort((a, b) => (a ?? Infinity) - (b ?? Infinity));
+  }
+
   draw() {
-    const canvas = this.canvas;
-    const ratio = devicePixelRatio || 1;
-    const width = canvas.clientWidth;
-    const height = canvas.clientHeight;
-    canvas.width = width * ratio;
-    canvas.height = height * ratio;
-    const ctx = canvas.getContext("2d");
-    ctx.scale(ratio, ratio);
-    const style = getComputedStyle(document.documentElement);
-    const paint = (name) => style.getPropertyValue(name).trim();
-    const speeds = this.rows.map((row) => row[0]);
-    const torques = this.rows.map((row) => row[1]);
-    const most = (list, least) => list.reduce((a, b) => Math.max(a, Math.abs(b)), least);
-    const x = most(speeds, 1) * 1.05;
-    const y = most(torques, 1) * 1.15;
-    const w = width - PAD.left - PAD.right;
-    const h = height - PAD.top - PAD.bottom;
-    const px = (v) => PAD.left + ((v + x) / (2 * x)) * w;
-    const py = (v) => PAD.top + ((y - v) / (2 * y)) * h;
-    axes(ctx, { px, py, x, y, width, height }, paint);
-    for (const [speed, torque, segment] of this.rows) {
-      const odd = segment % 2 === 1;
-      ctx.fillStyle = paint(odd ? "--chart" : "--second");
-      if (odd) {
-        ctx.beginPath();
-        ctx.arc(px(speed), py(torque), 1.6, 0, 7);
-        ctx.fill();
-      } else {
-        ctx.fillRect(px(speed) - 1.4, py(torque) - 1.4, 2.8, 2.8);
-      }
+    const width = this.holder.clientWidth;
+    if (!width) return;
+    const loads = this.loads();
+    const lines = (this.curves?.lines || []).flatMap((line) => [-1, 1].map((sign) => ({ line, sign })));
+    const signature = JSON.stringify([loads, lines.map(({ line }) => line.mass_kg)]);
+    if (signature !== this.signature) {
+      this.signature = signature;
+      this.plot?.destroy();
+      this.plot = new uPlot(this.options(loads, lines, width), [[]], this.holder);
+      this.showLegend(loads);
     }
-    for (const line of this.curves?.lines || []) {
-      ctx.strokeStyle = paint("--ink");
-      ctx.lineWidth = 1.5;
-      ctx.setLineDash(line.mass_kg ? [6, 4] : []);
-      for (const sign of [-1, 1]) {
-        ctx.beginPath();
-        this.curves.speed.forEach((speed, i) => {
-          if (speed > x) return;
-          ctx.lineTo(px(sign * speed), py(sign * line.torque[i]));
-        });
-        ctx.stroke();
-      }
+    if (this.plot.width !== width) this.plot.setSize({ width, height: HEIGHT });
+    // One axis of speeds for all series, as uPlot draws them; the other series have gaps there.
+    const all = this.rows.map(([speed, torque, segment]) =>
+      [speed, torque, loads.indexOf(this.masses[segment] ?? null)]);
+    const fastest = this.rows.reduce((most, [speed]) => Math.max(most, Math.abs(speed)), 1);
+    lines.forEach(({ line, sign }, i) => this.curves.speed.forEach((speed, k) => {
+      if (speed <= 1.05 * fastest) all.push([sign * speed, sign * line.torque[k], loads.length + i]);
+    }));
+    all.sort((a, b) => a[0] - b[0]);
+    const data = [all.map(([speed]) => speed)];
+    for (let s = 0; s < loads.length + lines.length; s += 1) {
+      data.push(all.map(([, torque, series]) => (series === s ? torque : null)));
     }
-    canvas.setAttribute("aria-label", `Torque against speed: ${this.rows.length} points, speeds up to ${most(speeds, 0).toFixed(1)} deg/s, torques up to ${most(torques, 0).toFixed(1)} N m`);
+    this.plot.setData(data);
+    const most = (column) => this.rows.reduce((a, row) => Math.max(a, Math.abs(row[column])), 0).toFixed(1);
+    this.holder.setAttribute("aria-label", `Torque against speed: ${this.rows.length} points, speeds up to ${most(0)} deg/s, torques up to ${most(1)} N m`);
   }
-}
 
-function axes(ctx, place, paint) {
-  const { px, py, x, y, width, height } = place;
-  ctx.strokeStyle = paint("--line");
-  ctx.fillStyle = paint("--soft");
-  ctx.font = "12px sans-serif";
-  ctx.textAlign = "center";
-  for (const share of [-1, -0.5, 0, 0.5, 1]) {
-    const v = (share * x) / 1.05;
-    line(ctx, px(v), PAD.top, px(v), height - PAD.bottom);
-    ctx.fillText(v.toFixed(x > 20 ? 0 : 1), px(v), height - PAD.bottom + 14);
-    const t = (share * y) / 1.15;
-    line(ctx, PAD.left, py(t), width - PAD.right, py(t));
-    ctx.textAlign = "right";
-    ctx.fillText(t.toFixed(1), PAD.left - 4, py(t) + 4);
-    ctx.textAlign = "center";
+  options(loads, lines, width) {
+    const paint = (load) => colour(COLOURS[loads.indexOf(load) % COLOURS.length]);
+    const symmetric = (share) => (plot, low, high) => {
+      const most = share * Math.max(Math.abs(low ?? 0), Math.abs(high ?? 0), 1);
+      return [-most, most];
+    };
+    return {
+      width, height: HEIGHT,
+      legend: { show: false },
+      cursor: { show: false },
+      scales: { x: { time: false, range: symmetric(1.05) }, y: { range: symmetric(1.1) } },
+      axes: [{ ...axisStyle(), label: "joint speed, deg/s", labelSize: 20, size: 32 },
+        { ...axisStyle(), label: "joint torque, N m", labelSize: 20, size: 52 }],
+      series: [{},
+        ...loads.map((load, i) => ({ paths: () => null, stroke: paint(load),
+          points: { show: true, size: 4, width: 1, fill: i % 2 ? "transparent" : paint(load) } })),
+        ...lines.map(({ line }) => ({ stroke: colour("--ink"), width: 1.5, spanGaps: true,
+          dash: DASHES[loads.indexOf(line.mass_kg) % DASHES.length], points: { show: false } }))],
+    };
   }
-  ctx.fillText("joint speed, deg/s", (PAD.left + width) / 2, height - 4);
-  ctx.save();
-  ctx.translate(12, height / 2);
-  ctx.rotate(-Math.PI / 2);
-  ctx.fillText("joint torque, N m", 0, 0);
-  ctx.restore();
-}
 
-function line(ctx, x0, y0, x1, y1) {
-  ctx.beginPath();
-  ctx.moveTo(x0, y0);
-  ctx.lineTo(x1, y1);
-  ctx.stroke();
+  showLegend(loads) {
+    const lines = new Set((this.curves?.lines || []).map((line) => line.mass_kg));
+    this.legend.replaceChildren(...loads.map((load, i) => {
+      const item = document.createElement("li");
+      const key = document.createElement("span");
+      key.className = `load load-${i % COLOURS.length}${i % 2 ? " hollow" : ""}`;
+      const words = load === null ? "mass not known yet" : `${load} kg`;
+      const dash = ["solid", "dashed", "dotted", "dash-dotted"][i % DASHES.length];
+      item.append(key, lines.has(load) ? `${words}; ${dash} line` : words);
+      return item;
+    }));
+  }
 }

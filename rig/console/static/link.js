@@ -3,8 +3,9 @@
 const KEPT = "loadrig-token";
 const REPLY_MS = 4000;
 const LONG_MS = 200000;
-const LONG = ["/dry-run", "/compare", "/trend"];
+const LONG = ["/dry-run", "/compare", "/trend", "/off"];
 const RETRY_MS = 500;
+const REFUSED_MS = 5000; // the console has no room for a further page
 const SILENT_MS = 1500;
 
 // A browser sends the fragment of an address to no server. The page removes it from its address.
@@ -43,10 +44,10 @@ export class Link {
       socket.send(JSON.stringify(this.wanted));
     };
     socket.onmessage = (message) => this.take(message.data);
-    socket.onclose = () => {
+    socket.onclose = (event) => {
       if (this.socket === socket) {
         this.page = "";
-        setTimeout(() => this.open(), RETRY_MS);
+        setTimeout(() => this.open(), event.code === 1013 ? REFUSED_MS : RETRY_MS);
       }
     };
     this.socket = socket;

@@ -6,7 +6,7 @@ import { Link } from "./link.js";
 import { Recorded } from "./recorded.js";
 import { setUpStart } from "./start.js";
 import { showTables } from "./tables.js";
-import { driveWords, PHASES, timeWords, whenWords } from "./words.js";
+import { activityWords, driveWords, headlineOf, PHASES, timeWords, whenWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press
@@ -18,31 +18,50 @@ const state = {};
 let lastStop = -Infinity;
 let said = {}; // the run that the line beside STOP refers to, and whether the line tells its end
 let endDue = null; // key of the run in progress whose end is to be told beside STOP
+let stopDue = []; // keys of the programs that this page has stopped, until their end is told
 let answered = null; // prompt that this page answered, until its answer is known to be refused
-let unconfirmed = null; // key of the run that has not confirmed STOP
+let unconfirmed = null; // keys of the programs that have not confirmed STOP
+let lostMs = 0; // time without contact with the console
+let makingSafe = false;
 let starting = false; // whether a run was started and is not found yet
 
 const charts = new Charts(at("charts"), ask);
-const friction = new Friction(at("friction"), at("friction-words"));
+const friction = new Friction(at("friction"), at("friction-legend"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
 const start = setUpStart(link, say, awaitRun);
 const recorded = new Recorded(going, showJudged, link);
 
-// Words about a run are removed when the page shows another run.
+// Words about a run are removed when the page shows another run, and give way to what the run is
+// doing when its phase changes.
 function say(words, run = null, end = false) {
   at("outcome").textContent = words;
-  said = { run, end };
+  said = { run, end, phase: phaseMark(), passing: run && !end };
+}
+
+function phaseMark() {
+  return `${state.status?.phase}, prompt ${state.status?.prompt?.number}`;
+}
+
+function showActivity() {
+  const words = activityWords(state.status);
+  const replaced = !at("outcome").textContent || said.activity
+    || (said.passing && said.phase !== phaseMark());
+  if (!replaced || at("outcome").textContent === words) return;
+  say(words, state.run);
+  said.activity = true;
 }
 
 // A run was started or continued: the page waits until the console finds the run.
 function awaitRun(words) {
   starting = true;
   say(words);
+  said.passing = true;
   at("runs").value = "";
   ask();
 }
 
-function alertOnce(key, words) {
+// `alarm`: somebody must act at once.
+function alertOnce(key, words, alarm = false) {
   const box = at("alerts");
   let line = box.querySelector(`[data-key="${key}"]`);
   if (!words) {
@@ -52,7 +71,10 @@ function alertOnce(key, words) {
   if (!line) {
     line = document.createElement("p");
     line.dataset.key = key;
-    box.append(line);
+    line.setAttribute("role", "alert");
+    line.className = alarm ? "alarm" : "warning";
+    if (alarm) box.prepend(line);
+    else box.append(line);
   }
   if (line.textContent !== words) line.textContent = words;
 }
@@ -70,7 +92,7 @@ function takeState(changed, fresh) {
     friction.reset();
     at("events").replaceChildren();
   }
-  for (const name of ["status", "about", "record", "channels", "live", "curves"]) {
+  for (const name of ["status", "about", "record", "channels", "live", "curves", "verdict"]) {
     if ("run" in changed && !(name in changed)) state[name] = null;
   }
   Object.assign(state, changed);
@@ -79,12 +101,14 @@ function takeState(changed, fresh) {
   if (changed.channels) charts.use(changed.channels);
   if (changed.points) friction.take(changed.points);
   if ("curves" in changed) friction.use(changed.curves);
+  if ("record" in changed) friction.weigh(changed.record?.masses || {});
   if (changed.events) addEvents(changed.events);
   for (const words of changed.notes || []) {
     starting = false;
     say(words);
   }
   if (changed.choices) start.choices(changed.choices);
+  if (changed.choices || changed.about) showBenches();
   if (changed.runs || "own" in changed) showRuns();
   if (changed.scope) at("scope").textContent = changed.scope;
   showRun();
@@ -103,11 +127,19 @@ function ask() {
 
 function showContact(silentMs) {
   const lost = silentMs > 0;
+  const before = lostMs;
+  lostMs = silentMs;
   at("contact").textContent = lost ? "NO CONTACT" : link.token ? "live" : "live, read only";
+  document.body.classList.toggle("stale", lost || Boolean(going() && state.live?.silent));
+  if (state.run && (lost || before)) {
+    showFacts();
+    if (state.about) showTables(state, {}, valuesWhen());
+    showControls();
+  }
   const since = Number.isFinite(silentMs) ? ` for ${Math.round(silentMs / 1000)} s` : "";
   alertOnce("contact", lost
     ? `No contact with the console${since}: the values on this page are old. The run continues without this page. If STOP does not work, use the emergency stop.`
-    : "");
+    : "", true);
 }
 
 function going() {
@@ -128,11 +160,19 @@ function runWords(run) {
   return `${run.name} on ${run.bench}${begun}${run.over ? ", ended" : ""}`;
 }
 
+// Benches that can be made safe: first the bench of the run that is shown.
+function showBenches() {
+  const select = at("safe-bench");
+  const { about, choices } = state;
+  const shown = about ? [new Option(`${about.bench}, of the run that is shown`, about.bench_file)] : [];
+  select.replaceChildren(...shown, ...(choices?.benches || []).map((name) => new Option(name, name)));
+}
+
 function showOthers() {
-  const others = (state.runs || []).filter((run) => !run.over && run.key !== state.run);
+  const others = (state.moving || []).filter((each) => each.key !== state.run);
   const line = at("others");
-  line.hidden = !state.run || !others.length;
-  const words = `Also in progress, not on this page: ${others.map(runWords).join("; ")}. STOP acts only on the run that is shown; choose a run at the top of the page.`;
+  line.hidden = !others.length;
+  const words = `Also in progress, not on this page: ${others.map((each) => each.name).join("; ")}. STOP stops them as well. Choose a run at the top of the page to see it.`;
   if (!line.hidden && line.textContent !== words) line.textContent = words;
 }
 
@@ -147,7 +187,7 @@ function showRun() {
     badge.textContent = "no run: start one below, or with `rig run`";
     for (const id of ["phase", "stage", "left", "drive"]) at(id).textContent = "-";
     at("phase-words").textContent = "";
-    at("ending").hidden = true;
+    for (const id of ["ending", "headline", "first", "failed"]) at(id).hidden = true;
     at("resume-box").hidden = true;
     at("prompt").hidden = true;
     showJudged();
@@ -163,19 +203,48 @@ function showRun() {
   const place = about.stages.indexOf(status?.stage) + 1;
   at("stage").textContent = status?.stage ? `${status.stage} (${place} of ${about.stages.length})` : "-";
   at("left").textContent = over ? "-" : timeWords(status?.left_s);
-  at("drive").textContent = driveWords(phase, over, live, record);
   showEnding();
+  showFacts();
+  if (going()) showActivity();
   showPrompt();
   alertOnce("silent", live?.silent
     ? "The run does not answer: its program is busy or hangs. The page names below what switches the drive's power off in this case. If in doubt, use the emergency stop." : "");
   alertOnce("gone", live?.gone
     ? "The program of the run ended without recording an end. Look at the bench: this page does not know the state of the drive. `rig recover` repairs the recording." : "");
   alertOnce("trouble", live?.trouble || "");
-  if (live?.values) charts.values(live.values, valuesWhen());
+}
+
+// Headline, state of the drive and values, with their age.
+function showFacts() {
+  const { about, status, live, record, verdict } = state;
+  const when = valuesWhen();
+  const age = when.endsWith("old:") ? `, ${when.replace(" old:", "")} ago` : "";
+  const drive = driveWords(status?.phase || "connecting", status?.ended, live, record);
+  at("drive").textContent = age ? `was ${drive}${age}` : drive;
+  const [shown, kind] = headlineOf(going() || !status, status || {}, live, record, verdict);
+  const yet = shown === "DONE, NOT JUDGED" && about?.judged ? " YET" : "";
+  const words = lostMs && going() ? `${shown}${age.toUpperCase() || ", LAST KNOWN"}` : shown + yet;
+  const line = at("headline");
+  line.hidden = false;
+  line.className = lostMs && going() ? "bad" : kind;
+  if (line.textContent !== words) line.textContent = words;
+  if (live?.values) charts.values(live.values, when);
 }
 
 function valuesWhen() {
-  return going() ? whenWords(state.status.phase, state.live) : "last";
+  return going() ? whenWords(state.status.phase, state.live, lostMs) : "last";
+}
+
+function showList(id, rows) {
+  const list = at(id);
+  list.hidden = !rows.length;
+  if (list.dataset.words === rows.join("\n")) return;
+  list.dataset.words = rows.join("\n");
+  list.replaceChildren(...rows.map((words) => {
+    const line = document.createElement("li");
+    line.textContent = words;
+    return line;
+  }));
 }
 
 function showEnding() {
@@ -189,20 +258,22 @@ function showEnding() {
   showJudged();
   const record = state.record;
   alertOnce("unverified", ended && record?.de_energised === false
-    ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
+    ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "", true);
+  const over = Boolean(ended || state.live?.gone);
+  showList("first", (over && record?.first || []).map((words) => `First: ${words}`));
+  showList("failed", (over && state.verdict?.failed || []).map((words) => `Failed: ${words}`));
   if (!ended) {
     endDue = state.status ? state.run : null;
     return;
   }
+  if (stopDue.includes(state.run)) endDue = state.run;
   if (endDue !== state.run) endDue = null;
-  if (unconfirmed === state.run) {
-    unconfirmed = null;
-    alertOnce("stop", "");
-  }
-  line.className = `ending${ended.good ? " good" : ""}`;
+  const kind = !ended.good || state.verdict?.verdict === "rejected" ? "" : state.verdict ? " good" : " calm";
+  line.className = `ending${kind}`;
   if (line.textContent !== ended.words) line.textContent = ended.words;
   if (endDue === state.run && (record?.de_energised ?? null) !== null) {
     endDue = null;
+    stopDue = stopDue.filter((key) => key !== state.run);
     // Earlier messages, such as the answer to a prompt, no longer apply.
     if (!starting) {
       say(record.de_energised ? "The run has ended; the drive is off (read back)"
@@ -240,15 +311,7 @@ function showPrompt() {
     if (prompt.since === answered.since && told.length) say(`Refused: ${told.at(-1)}`, state.run);
     answered = null;
   }
-  const shown = at("told");
-  if (shown.dataset.words !== told.join("\n")) {
-    shown.dataset.words = told.join("\n");
-    shown.replaceChildren(...told.map((words) => {
-      const line = document.createElement("p");
-      line.textContent = words;
-      return line;
-    }));
-  }
+  showList("told", told);
   const weight = prompt.topic === "weight";
   at("mass-form").hidden = !weight;
   at("go-on").hidden = weight;
@@ -256,7 +319,6 @@ function showPrompt() {
   if (box.dataset.number !== String(prompt.number)) {
     box.dataset.number = String(prompt.number);
     at("mass").value = "";
-    if (!weight) say("The run is paused; the drive is off", state.run);
   }
 }
 
@@ -287,14 +349,27 @@ function showControls() {
   at("pause").setAttribute("aria-pressed", String(asked));
   at("pause").textContent = paused ? "Paused" : asked ? "Cancel the requested pause"
     : "Pause at the end of the stage";
-  at("resume").disabled = !mine || !state.live?.closed;
+  at("resume").disabled = !mine || !state.live?.closed || starting;
   for (const id of ["mass", "go-on", "repeat", "abort"]) at(id).disabled = !on;
+  if (on && status.prompt?.topic === "weight" && !state.about?.stages.indexOf(status.stage)) {
+    at("repeat").disabled = true; // there is no stage before the first
+  }
   at("mass-form").querySelector("button").disabled = !on;
   const stop = at("stop");
-  stop.disabled = !may || !going();
-  const again = going() && status.stopping;
+  // STOP is never off because of what this page believes: the console looks again at every press.
+  stop.disabled = !link.token || Boolean(controls && !may);
+  const moving = state.moving || [];
+  const what = lostMs ? "no contact: what moves is not known"
+    : moving.length ? `stops ${moving.map((each) => each.name).join(", ")}` : "nothing is in progress";
+  if (at("stop-what").textContent !== what) at("stop-what").textContent = what;
+  if (unconfirmed?.length && unconfirmed.every((key) => (state.runs || []).some((run) => run.key === key && run.ended))) {
+    unconfirmed = null;
+    alertOnce("stop", "");
+  }
+  const again = moving.length > 0 && moving.every((each) => each.stopping);
   stop.classList.toggle("again", again);
   at("stop-label").textContent = again ? "STOP again: power off at once, without the ramp" : "STOP";
+  at("make-safe").disabled = stop.disabled || makingSafe;
   start.allow(mine);
   recorded.allow(may);
 }
@@ -303,18 +378,28 @@ async function pressStop() {
   const now = performance.now();
   if (at("stop").disabled || now - lastStop < AGAIN_MS) return;
   lastStop = now;
-  const run = state.run;
   starting = false;
-  say("STOP is sent", run);
-  const answer = await link.post("/command", { run, command: "stop" });
+  say("STOP is sent");
+  const answer = await link.post("/command", { command: "stop" });
   const took = Math.round(performance.now() - now);
-  unconfirmed = answer.ok ? null : run;
+  unconfirmed = answer.ok ? null : answer.unconfirmed || (state.moving || []).map((each) => each.key);
   alertOnce("stop", answer.ok ? ""
-    : `STOP was NOT confirmed (${answer.words}). Use the emergency stop.`);
-  if (answer.ok && state.run === run && !state.status?.ended) {
-    say(`The run accepted STOP after ${took} ms and reads the drive's state back`, run);
+    : `STOP was NOT confirmed. Use the emergency stop. (${answer.words})`, true);
+  if (!answer.ok) {
+    say("STOP was NOT confirmed");
+    return;
   }
-  if (!answer.ok) say("STOP was NOT confirmed");
+  const { stopped } = answer;
+  stopDue = stopped;
+  if (stopped.length && !stopped.includes(state.run)) {
+    // The page shows the end of what was stopped.
+    at("runs").value = "";
+    ask();
+  }
+  // The end of the run may have been told meanwhile.
+  if (said.end) return;
+  say(stopped.length ? `STOP was accepted after ${took} ms by ${answer.words}; the state of the drive is being read back`
+    : "Nothing was in progress that this console can reach", stopped.includes(state.run) ? state.run : null);
 }
 
 // A click that waited in a frozen page refers to the content that the page showed at that time.
@@ -330,7 +415,7 @@ async function command(event, content, done) {
   if (!fresh(event)) return false;
   const run = state.run;
   const answer = await link.post("/command", { run, ...content });
-  if (!answer.ok) say(`Refused: ${answer.words}`);
+  if (!answer.ok) say(`Refused: ${answer.words}`, run);
   else if (run === state.run && !state.status?.ended) say(done, run);
   return answer.ok;
 }
@@ -359,7 +444,9 @@ for (const [id, text] of [["go-on", "go on"], ["repeat", "repeat"], ["abort", "a
   at(id).addEventListener("click", (event) => answerPrompt(event, text));
 }
 at("resume").addEventListener("click", async (event) => {
-  if (!fresh(event)) return;
+  if (!fresh(event) || starting) return;
+  starting = true;
+  showControls();
   const answer = await link.post("/resume", {
     run: state.run, typed_bench: at("resume-bench").value,
     operator: at("start-operator").value.trim(),
@@ -368,8 +455,24 @@ at("resume").addEventListener("click", async (event) => {
     at("resume-bench").value = "";
     awaitRun(answer.words);
   } else {
+    starting = false;
     say(`Refused: ${answer.words}`);
+    showControls();
   }
+});
+at("make-safe").addEventListener("click", async () => {
+  const bench = at("safe-bench");
+  const name = bench.selectedOptions[0].textContent;
+  makingSafe = true;
+  showControls();
+  alertOnce("off", "");
+  at("safe-words").textContent = `${name}: the power is being taken off; this takes up to half a minute.`;
+  const answer = await link.post("/off", { bench: bench.value });
+  makingSafe = false;
+  showControls();
+  const proved = answer.ok && answer.proved;
+  at("safe-words").textContent = answer.words;
+  alertOnce("off", proved ? "" : `${name} was NOT proved off. Switch the main supply off by hand. (${answer.words})`, true);
 });
 at("take").addEventListener("click", async () => {
   const answer = await link.post("/controls", {});
@@ -381,7 +484,8 @@ document.addEventListener("visibilitychange", () => charts.draw());
 
 function isSpaceOfStop(event) {
   const typing = event.target instanceof HTMLInputElement && event.target.type === "text";
-  return event.code === "Space" && !typing && !at("stop").disabled;
+  return event.code === "Space" && !typing && !at("stop").disabled
+    && Boolean(state.moving?.length || lostMs);
 }
 addEventListener("keydown", (event) => {
   if (!isSpaceOfStop(event)) return;
@@ -394,4 +498,5 @@ addEventListener("keyup", (event) => {
 }, { capture: true });
 
 // Content of the charts, for tests and for the browser's console.
-window.rigConsole = { extremes: () => charts.extremes(), continued: () => charts.continued };
+window.rigConsole = { extremes: () => charts.extremes(), continued: () => charts.continued,
+  axis: (name) => charts.axis(name) };

@@ -34,7 +34,7 @@ export function showTables(state, changed, when) {
   }
   const limited = (channels || []).map((channel, i) => [channel, live?.values?.[i]])
     .filter(([channel]) => channel.low !== null || channel.high !== null);
-  at("limits-when").textContent = when === "now" ? "Now" : "Last value";
+  at("limits-when").textContent = when === "now" ? "Now" : when === "last" ? "Last value" : when.replace(":", "");
   at("limits").replaceChildren(...limited.map(([channel, value]) =>
     row([channel.label, shownNumber(value, channel.unit), limitWords(channel), held(state, channel)])));
 }

@@ -30,9 +30,33 @@ export function driveWords(phase, over, live, record) {
 }
 
 // With the drive off, no samples are taken: the values are those of the last sample. They are also
-// old while the console still reads samples of the time before.
-export function whenWords(phase, live) {
-  return live?.current && !OFF.includes(phase) ? "now" : "last";
+// old while the console still reads samples of the time before, while the run does not answer, and
+// while the page has no contact with the console (`lostMs`, ms).
+export function whenWords(phase, live, lostMs = 0) {
+  if (!live?.current || OFF.includes(phase)) return "last";
+  const age = (live.silent ? live.silent_s : 0) + Math.round(lostMs / 1000);
+  return age > 0 || lostMs > 0 ? `${timeWords(Math.max(age, 1))} old:` : "now";
+}
+
+// What the run is doing, for the line beside STOP.
+export function activityWords(status) {
+  if (status.stopping) return "Stopping: the program brakes and takes the power off";
+  if (status.prompt) return status.prompt.topic === "pause" ? "The run is paused; the drive is off" : "The run waits for your answer";
+  return `${status.stage ? `Stage ${status.stage}. ` : ""}${PHASES[status.phase] || status.phase}`;
+}
+
+// The state of a run, to be read from across the room: words and colour.
+export function headlineOf(going, status, live, record, verdict) {
+  if (going) {
+    if (live?.silent) return ["NO ANSWER", "bad"];
+    const drive = driveWords(status.phase, false, live, record);
+    if (/^(off|switched on)/.test(drive)) return ["OFF", "calm"];
+    if (drive.startsWith("ENERGISED")) return ["ENERGISED", "power"];
+    return drive === "not read yet" ? ["CONNECTING", "calm"] : [drive.split(/[ :(]/)[0].toUpperCase(), "bad"];
+  }
+  if (verdict) return verdict.verdict === "accepted" ? ["ACCEPTED", "good"] : ["REJECTED", "bad"];
+  const state = record && record.state !== "running" ? record.state.toUpperCase() : "ENDED";
+  return [`${state}, NOT JUDGED`, state === "DONE" ? "calm" : "bad"];
 }
 
 export function timeWords(seconds) {

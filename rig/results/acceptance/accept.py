@@ -22,11 +22,11 @@ from rig.results.acceptance.record import RESULT_FILE, acceptance_record, junit
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.document import Document, Note, Section, Table, Verdict
 from rig.results.files import write_record, write_texts
+from rig.results.run.report import REPORT_FILE, write_verdict
+from rig.results.run.verdict import CERTIFICATE_PAGE, CERTIFICATE_PDF
 from rig.runs.catalogue.read import bench_name
 from rig.runs.run_record import RUN_FILE
 from rig.runs.seal import seal, seal_run
-
-CERTIFICATE_PAGE, CERTIFICATE_PDF = "certificate.html", "certificate.pdf"
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,10 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
     seal_run(folder, record)
     seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])
+    try:
+        write_verdict(folder, record)
+    except OSError as error:
+        raise InputError(f"{folder / REPORT_FILE}: cannot be written: {error.strerror}") from error
     return Acceptance(checks, result, junit(record, bench, checks), folder)
 
 

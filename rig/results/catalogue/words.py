@@ -27,6 +27,8 @@ def masses(head: Head) -> str:
 
 def state(root: Path, entry: Entry) -> str:
     """Return how a run ended; for a folder without a complete run, the kind of the folder."""
+    if entry.head.kind == "commissioning":
+        return f"commissioning {entry.head.state}"
     return state_of(root, entry) if entry.head.kind == "run" else entry.head.kind.upper()
 
 

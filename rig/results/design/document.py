@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from identification.design.intervals import Intervals
+from identification.design.simulated import Intervals
 from rig.common.tables import number, percent
 from rig.config.sequence import StageSection
 from rig.results.design.experiment import Experiment

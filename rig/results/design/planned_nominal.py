@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from identification.design.intervals import NAMES
-from identification.model.nominal import NOMINAL
+from identification.design.simulated import NAMES
+from identification.model.parameters import NOMINAL
 from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from identification.design.intervals import Intervals
+from identification.design.simulated import Intervals
 from rig.common.tables import percent
 from rig.config.sequence import Sequence
 from rig.results.design.experiment import Experiment

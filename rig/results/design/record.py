@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from identification.design.intervals import Intervals
+from identification.design.simulated import Intervals
 from rig.common.provenance import utc_now, versions
 from rig.common.result_files import finite
 from rig.config.sequence import Sequence

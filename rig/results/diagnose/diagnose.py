@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.gas.burns import has_gas_channels
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.result import Diagnosis, Verdict
-from identification.estimate.long import identify_any_length
-from identification.estimate.uncertainty.known_constants import uncertain_constants
+from identification.estimate.covariance import uncertain_constants
+from identification.estimate.default import identify_any_length
+from identification.export.model import refit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.input_files import is_folder

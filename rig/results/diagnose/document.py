@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from identification.corrected.model import COORDINATES
-from identification.diagnosis.result import Diagnosis, Effect, Fit, ResidualTrace
+from identification.diagnosis.result import Diagnosis, Fit, IdentifiedEffect, ResidualTrace
+from identification.export.model import COORDINATES
 from identification.plots import mismatch
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.exports import Exports
@@ -146,7 +146,7 @@ def _warnings(found: Diagnosis) -> list[Note]:
     return [Note(line, "warning") for line in found.warnings]
 
 
-def _effect(effect: Effect, found: Diagnosis) -> Section:
+def _effect(effect: IdentifiedEffect, found: Diagnosis) -> Section:
     """Return the text on one effect that accompanies the table."""
     blocks: list[Block] = []
     others = [name for name in effect.alias_group if name != effect.name]

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from drivers.mock.plant.effects.pack import problems
-from identification.corrected.model import CorrectedModel
+from identification.export.model import CorrectedModel
 from identification.recording import Bench as Constants
 from rig.common.errors import InputError
 from rig.common.input_files import is_file

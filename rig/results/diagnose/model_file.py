@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from identification.corrected.model import COORDINATES, CorrectedModel
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.gas.rows import PRESSURE
 from identification.diagnosis.result import Curve
+from identification.effects import EFFECTS
+from identification.export.model import COORDINATES, CorrectedModel
 from rig.common.errors import InputError
 from rig.common.input_files import read_json
 from rig.common.result_files import IDENTIFY_SCHEMA
@@ -20,8 +20,6 @@ from rig.planning.reference import LARGEST_ALPHA
 from rig.results.diagnose.record import DIAGNOSE_SCHEMA
 
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
-OF_ONE_RECORDING = ("wrong_weight", "encoder_slip")
-"""Effects whose parameter ``recording`` counts recordings from 1."""
 _LARGEST = 1e12
 """Largest plausible magnitude of a parameter, SI units."""
 _MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
@@ -103,17 +101,18 @@ def _effect(
     place: str, effect: Mapping[str, Any], recordings: Sequence[str]
 ) -> tuple[str, dict[str, float]]:
     name = effect["name"]
-    if name not in ENTRIES:
+    if name not in EFFECTS:
         raise InputError(
             f"{place}: effects: {name} is not an effect of the catalogue; see rig effects"
         )
-    known = {q.name for q in ENTRIES[name].parameters}
+    known = {q.name for q in EFFECTS[name].parameters}
     given = {
         key: _finite(place, f"effects.{name}.{key}", entry["value"])
         for key, entry in effect["parameters"].items()
         if key in known or key == "recording"
     }
-    if name in OF_ONE_RECORDING and "recording" not in given:
+    # The parameter counts recordings from 1.
+    if EFFECTS[name].place is not None and "recording" not in given:
         shown = [recordings.index(r) for r in effect["where"]["recordings"] if r in recordings]
         given["recording"] = 1.0 + min(shown, default=0)
     if known - given.keys():

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.diagnose import observable_effects
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.observable import Observable
-from identification.model.units import parameter_unit
+from identification.effects import EFFECTS
+from identification.model.parameters import parameter_unit
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
@@ -48,7 +48,7 @@ class Seen:
     def unit(self, effect: str, parameter: str) -> str:
         """Return the unit of an effect's parameter on this bench."""
         first = self.dataset.recordings[0]
-        known = next((q.unit for q in ENTRIES[effect].parameters if q.name == parameter), "")
+        known = next((q.unit for q in EFFECTS[effect].parameters if q.name == parameter), "")
         return parameter_unit(first.bench.motion, parameter, known, torque_unit(first) == "A")
 
     def record(self) -> dict[str, Any]:
@@ -65,7 +65,7 @@ class Seen:
                         for name, value in e.sizes.items()
                     },
                     "alike": {name: finite(share) for name, share in e.alike.items()},
-                    "separating_experiment": ENTRIES[e.name].experiment,
+                    "separating_experiment": EFFECTS[e.name].experiment,
                 }
                 for e in self.effects
             ],
@@ -104,7 +104,7 @@ def observable_document(source: Path, seen: Seen) -> Document:
         blocks.append(Paragraph(", ".join(hidden) + ".", "Not shown by these recordings."))
     sections = [Section("What these recordings can show", tuple(blocks))]
     if alike:
-        asked = tuple((e.name, ENTRIES[e.name].experiment) for e in alike)
+        asked = tuple((e.name, EFFECTS[e.name].experiment) for e in alike)
         sections.append(Section("What would distinguish them", (Items(asked),)))
     return Document(f"Observable effects of {source_name(source)}", text, tuple(sections))
 

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from identification.diagnosis.result import Curve, Diagnosis, Effect, Estimate, Fit, Location, Step
+from identification.diagnosis.result import (
+    Curve,
+    Diagnosis,
+    Estimate,
+    Fit,
+    IdentifiedEffect,
+    Location,
+    Step,
+)
 from identification.recording import Dataset
 from rig.common.result_files import Provenance, finite
 from rig.runs.partial import partial_names
@@ -51,7 +59,7 @@ def effects_record(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _effect_record(effect: Effect) -> dict[str, Any]:
+def _effect_record(effect: IdentifiedEffect) -> dict[str, Any]:
     return {
         "name": effect.name,
         "alias_group": list(effect.alias_group),

@@ -8,6 +8,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from identification.effects import EFFECTS
+from identification.effects.effect import Separation
 from rig.config.bench import Bench
 
 TRAVEL_SHARE = 0.85
@@ -185,37 +187,20 @@ def _after_hanging(room: Room) -> list[_Stage]:
 
 
 Recipe = Callable[[Room], list[_Stage]]
-RECIPES: Mapping[str, Recipe] = {
-    **dict.fromkeys(
-        ("cogging", "torque_ripple", "transmission_efficiency", "load_dependent_friction"), _loads
-    ),
-    **dict.fromkeys(
-        ("torque_saturation", "load_exponent", "lever_pivot_friction", "wrong_weight"), _loads
-    ),
-    **dict.fromkeys(
-        ("backlash", "compliance", "transport_delay", "coupling_hysteresis"), _loads_and_speeds
-    ),
-    **dict.fromkeys(("load_inertia",), _loads_and_speeds),
-    **dict.fromkeys(("current_loop_lag", "time_skew"), _frequencies),
-    **dict.fromkeys(("asymmetric_viscous", "quadratic_drag"), _speeds),
-    **dict.fromkeys(("stribeck_shape", "friction_memory"), _slow),
-    **dict.fromkeys(("dwell_static_friction",), _rests),
-    **dict.fromkeys(("presliding",), _small_loops),
-    **dict.fromkeys(
-        ("position_dependent_friction", "load_position_dependence", "gravity_imbalance"), _travel
-    ),
-    **dict.fromkeys(("return_spring", "end_stop", "gear_mesh_ripple"), _travel),
-    **dict.fromkeys(
-        ("viscous_thermal_drift", "coulomb_drift", "winding_heating", "current_drift"), _session
-    ),
-    **dict.fromkeys(("asymmetric_coulomb", "current_offset"), _hold),
-    **dict.fromkeys(("load_swing",), _after_hanging),
+RECIPES: Mapping[Separation, Recipe] = {
+    Separation.LOADS: _loads,
+    Separation.LOADS_AND_SPEEDS: _loads_and_speeds,
+    Separation.FREQUENCIES: _frequencies,
+    Separation.SPEEDS: _speeds,
+    Separation.SLOW: _slow,
+    Separation.RESTS: _rests,
+    Separation.SMALL_LOOPS: _small_loops,
+    Separation.TRAVEL: _travel,
+    Separation.SESSION: _session,
+    Separation.HOLD: _hold,
+    Separation.AFTER_HANGING: _after_hanging,
 }
-"""Effect to the experiment that distinguishes it from similar effects.
-
-Effects without an entry need a manual change of the bench: another supply voltage, or the encoder
-turned on its shaft.
-"""
+"""Kind of experiment to its stages within the limits of a bench."""
 
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
@@ -226,7 +211,8 @@ def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
         names: The group, the likeliest first.
         bench: The bench, whose limits set the size of the experiment.
     """
-    recipes = list(dict.fromkeys(RECIPES[name] for name in names if name in RECIPES))
+    kinds = (EFFECTS[name].separation for name in names)
+    recipes = [RECIPES[kind] for kind in kinds if kind is not None]
     room = Room.of(bench)
     if not recipes or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:
         return None

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from identification.diagnosis.result import Diagnosis, Fit, Location
-from identification.diagnosis.verdict.wording import readable
-from identification.model.units import parameter_title
+from identification.diagnosis.verdict.statement import readable
+from identification.model.parameters import parameter_title
 from rig.common.tables import number, percent
 from rig.results.document import Table
 

@@ -13,13 +13,11 @@ from typing import Protocol
 
 import numpy as np
 
-from identification.estimate.ladder import Rung, climb
-from identification.estimate.long import identify_any_length
-from identification.estimate.paper_method.comparison import Contender, compare
-from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.covariance import uncertain_constants
+from identification.estimate.default import identify_any_length
+from identification.estimate.ladder import Rung, Transfer, climb, transfer
+from identification.estimate.paper_method import Contender, compare, identify_paper
 from identification.estimate.prediction.simulated_ladder import SimulatedRung, climb_simulated
-from identification.estimate.transfer import Transfer, transfer
-from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError

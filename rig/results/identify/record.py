@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from identification.estimate.ladder import Interval, Rung
-from identification.estimate.paper_method.comparison import Contender
-from identification.estimate.prediction.constants import Constant
+from identification.estimate.ladder import Interval, Moved, Rung, Transfer
+from identification.estimate.paper_method import Contender
+from identification.estimate.prediction.loop_fit import Constant
 from identification.estimate.prediction.simulated_ladder import SimulatedRung
-from identification.estimate.transfer import Moved, Transfer
 from identification.model.ladder import LADDER, SIMULATED
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.result_files import IDENTIFY_SCHEMA, Provenance, finite

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 from identification.estimate.ladder import Interval
-from identification.estimate.prediction.constants import PER_VOLT, Constant
+from identification.estimate.prediction.loop_fit import PER_VOLT, Constant
 from identification.estimate.prediction.simulated_ladder import SimulatedRung
 from identification.model.ladder import SIMULATED
-from identification.model.units import LINEAR
+from identification.model.parameters import LINEAR
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.results.document import Table
 

@@ -6,9 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from identification.estimate.ladder import Interval, Rung
-from identification.estimate.paper_method.comparison import Contender
-from identification.estimate.transfer import Transfer
+from identification.estimate.ladder import Interval, Rung, Transfer
+from identification.estimate.paper_method import Contender
 from identification.model.ladder import LADDER
 from identification.recording import Recording
 from identification.result import Fit, Identification

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from identification.model.units import LINEAR
+from identification.model.parameters import LINEAR
 from identification.plots import profile as plots
 from identification.result import Identification, MeasuredNoise, Profile, Resampled
 from rig.common.tables import interval, number

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.estimate.equation_error.uniform_motion import (
+from identification.estimate.equation_error import (
     UNIFORM,
     UniformPoint,
     errors_percent,

@@ -17,9 +17,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
-from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import views_and_fit
+from identification.diagnosis.fit.start import choose, views_and_fit
 from identification.recording import RecordingError
 from rig.results.prove.folder import write
 from rig.results.prove.simulate import Recorded

@@ -12,12 +12,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import views_and_fit
+from identification.diagnosis.fit.start import choose, views_and_fit
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
-from identification.diagnosis.terms import TERMS
+from identification.effects import MOTION
 from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.results.prove.absorbed import residual_rms
@@ -66,7 +65,7 @@ def judge(source: Path, seed: int) -> Judgement:
         return Judgement(outcome.record(), {}, lambda _names: None, diagnosed - began, 0.0)
     first = seen[0]
     declared = outcome.dataset.model.terms
-    regressors = library(first, [t for t in TERMS if t.name not in declared])
+    regressors = library(first, [t for t in MOTION if t.name not in declared])
     named = {"greedy_bic": greedy_bic(regressors), "sparse": sparse(regressors)}
     bandwidth = outcome.diagnosis.fit.bandwidth_Hz
     later = time.perf_counter() - diagnosed

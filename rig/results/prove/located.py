@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 
 LIKE: Mapping[str, frozenset[str]] = {
     "direction": frozenset({"speed", "torque"}),
@@ -26,10 +26,6 @@ machine warms up with time, and the torque changes most with the acceleration an
 """
 REFUSED = "refused"
 """Verdict of a trial that could not be diagnosed."""
-OWN_RECORDING = ("wrong_weight", "encoder_slip")
-"""Effects that show in one recording; for these the recording, and not a coordinate, is the
-location.
-"""
 
 
 def located(
@@ -59,11 +55,11 @@ def located(
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
     if diagnosis["verdict"] in ("nothing_missing", REFUSED) or where is None:
         return {"equation": None, "coordinate": None, "place": None, "found": None}
-    entry = ENTRIES[name]
+    entry = EFFECTS[name]
     fitted = {fit["equation"] for fit in diagnosis["fits"]}
     shows_in = entry.shows_in if entry.shows_in in fitted else "torque"
     expected, found = entry.coordinate.split(":")[0], where["coordinate"]
-    if name in OWN_RECORDING:
+    if entry.place is not None:
         at = round(true.get("recording", 0)) - 1
         own = recordings[at] if 0 <= at < len(recordings) else None
         place = own in where["recordings"] and len(where["recordings"]) <= 2

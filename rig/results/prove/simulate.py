@@ -17,7 +17,6 @@ MOVING_RAD_S = 0.02
 SETTLE_S = 0.5
 """Time under power before each recording, s."""
 CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "temperature")
-_CYCLE_NS = round(CYCLE_S * 1e9)
 
 
 class Recorded(NamedTuple):

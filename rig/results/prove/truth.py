@@ -12,7 +12,7 @@ from pydantic import Field
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE
 from drivers.mock.plant.effects.table import CATALOGUE
-from identification.diagnosis.catalogue import ENTRIES
+from identification.effects import EFFECTS
 from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 
@@ -86,7 +86,7 @@ class Truth(Schema):
     @property
     def excused(self) -> tuple[str, ...]:
         """Return the effects that are not scored at all."""
-        return tuple(n for n in self.not_scored if n in ENTRIES or n in self.effects)
+        return tuple(n for n in self.not_scored if n in EFFECTS or n in self.effects)
 
     def record(self, rig: int | str) -> dict[str, Any]:
         """Return the truth in the form that the rows of the proof use."""
@@ -107,7 +107,7 @@ def load_truth(path: Path) -> Truth:
 
 def strangers(effects: Iterable[str]) -> list[str]:
     """Return the effects that are not in the catalogue."""
-    return [name for name in effects if name not in ENTRIES]
+    return [name for name in effects if name not in EFFECTS]
 
 
 def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
@@ -115,14 +115,14 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
     for name, given in truth.effects.items():
         if name in truth.outside:
             continue
-        if name not in ENTRIES:
+        if name not in EFFECTS:
             yield (
                 ("effects", name),
                 "not an effect of the catalogue (see `rig effects`); list an effect outside the "
                 "catalogue under outside as well",
             )
             continue
-        known = {p.name for p in ENTRIES[name].parameters} | INJECTED.get(name, {}).keys()
+        known = {p.name for p in EFFECTS[name].parameters} | INJECTED.get(name, {}).keys()
         for key in given.keys() - known:
             yield (
                 ("effects", name, key),
@@ -131,11 +131,11 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
     for k, name in enumerate(truth.outside):
         if name not in truth.effects:
             yield (("outside", k), "not among effects; add the name to effects, with {} if need be")
-        elif name in ENTRIES:
+        elif name in EFFECTS:
             yield (("outside", k), "is an effect of the catalogue; remove it from this list")
     for k, name in enumerate(truth.not_scored):
         effect, _, key = name.partition(".")
-        listed = effect in truth.effects or (not key and effect in {*truth.parameters, *ENTRIES})
+        listed = effect in truth.effects or (not key and effect in {*truth.parameters, *EFFECTS})
         if not listed:
             yield (
                 ("not_scored", k),

@@ -26,12 +26,12 @@ _BY_FILE = frozenset(
 
 
 def first_words(record: RunRecord) -> list[str]:
-    """Return the steps that are required before the run can continue, in order; empty if none are
-    known.
+    """Return the steps that are required before the run can continue, in order, without a step that
+    the run's message states already; empty if none are known.
     """
     words = [] if record.de_energised else [NOT_READ_BACK]
     check = _tripped(record)
-    if check is not None:
+    if check is not None and remedy(check) not in record.message:
         words.append(remedy(check))
     elif _in_fault(record):
         words.append("remove the cause of the drive's fault")

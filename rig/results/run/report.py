@@ -19,9 +19,12 @@ from rig.results.run.page.clock_words import (
     no_lateness,
 )
 from rig.results.run.page.sections import Recorded, last_seconds, result, whole
+from rig.results.run.verdict import read_verdict
 from rig.runs.run_record import BENCH_ATTACHMENT, Ending, RunRecord
 
 REPORT_FILE = "run.html"
+_BEGIN, _END = "<!--verdict-->", "<!--/verdict-->"
+"""Marks around the headline, which is replaced when the run is judged."""
 _STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:75rem;margin:1.5rem "
     "auto;padding:0 1rem}"
@@ -35,7 +38,10 @@ _STYLE = (
     ".bar{background:#0072B2;height:.7em;display:inline-block}.note{color:#555;margin:.5rem 0}"
     ".warning{border-left:4px solid #D55E00;padding:.2rem .8rem;background:#fdf3ec}"
     ".ending{border-left:6px solid #b00020;background:#fdf0f0;padding:.5rem .9rem;margin:.7rem 0}"
-    ".ending.done{border-color:#00713d;background:#eef8f1}.ending p{margin:.3rem 0}"
+    ".ending.done{border-color:#888;background:#f4f4f4}.ending p{margin:.3rem 0}"
+    ".verdict{font-size:2rem;font-weight:800;letter-spacing:.03em;line-height:1.2;margin:.3rem 0;"
+    "padding:.4rem .9rem;color:#fff;background:#4a5157}.verdict.good{background:#00653a}"
+    ".verdict.bad{background:#b00020}"
     ".badge{display:inline-block;border:2px solid #222;border-radius:.3rem;padding:0 "
     ".5rem;font-weight:700}"
     ".badge.real{background:#222;color:#fff}code{background:#eee;padding:.1rem "
@@ -48,7 +54,7 @@ _STYLE = (
     "@media screen and (prefers-color-scheme:dark){body{background:#16181b;color:#e8e8e8}"
     "h2{border-color:#3a3d42}th,td{border-color:#3a3d42}.note,dt,.who i{color:#b4b4b4}"
     ".warning{background:#33241a}.ending{background:#331a1c;border-color:#ff8a8a}"
-    ".ending.done{background:#12291f;border-color:#63d6a0}code{background:#2a2d31}"
+    ".ending.done{background:#22262a;border-color:#888}code{background:#2a2d31}a{color:#7cc4f0}"
     ".badge{border-color:#e8e8e8}.badge.real{background:#e8e8e8;color:#16181b}"
     ".bar{background:#5bb8f0}}"
     "@media(min-width:56rem){.pair{display:grid;grid-template-columns:1fr 1fr;column-gap:1.5rem}"
@@ -56,7 +62,7 @@ _STYLE = (
     "@media "
     "print{@page{margin:12mm}body{font-size:10pt;max-width:none;margin:0;padding:0}.scroll{overflow:visible}"
     ".pair{display:grid;grid-template-columns:1fr 1fr;column-gap:5mm}"
-    ".badge,.ending,.warning,.bar{-webkit-print-color-adjust:exact;print-color-adjust:exact}}"
+    ".badge,.ending,.verdict,.warning,.bar{-webkit-print-color-adjust:exact;print-color-adjust:exact}}"
 )
 
 
@@ -75,6 +81,25 @@ def write_run_report(folder: Path, record: RunRecord) -> Path:
     return path
 
 
+def write_verdict(folder: Path, record: RunRecord) -> None:
+    """Put the verdict of a run that was judged after its end into ``run.html``.
+
+    Only the headline is replaced, because drawing the recordings of an hour takes 20 s.
+
+    Raises:
+        OSError: The page cannot be written.
+    """
+    path = folder / REPORT_FILE
+    before, _, rest = (
+        path.read_text(encoding="utf-8").partition(_BEGIN) if path.is_file() else [""] * 3
+    )
+    _, mark, after = rest.partition(_END)
+    if mark:
+        write_text(path, f"{before}{_verdict_block(folder, record)}{after}")
+    else:
+        write_run_report(folder, record)
+
+
 def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     title = escape(f"Run {record.name}")
     yield f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
@@ -83,6 +108,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     yield f"<style>{_STYLE}{chart.STYLE}</style></head><body><h1>{title}</h1>"
     recordings = [_recorded(folder, record, number) for number in range(1, len(record.parts) + 1)]
     last = recordings[-1] if recordings else None
+    yield _verdict_block(folder, record)
     yield from _part("bench, date and operator", lambda: _heading(record, last))
     yield from _part("how it ended", lambda: _ending(folder, record))
     yield '<section class="result">'
@@ -147,10 +173,38 @@ def _drawn(
     return [f'<p class="warning">{escape(recorded or "There is no recording.")}</p>']
 
 
+def _verdict_block(folder: Path, record: RunRecord) -> str:
+    found = "\n".join(_part("the verdict", lambda: _verdict(folder, record)))
+    return f"{_BEGIN}{found}{_END}"
+
+
+def _verdict(folder: Path, record: RunRecord) -> Iterator[str]:
+    """Yield the headline of the page: the verdict, or how a run ended that is not judged."""
+    found = read_verdict(folder)
+    if found is None:
+        done = record.state == Ending.DONE.value
+        kind = "none" if done else "bad"
+        yield f'<p class="verdict {kind}">{escape(record.state.upper())}, NOT JUDGED</p>'
+        return
+    verdict, failed, pages = found["verdict"], found["failed"], found["pages"]
+    kind = "good" if verdict == "accepted" else "bad"
+    yield f'<p class="verdict {kind}">{verdict.upper()}</p>'
+    links = " and ".join(f'<a href="{page}">{page}</a>' for page in pages)
+    words = (
+        f"{len(failed)} of {found['checks']} checks failed"
+        if failed
+        else f"All {found['checks']} checks passed"
+    )
+    yield f"<p>{words}. Certificate: {links or 'none in this folder'}</p>"
+    if failed:
+        yield "<ul>" + "".join(f"<li>{escape(words)}</li>" for words in failed) + "</ul>"
+
+
 def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
     done = record.state == Ending.DONE.value
     yield (
-        f'<div class="ending{" done" if done else ""}"><p><b>{escape(record.state.upper())}</b></p>'
+        f'<div class="ending{" done" if done else ""}"><p>How the run ended: '
+        f"<b>{escape(record.state)}</b></p>"
     )
     yield f"<p>{escape(record.message) or 'The end of the run was not recorded.'}</p>"
     if not done:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from identification.plots.predicted import predicted
-from identification.plots.simulated import simulated
-from identification.simulate.score import Sums
+from identification.plots.signals import predicted, simulated
+from identification.simulate.closed_loop import Sums
 from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Paragraph, Picture, Section, Table
 from rig.results.sections import few_of_each_role, provenance_section

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from identification.corrected.model import CorrectedModel
-from identification.corrected.score import Predicted, predictions, rms
-from identification.diagnosis.rows.view import views
+from identification.export.model import CorrectedModel, Predicted, predictions, rms
 from identification.recording import Dataset
+from identification.views.view import views
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from identification.simulate.score import Sums
+from identification.simulate.closed_loop import Sums
 from rig.results.simulate.simulate import Case, Simulation
 
 SIMULATE_SCHEMA = "loadrig.simulate/1"

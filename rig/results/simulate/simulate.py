@@ -12,11 +12,17 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from identification.corrected.model import CorrectedModel
+from identification.export.model import CorrectedModel
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
-from identification.simulate.closed_loop import Response, replay
-from identification.simulate.score import Sums, compare, pooled, with_friction
+from identification.simulate.closed_loop import (
+    Response,
+    Sums,
+    compare,
+    pooled,
+    replay,
+    with_friction,
+)
 from rig.common.errors import InputError
 from rig.common.input_files import is_folder
 from rig.common.provenance import sha256_file

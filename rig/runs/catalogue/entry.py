@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-Kind = Literal["run", "half written", "other version", "unreadable"]
+Kind = Literal["run", "commissioning", "half written", "other version", "unreadable"]
 GOING_ON, DIED = "going on", "died"
 """States of a run whose record says `running`: a program either holds the folder or has died."""
 
@@ -18,8 +18,8 @@ class Head:
     """The properties of a run that a list shows.
 
     Attributes:
-        kind: Kind of the folder: `run`, `half written` (the record is missing or incomplete),
-            `other version` (the record has a format that this program does not read), or
+        kind: Kind of the folder: `run`, `commissioning`, `half written` (the record is missing or
+            incomplete), `other version` (this program does not read the format of the record), or
             `unreadable` (the record is invalid, or cannot be read).
         problem: Message with the remedy; empty for a run.
         sequence: Name of the sequence.

@@ -24,7 +24,7 @@ from rig.runs.catalogue.walk import Found, find_runs, signature_of
 
 INDEX_FILE = ".runs.sqlite"
 """Name of the index in the searched folder."""
-_FORMAT = 1
+_FORMAT = 2
 """Format number of the entries, which is increased when the content of entries changes, so that
 older rows are not used.
 """

@@ -16,7 +16,7 @@ from rig.common.provenance import sha256_file
 from rig.common.result_files import IDENTIFY_SCHEMA
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Head
-from rig.runs.catalogue.walk import RECORDING, RESULTS, RUN_JSON
+from rig.runs.catalogue.walk import COMMISSION_JSON, RECORDING, RESULTS, RUN_JSON
 from rig.runs.mcap.records import DamageError
 from rig.runs.mcap.stream import first_attachment
 from rig.runs.run_file import read_record
@@ -41,8 +41,7 @@ def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
     """
     path = folder / RUN_JSON
     if not is_file(path):
-        problem = f"there is no {RUN_JSON}; `rig recover` rebuilds it from the recording"
-        return Head("half written", problem), Details()
+        return _without_record(folder), Details()
     try:
         digest = sha256_file(path)
         record = read_record(folder)
@@ -65,6 +64,32 @@ def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
         notes=tuple(notes),
     )
     return head, _details(record, identified)
+
+
+def _without_record(folder: Path) -> Head:
+    """Return the entry of a folder that has a recording and no ``run.json``."""
+    if is_file(folder / COMMISSION_JSON):
+        notes: list[str] = []
+        found = _result(folder / COMMISSION_JSON, notes)
+        keys = ("created", "bench", "state", "message")
+        known = {key: found[key] for key in keys if isinstance(found.get(key), str)}
+        operator, real = found.get("operator"), found.get("real")
+        return Head(
+            "commissioning",
+            **known,
+            simulated=None if real is None else not real,
+            operators=(operator,) if isinstance(operator, str) else (),
+            notes=tuple(notes),
+        )
+    try:
+        first_attachment(folder / RECORDING, RUN_JSON)
+    except (DamageError, OSError):
+        problem = (
+            f"there is neither a {RUN_JSON} nor a copy of it in the recording, as after a "
+            "commissioning that died; remove the folder, or repeat the commissioning in a new one"
+        )
+        return Head("half written", problem)
+    return Head("half written", f"there is no {RUN_JSON}; `rig recover` rebuilds it")
 
 
 def _head(folder: Path, record: RunRecord, benches: Benches) -> Head:

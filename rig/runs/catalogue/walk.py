@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 RUN_JSON, RECORDING = "run.json", "recording.mcap"
+COMMISSION_JSON = "commission.json"
 RESULTS = ("identify.json", "diagnosis/diagnose.json", "acceptance.json")
 """Result files of a run folder whose verdicts are listed."""
 MOST_DEEP = 8
@@ -69,7 +70,7 @@ def signature_of(path: str) -> str | None:
         first = _stamp(f"{path}/{RECORDING}")
         if not first:
             return None
-        first = f"recording {first}"
+        first = f"recording {first} {_stamp(f'{path}/{COMMISSION_JSON}')}"
     return ";".join([first, *(_stamp(f"{path}/{name}") for name in RESULTS)])
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from identification.recording import Bench, Dataset, Recording, RecordingError
+from rig.common.errors import InputError
 from rig.common.places import write_text
 from rig.common.provenance import sha256_file
 from rig.runs.export import tables
@@ -45,12 +46,33 @@ __all__ = [
     "extension",
     "files",
     "read_back",
+    "with_ending",
 ]
 
 
 def extension(kind: str) -> str:
     """Return the usual extension of a format's files, without a dot."""
     return TRAFFIC[kind][0] if kind in TRAFFIC else kind
+
+
+def with_ending(path: Path, kind: str) -> Path:
+    """Return the path of an export with the ending of its format, by which a campaign and other
+    programs recognise it; an ending that is missing is added.
+
+    Raises:
+        InputError: The path has the ending of another format, or an unknown one.
+    """
+    ending = extension(kind)
+    if not path.suffix:
+        return path.with_name(f"{path.name}.{ending}")
+    given = path.suffix[1:].lower()
+    if given == ending:
+        return path
+    other = next((name for name in FORMATS if extension(name) == given), None)
+    remedy = f"give --out {path}.{ending}" + (f", or --format {other}" if other else "")
+    raise InputError(
+        f"--out {path}: a file of format {kind} ends in .{ending}, not in {path.suffix}; {remedy}"
+    )
 
 
 def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:

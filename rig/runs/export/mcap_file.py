@@ -3,7 +3,8 @@ extensions.
 
 The topic ``/recording/NAME`` has one message per sample, which contains the canonical channels. The
 export of a run also has the topics ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and
-``/serial``. Log times are UTC.
+``/serial``. Log times are UTC: the time ``created`` of the recording plus the time since its start;
+the stamp of a frame is its log time.
 """
 
 from __future__ import annotations
@@ -108,18 +109,16 @@ def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
         )
     )
     for part in record.parts:
-        created = utc_ns(part.created)
-        clock = FrameClock(created)
+        clock = FrameClock(folder, part)
         for topic, message in messages(folder, part):
-            at = created + message.time_ns
             if topic == EVENT_TOPIC:
-                writer.message(event, at, message.data)
+                writer.message(event, clock.created_ns + message.time_ns, message.data)
             elif topic == FRAMES_TOPIC:
                 for frame in map(clock.at, decode_frames(message.data)):
                     if ros.is_serial(frame):
-                        writer.message(serial, at, ros.serial_bytes(frame))
+                        writer.message(serial, frame.time_ns, ros.serial_bytes(frame))
                     else:
-                        writer.message(can, at, ros.can_frame(frame))
+                        writer.message(can, frame.time_ns, ros.can_frame(frame))
 
 
 def read_mcap(path: Path) -> list[Read] | None:

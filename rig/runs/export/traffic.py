@@ -7,6 +7,7 @@ of both formats.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -17,9 +18,10 @@ from drivers.interfaces import RawFrame
 from rig.common.errors import InputError
 from rig.common.instants import instant
 from rig.runs.mcap import ros
-from rig.runs.mcap.layout import FRAMES_TOPIC, decode_frames
+from rig.runs.mcap.layout import CLOCK_METADATA, FRAMES_TOPIC, decode_frames
 from rig.runs.mcap.reader import Message
 from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.stream import first_metadata
 from rig.runs.mcap.tail import START, Tail
 from rig.runs.run_record import PartRecord, RunRecord
 
@@ -37,12 +39,18 @@ def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
         InputError: The recording is damaged, or cannot be read.
     """
     path = folder / part.file
+    with _readable(path, folder), Tail(path) as tail:
+        offset: int | None = START
+        while offset is not None and (piece := tail.at(offset)) is not None:
+            yield from piece.messages
+            offset = piece.following
+
+
+@contextmanager
+def _readable(path: Path, folder: Path) -> Iterator[None]:
+    """Name a recording that is damaged or cannot be read, and the remedy."""
     try:
-        with Tail(path) as tail:
-            offset: int | None = START
-            while offset is not None and (piece := tail.at(offset)) is not None:
-                yield from piece.messages
-                offset = piece.following
+        yield
     except DamageError as error:
         raise InputError(f"{path}: damaged ({error}); use `rig recover {folder}`") from error
     except OSError as error:
@@ -54,22 +62,29 @@ def utc_ns(created: str) -> int:
     return (instant(created) - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
-@dataclass
 class FrameClock:
-    """Converts the time stamps of raw frames, which are times of the host's clock with an unknown
-    origin, to UTC.
+    """Converts the time stamps of the raw frames of one recording to UTC: the recording starts at
+    the time ``created`` of its part.
 
-    The time of the first frame of a recording is assumed to be the creation time of the recording.
+    Frames in recordings of earlier versions count from an unknown origin; their first frame is
+    assumed to be at the start of the recording.
+
+    Raises:
+        InputError: The recording is damaged, or cannot be read.
     """
 
-    created_ns: int
-    first_ns: int | None = None
+    def __init__(self, folder: Path, part: PartRecord) -> None:
+        self.created_ns = utc_ns(part.created)
+        path = folder / part.file
+        with _readable(path, folder):
+            known = first_metadata(path, CLOCK_METADATA)
+        self._origin_ns = None if known is None else 0
 
     def at(self, frame: RawFrame) -> RawFrame:
         """Return the frame and its time, ns since 1970."""
-        if self.first_ns is None:
-            self.first_ns = frame.time_ns
-        return frame._replace(time_ns=self.created_ns + frame.time_ns - self.first_ns)
+        if self._origin_ns is None:
+            self._origin_ns = frame.time_ns
+        return frame._replace(time_ns=self.created_ns + frame.time_ns - self._origin_ns)
 
 
 @dataclass
@@ -90,7 +105,7 @@ def can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFra
         InputError: A recording is damaged, or cannot be read.
     """
     for part in record.parts:
-        clock = FrameClock(utc_ns(part.created))
+        clock = FrameClock(folder, part)
         for topic, message in messages(folder, part):
             if topic != FRAMES_TOPIC:
                 continue
@@ -128,9 +143,12 @@ def write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
     """Write a log in the format of Vector's CANalyzer: seconds since the start of the log, channel
     1, identifier, direction and data. In this format an error frame has neither identifier nor
     data.
+
+    The log starts at the whole second before its first frame, because the format states the date of
+    the start only to milliseconds.
     """
     first = next(frames, None)
-    start = 0 if first is None else _microseconds(first.time_ns)
+    start = 0 if first is None else _microseconds(first.time_ns) // 1_000_000 * 1_000_000
     begun = _date(start)
     stream.write(f"date {begun}\nbase hex  timestamps absolute\ninternal events logged\n")
     stream.write(

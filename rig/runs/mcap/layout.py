@@ -26,6 +26,10 @@ can be read.
 """
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
+CLOCK_METADATA = "clock"
+"""Metadata of a recording whose frames have times on the clock of the recording. Recordings of
+earlier versions lack it; the times of their frames count from an unknown origin.
+"""
 EVENT_JSON_SCHEMA = (
     b'{"type":"object","properties":{"time":{"type":"number"},"event":{"type":"string"}},'
     b'"required":["time","event"]}'
@@ -127,13 +131,20 @@ def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArr
 _frame_structs: dict[int, struct.Struct] = {}
 
 
-def encode_frames(frames: list[RawFrame]) -> bytes:
-    """Pack the frames of a cycle; a frame must have at most 8 data bytes (classical CAN)."""
+def encode_frames(frames: list[RawFrame], zero_ns: int = 0) -> bytes:
+    """Pack the frames of a cycle; a frame must have at most 8 data bytes (classical CAN).
+
+    Args:
+        frames: The frames, with times of the host's clock, ns.
+        zero_ns: Start of the recording by the same clock, ns; the packed times count from it.
+    """
     count = len(frames)
     packer = _frame_structs.get(count)
     if packer is None:
         packer = _frame_structs[count] = struct.Struct("<" + _FRAME * count)
-    return packer.pack(*chain.from_iterable(frames))
+    fields: list[int | bytes] = list(chain.from_iterable(frames))
+    fields[::4] = [frame.time_ns - zero_ns for frame in frames]
+    return packer.pack(*fields)
 
 
 def decode_frames(message: bytes) -> list[RawFrame]:

@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from drivers.plain_file import require_plain
 from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
-from rig.runs.mcap.records import HEADER, DamageError, attachment, chunk, statistics
+from rig.runs.mcap.records import (
+    HEADER,
+    DamageError,
+    attachment,
+    chunk,
+    metadata,
+    statistics,
+)
 from rig.runs.mcap.writer import MAGIC, MESSAGE
 
 BLOCK_BYTES = 1 << 20
@@ -92,6 +99,28 @@ def first_attachment(path: Path, name: str) -> bytes:
         DamageError: No attachment has this name, or the attachment is damaged.
         OSError: The file cannot be read.
     """
+    for opcode, content in _before_messages(path):
+        if opcode == Opcode.ATTACHMENT and (found := attachment(content)).name == name:
+            return bytes(found.data)
+    raise DamageError(f"{name} is not attached before the first messages")
+
+
+def first_metadata(path: Path, name: str) -> Mapping[str, str] | None:
+    """Return metadata that were written before the first messages, or None if there are none of
+    this name.
+
+    Raises:
+        DamageError: The metadata are damaged.
+        OSError: The file cannot be read.
+    """
+    for opcode, content in _before_messages(path):
+        if opcode == Opcode.METADATA and (found := metadata(content)).name == name:
+            return dict(found.metadata)
+    return None
+
+
+def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record before the first messages."""
     require_plain(path)
     with open(path, "rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
@@ -100,12 +129,7 @@ def first_attachment(path: Path, name: str) -> bytes:
             opcode, length = HEADER.unpack(head)
             if opcode in (Opcode.CHUNK, Opcode.DATA_END) or length > MAX_ATTACHMENT:
                 break
-            content = stream.read(length)
-            if opcode == Opcode.ATTACHMENT:
-                found = attachment(content)
-                if found.name == name:
-                    return bytes(found.data)
-    raise DamageError(f"{name} is not attached before the first messages")
+            yield opcode, stream.read(length)
 
 
 def _items(

@@ -147,7 +147,7 @@ class McapWriter:
             return
         records = b"".join(self._parts)
         index = {channel: entries for channel, entries in self._index.items() if entries}
-        times = [time_ns for entries in index.values() for time_ns, _ in (entries[0], entries[-1])]
+        times = [time_ns for entries in index.values() for time_ns, _ in entries]
         start, end = min(times), max(times)
         data = lz4.frame.compress(records)
         offset, length = self._write(

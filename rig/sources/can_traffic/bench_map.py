@@ -31,7 +31,7 @@ from rig.config.dbc import DbcServoSection, dbc_path
 from rig.sources.can_traffic.dbc_map import messages_of
 from rig.sources.can_traffic.layout import BusMessage, BusSignal, little_endian
 from rig.wiring.connect import eds_path
-from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
+from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 
 _UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
 _COUNTER_BITS = 32
@@ -75,7 +75,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
     motion = servo_motion(servo, scales, data)
     eds = eds_path(document, "servo")
     link = CanopenLink(SimulatedClock(), _never_opened)
-    node = link.add_node(servo.node, eds)
+    node = link.add_node(servo.node, eds, servo_axis(servo, data))
     sent = objects.cyclic(node, scales)
     angle = (scales.motor_rad_per_count, scales.offset_rad * scales.gear_ratio)
     meaning: dict[ObjectAddress, _Scale] = {

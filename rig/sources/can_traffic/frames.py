@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.can.port import EXTENDED_FLAG
-from drivers.lean_imports import mf4_module
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.sources.can_traffic.text_lines import FILTERS, Lines
@@ -176,7 +175,7 @@ def _mf4(path: Path) -> Iterator[can.Message]:
     """Yield the frames of the bus logging of an MF4 file, with times since its start."""
     library("asammdf", path, "MDF", "mdf")
     with heard("asammdf"), quiet_ends(), open_binary(path) as stream:
-        reader = mf4_module().MF4Reader(cast(BinaryIO, stream))
+        reader = can.io.MF4Reader(cast(BinaryIO, stream))
         # Seconds since 1970 leave a double a quarter of a microsecond.
         reader._start_timestamp = 0.0
         yield from reader

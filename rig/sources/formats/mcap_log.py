@@ -47,7 +47,8 @@ class McapTable(Table):
     Messages are JSON, CDR of ROS 2 or protobuf. ``topic.log_time`` is the logger's time stamp in
     seconds since the first message of this topic. Elements of lists, including lists of messages,
     are ``topic.field[0]``; a stamp of ``sec`` and ``nanosec`` is one column. In a file without an
-    end, the complete messages are read, with a note. Each topic has its own time base; the logger's
+    end, the complete messages are read, with a note. A topic whose messages cannot be decoded is
+    left out, with a note that states the reason. Each topic has its own time base; the logger's
     time is the common clock.
 
     Raises:
@@ -58,15 +59,15 @@ class McapTable(Table):
     def __init__(self, path: Path) -> None:
         self.path = path
         self._rows: dict[str, list[dict[str, float]]] = {}
-        self._cut = False
-        others: set[str] = set()
+        self._left_out: dict[str, str] = {}
+        self._own = self._cut = False
         try:
             with open_binary(path) as stream:
-                self._take(make_reader(stream, validate_crcs=True).iter_messages(), others)
+                self._take(make_reader(stream, validate_crcs=True).iter_messages())
         except InputError:
             raise
         except _DAMAGED as error:
-            if not self._take_cut_off(others):
+            if not self._take_cut_off():
                 remedy = (
                     "recover this file with `mcap recover`; open a run of this program by its "
                     "folder"
@@ -77,14 +78,20 @@ class McapTable(Table):
                         f"logs with smaller chunks, or {remedy}"
                     ) from error
                 raise damaged(path, error, remedy) from error
-        listed = ", ".join(sorted(others))
+        listed = ", ".join(f"{topic} ({why})" for topic, why in sorted(self._left_out.items()))
         if not self._rows:
-            found = f"; found {listed}" if others else ""
-            raise InputError(
-                f"{path}: no JSON, CDR or protobuf messages{found}; open a run of this program "
-                f"by its folder, not by this file"
+            found = f"; found {listed}" if listed else ""
+            remedy = (
+                "open a run of this program by its folder, not by this file"
+                if self._own
+                else "write the numbers as JSON, CDR or protobuf messages, with a complete "
+                "definition of each message"
             )
-        if others:
+            raise InputError(
+                f"{path}: cannot be read: no JSON, CDR or protobuf messages that can be "
+                f"decoded{found}; {remedy}"
+            )
+        if listed:
             self.note(f"left out: {listed}")
         self._topics = list(self._rows)
         self._columns = [
@@ -96,29 +103,38 @@ class McapTable(Table):
         self.bases = tuple(self._topics.index(topic) for topic, _ in self._columns)
         self.base_names = tuple(self._topics)
 
-    def _take(
-        self, messages: Iterable[tuple[Schema | None, Channel, Message]], others: set[str]
-    ) -> None:
-        """Store the numbers of messages; ``others`` receives the topics that cannot be read."""
+    def _take(self, messages: Iterable[tuple[Schema | None, Channel, Message]]) -> None:
+        """Store the numbers of messages, and why topics are left out."""
         decoders = Decoders(self.path)
-        known: dict[int, Decoder | None] = {}
+        known: dict[int, Decoder] = {}
         for schema, channel, message in messages:
-            if channel.id not in known:
-                own = schema is not None and schema.name == SAMPLE_SCHEMA
-                decoder = None if own else decoders.of(channel.message_encoding, schema)
-                known[channel.id] = decoder
-                if decoder is None:
-                    kind = channel.message_encoding
-                    kind += f" with {schema.encoding}" if schema and schema.encoding else ""
-                    others.add(f"{channel.topic} ({kind})")
-            decode = known[channel.id]
-            if decode is None:
+            topic = channel.topic
+            if topic in self._left_out:
                 continue
-            fields = decode(message.data)
+            kind = channel.message_encoding
+            kind += f" with {schema.encoding}" if schema and schema.encoding else ""
+            try:
+                if channel.id not in known:
+                    own = schema is not None and schema.name == SAMPLE_SCHEMA
+                    self._own |= own
+                    decoder = None if own else decoders.of(channel.message_encoding, schema)
+                    if decoder is None:
+                        self._left_out[topic] = kind
+                        continue
+                    known[channel.id] = decoder
+                fields = known[channel.id](message.data)
+            except InputError:
+                raise
+            except Exception as error:  # noqa: BLE001 - some errors of the decoders have no base class
+                said = str(error).strip().splitlines()
+                reason = said[0] if said else type(error).__name__
+                self._left_out[topic] = f"{kind}: cannot be decoded: {reason}"
+                self._rows.pop(topic, None)
+                continue
             fields[LOG_TIME] = Stamp(message.log_time)
-            self._rows.setdefault(channel.topic, []).append(fields)
+            self._rows.setdefault(topic, []).append(fields)
 
-    def _take_cut_off(self, others: set[str]) -> bool:
+    def _take_cut_off(self) -> bool:
         """Read the complete messages of a file whose writer ended before it closed the file.
 
         Returns:
@@ -126,9 +142,10 @@ class McapTable(Table):
             no message is read.
         """
         self._rows.clear()
+        self._left_out.clear()
         try:
             with open_binary(self.path) as stream:
-                self._take(until_cut(stream), others)
+                self._take(until_cut(stream))
         except InputError:
             raise
         except _DAMAGED:
@@ -136,7 +153,7 @@ class McapTable(Table):
         self._cut = True
         count = sum(len(rows) for rows in self._rows.values())
         self.note(f"the file is cut off: its {count} complete messages are read")
-        return bool(count or others)
+        return bool(count or self._left_out)
 
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`. A field absent from a message is NaN."""

@@ -11,11 +11,11 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
 from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import views
 from identification.estimate.default import free_names, solve_stages
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Model, Recording
+from identification.views.nominal import Nominal
+from identification.views.view import views
 
 CYCLE_S = 0.001
 PAUSE_S = 2.0

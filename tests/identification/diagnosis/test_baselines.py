@@ -18,7 +18,7 @@ from identification.diagnosis.selection.baselines import (
     library,
     sparse,
 )
-from identification.diagnosis.terms import device, friction
+from identification.effects import MOTION
 from identification.recording import Array, Dataset, Recording
 
 from .benches import campaign, nominal_fit
@@ -69,7 +69,7 @@ def test_what_has_an_unphysical_sign_is_not_named(method: Method) -> None:
 
 
 def test_on_a_rig_they_see_what_the_search_sees(first: Joint) -> None:
-    given = library(first, (*friction.TERMS, *device.TERMS))
+    given = library(first, [e for e in MOTION if e.group in ("friction", "device")])
     assert np.allclose(np.einsum("fpp->p", given.gram), 1.0)
     assert greedy_bic(given)[0] == "asymmetric_viscous"
     assert sparse(given)[0] == "asymmetric_viscous"

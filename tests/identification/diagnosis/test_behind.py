@@ -9,18 +9,18 @@ import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import stack_of, view_regressors
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.memory import delayed_series
-from identification.diagnosis.terms.term import Term
+from identification.effects import MOTION
+from identification.effects.effect import Effect
+from identification.numerics.series import delayed_series
 
 from .benches import campaign, honest, nominal_fit
 
 LATE_S = 0.008
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 COGGING = (7.0,)
 
 
-def with_skew(joint: Joint, ripple: Term, fraction: tuple[float, float]) -> float:
+def with_skew(joint: Joint, ripple: Effect, fraction: tuple[float, float]) -> float:
     """Return the torque's mean square over the noise's with a skew and a ripple fitted."""
     effects = (Added(TERM["time_skew"], (LATE_S,), (1.0,)), Added(ripple, (4.0,), fraction))
     found = fit(joint.equations[0].views, "N m", joint.nominal, effects, joint)
@@ -62,5 +62,5 @@ def test_a_ripple_beside_a_late_current_leaves_far_less() -> None:
     }
     joint = nominal_fit(campaign(hidden, 3, 6.0))
     ripple = TERM["torque_ripple"]
-    prompt = with_skew(joint, replace(ripple, at_angle=False), (0.1, 0.0))
+    prompt = with_skew(joint, ripple.modified(at_angle=False), (0.1, 0.0))
     assert with_skew(joint, ripple, (0.1, 0.0)) < 0.01 * prompt

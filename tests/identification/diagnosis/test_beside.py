@@ -15,9 +15,8 @@ from identification.diagnosis.fit.noise import LOWER_NOISE_RATIO, with_lower_noi
 from identification.diagnosis.rows.equations import held_voltage
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.removal import needed_share
-from identification.diagnosis.terms.memory import dahl, first_order_lag
-from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
-from identification.diagnosis.terms.transmission import on_the_joint
+from identification.effects.effect import CLOSE, EXACT, ROUGH
+from identification.numerics.series import dahl, first_order_lag
 
 from . import benches
 from .benches import campaign, honest, nominal_fit
@@ -86,10 +85,7 @@ def test_a_long_delay_leaves_nothing_that_another_effect_could_take_up() -> None
     late = after(joint, "transport_delay")
     assert late.effects[0].shape[0] == pytest.approx(0.012, rel=0.005)
     assert power(late, "transmission") < 1.2
-    assert (
-        "torque"
-        in next(t for t in on_the_joint(TERM.values()) if t.name == "transport_delay").columns
-    )
+    assert "torque" in TERM["transport_delay"].on_the_joint().columns
 
 
 def test_a_dead_time_steps_where_the_current_is_none_and_not_where_it_reads_none() -> None:

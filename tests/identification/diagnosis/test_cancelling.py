@@ -7,13 +7,13 @@ from dataclasses import replace
 import pytest
 
 from identification.diagnosis.fit.joint import Added
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.cancelling import cancelling_effects
+from identification.diagnosis.verdict.reasons import cancelling_effects
+from identification.effects import MOTION
 
 from .benches import honest, nominal_fit
 
 SPRING, WEIGHT, CURRENT = (
-    next(t for t in TERMS if t.name == name)
+    next(t for t in MOTION if t.name == name)
     for name in ("return_spring", "gravity_imbalance", "current_offset")
 )
 

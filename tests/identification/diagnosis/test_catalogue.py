@@ -1,6 +1,4 @@
-"""Every effect is one entry in words and one term to compute, and both speak of the same
-parameters.
-"""
+"""Every effect is one class, whose words, parameters and regressors agree."""
 
 from __future__ import annotations
 
@@ -9,14 +7,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.stack import Stack, stack_of
-from identification.diagnosis.gas.terms import GAS_TERMS
 from identification.diagnosis.rows.equations import EQUATIONS, equations
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import views
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context, Term
+from identification.diagnosis.selection.comparison import _scales
+from identification.effects import EFFECTS, GAS, MOTION
+from identification.effects.effect import Context, Dimension, Effect
+from identification.views.nominal import Nominal
+from identification.views.view import views
 
 from .benches import honest
 
@@ -40,16 +37,13 @@ def bench() -> tuple[Context, Stack]:
     return Context(here, nominal), stack_of(equations(here, nominal, "N m"), nominal)
 
 
-def test_entries_and_terms_are_of_the_same_effects() -> None:
-    of_motion = [e.name for e in ENTRIES.values() if e.shows_in != "pressure"]
-    assert sorted(t.name for t in TERMS) == sorted(of_motion)
-    of_gas = [e for e in ENTRIES.values() if e.shows_in == "pressure"]
-    assert [t.name for t in GAS_TERMS] == [e.name for e in of_gas]
-    assert [list(t.sizes) for t in GAS_TERMS] == [[q.name for q in e.parameters] for e in of_gas]
+def test_the_gas_generator_has_effects_of_its_own() -> None:
+    assert {e.name for e in EFFECTS.values() if e.shows_in == "pressure"} == {e.name for e in GAS}
+    assert [list(e.sizes) for e in GAS] == [[q.name for q in e.parameters] for e in GAS]
 
 
-@pytest.mark.parametrize("term", TERMS, ids=lambda t: t.name)
-def test_a_term_speaks_of_its_entrys_parameters(term: Term) -> None:
+@pytest.mark.parametrize("term", MOTION, ids=lambda t: t.name)
+def test_fitted_values_are_the_parameters_and_back(term: Effect) -> None:
     context, stack = bench()
     shapes = term.shapes(context)
     if term.name == "load_dependent_friction":
@@ -61,13 +55,20 @@ def test_a_term_speaks_of_its_entrys_parameters(term: Term) -> None:
     width = {c.shape[1] for c in columns.values()}
     assert len(width) == 1
     found = term.read(np.full(width.pop(), 0.5), shapes[0], context)
-    assert set(found) == {q.name for q in ENTRIES[term.name].parameters}
+    assert set(found) == {q.name for q in term.parameters}
     assert all(np.isfinite(v) for v in found.values())
 
 
-@pytest.mark.parametrize("term", TERMS, ids=lambda t: t.name)
-def test_a_term_shows_where_its_entry_says(term: Term) -> None:
-    assert ENTRIES[term.name].shows_in in term.columns
+@pytest.mark.parametrize("term", MOTION, ids=lambda t: t.name)
+def test_an_effect_enters_the_equation_in_which_it_shows(term: Effect) -> None:
+    assert term.shows_in in term.columns
+
+
+def test_the_plausible_range_of_every_parameter_scales_with_the_machine() -> None:
+    scales = _scales(bench()[0].views, TRUE["J"])
+    assert {q.dimension for e in MOTION for q in e.parameters} <= scales.keys()
+    with pytest.raises(KeyError):
+        scales[Dimension.HEAT_FLOW]
 
 
 def test_the_true_values_leave_only_noise() -> None:

@@ -10,11 +10,11 @@ import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint
 from identification.diagnosis.selection.comparison import advantage, preference, simplest
-from identification.diagnosis.terms import TERMS
+from identification.effects import MOTION
 
 from .benches import honest, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 DEAD_TIME = Added(TERM["inverter_dead_time"], (0.01, 0.0, 1.0), (1.0,))
 STOP = Added(TERM["end_stop"], (0.0, 0.2, 0.3), (1.0,))
 """Effects with two fitted parameters and with three."""

@@ -12,25 +12,23 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit import joint as fitting
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.feasibility import predicted_and_attained
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import stack_of
+from identification.diagnosis.fit.stack import Candidate, stack_of
 from identification.diagnosis.fit.start import feasible_or_first
 from identification.diagnosis.fit.within_limits import infeasible, infeasible_as_fitted
-from identification.diagnosis.rows.equations import equations
-from identification.diagnosis.rows.nominal import STATICS, Nominal
-from identification.diagnosis.rows.row_noise import noise, without_tones
-from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.rows.equations import equations, noise, without_tones
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.recording import Pendulum, Recording
 from identification.signals import smooth
+from identification.views.nominal import STATICS, Nominal
+from identification.views.view import View, views
 
 from .benches import BENCH, CYCLE_S, campaign, honest, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 COUNT_RAD = 2.0 * math.pi / 4096 / 100
 
 
@@ -338,7 +336,7 @@ def test_a_swing_may_begin_otherwise_in_each_recording() -> None:
     hidden = [swinging(r, 2.0 * k) if r.weight_mass else r for k, r in enumerate(honest()[:5])]
     joint = nominal_fit(hidden)
     context = Context(joint.equations[0].views, joint.nominal)
-    (term,) = (t for t in TERMS if t.name == "load_swing")
+    (term,) = (t for t in MOTION if t.name == "load_swing")
     best = max(trial_candidates(joint.stack, context, [term]), key=lambda c: c.score)
     assert best.shape[2] != 0.0
     start = Added(term, best.shape, tuple(best.coefficients))
@@ -364,7 +362,7 @@ def test_friction_of_the_rotor_does_not_twist_the_shaft() -> None:
         angle = recording.channels["motor_angle"] / BENCH.gear_ratio - twist
         soft.append(replace(recording, channels={**recording.channels, "angle": angle}))
     joint = nominal_fit(soft)
-    (term,) = (t for t in TERMS if t.name == "compliance")
+    (term,) = (t for t in MOTION if t.name == "compliance")
     found = joint.stack.term(term, ())
     assert found is not None
     assert 1.0 / found.coefficients[0] == pytest.approx(stiffness, rel=0.01)

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from identification.diagnosis.gas.burns import burns, noise
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.gas.fit import fit, nominal_model, simulate
-from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm, effect_at
 from identification.diagnosis.result import Verdict
+from identification.effects import GAS
+from identification.effects.gas_generator import GasEffect, GasGeneratorEffect, effect_at
 from identification.recording import Dataset, Recording, RecordingError
 
 from .burning import BENCH, NOISE_PA, TRUE, pauses, recordings
@@ -155,9 +156,9 @@ def test_a_fit_stands_where_its_tangent_says() -> None:
     assert np.max(np.abs(gradient) / np.linalg.norm(fitted.tangent, axis=0)) < 0.1
 
 
-@pytest.mark.parametrize("term", GAS_TERMS, ids=lambda t: t.name)
+@pytest.mark.parametrize("term", GAS, ids=lambda t: t.name)
 @given(size=st.floats(-1e3, 1e3), rest=st.floats(0.01, 1e3))
-def test_an_effect_is_what_a_fit_varies(term: GasTerm, size: float, rest: float) -> None:
+def test_an_effect_is_what_a_fit_varies(term: GasGeneratorEffect, size: float, rest: float) -> None:
     names = list(term.sizes)
     effect = GasEffect(term, {name: size if k == 0 else rest for k, name in enumerate(names)})
     again = effect_at(term, effect.coordinates)

@@ -11,7 +11,6 @@ import pytest
 from identification.diagnosis.fit.intervals import estimates, undetermined_size
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection import held_out
 from identification.diagnosis.selection.comparison import Contender, Round
@@ -31,12 +30,13 @@ from identification.diagnosis.selection.unseen import (
     studentised_reduction,
     validation_rms,
 )
-from identification.diagnosis.terms import TERMS
+from identification.effects import MOTION
 from identification.recording import Recording
+from identification.views.view import View, views
 
 from .benches import BENCH, campaign, honest, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 SIDE = {"asymmetric_coulomb": {"torque_Nm": 0.5}}
 
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.hysteretic import is_hysteretic
+from identification.diagnosis.verdict.reasons import is_hysteretic
+from identification.effects import MOTION
 
 from .benches import campaign, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 
 
 def fitted(hidden: dict[str, dict[str, float]], name: str) -> Joint:

@@ -11,12 +11,12 @@ from identification.diagnosis.fit.joint import Added
 from identification.diagnosis.selection.comparison import Contender, Round
 from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.voltage_drop import change_at_zero
+from identification.effects import MOTION
+from identification.effects.motor import change_at_zero
 
 from .benches import honest, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 
 
 @pytest.mark.parametrize(

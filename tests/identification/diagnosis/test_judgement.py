@@ -13,12 +13,12 @@ from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.terms import TERMS
 from identification.diagnosis.verdict import judgement, reasons
 from identification.diagnosis.verdict import unexplained as unexplained_module
 from identification.diagnosis.verdict.judgement import Judged, effects_of, verdict_of
 from identification.diagnosis.verdict.reasons import Kind, Reason
 from identification.diagnosis.verdict.unexplained import unexplained, unexplained_equations
+from identification.effects import MOTION
 from identification.recording import Array
 
 from .benches import campaign, nominal_fit
@@ -36,7 +36,7 @@ def found(size_N_m: float) -> Search:
     # These tests set the mismatch in multiples of the noise alone.
     bare = tuple(replace(e, own={}, accuracy=0.0) for e in joint.equations)
     joint = replace(joint, equations=bare, stack=replace(joint.stack, equations=bare))
-    term = next(t for t in TERMS if t.name == NAME)
+    term = next(t for t in MOTION if t.name == NAME)
     final = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (), (0.0,)),), joint)
     return Search(joint, final, (Round(NAME, ()),), 1e-3, 1.0, "", ())
 
@@ -116,7 +116,7 @@ def test_effects_are_listed_as_the_search_came_upon_them() -> None:
     important for that.
     """
     search = found(1.0)
-    second = next(t for t in TERMS if t.name == "asymmetric_viscous")
+    second = next(t for t in MOTION if t.name == "asymmetric_viscous")
     first = search.final.effects[0]
     views = search.final.equations[0].views
     both = fit(
@@ -131,7 +131,7 @@ def test_effects_are_listed_as_the_search_came_upon_them() -> None:
 
 def test_an_effect_that_took_anothers_place_must_explain_the_mismatch_too() -> None:
     search = found(1.0)
-    term = next(t for t in TERMS if t.name == "cogging")
+    term = next(t for t in MOTION if t.name == "cogging")
     views = search.final.equations[0].views
     little = fit(views, "N m", search.final.nominal, (Added(term, (7.0,), ()),), search.baseline)
     swapped = replace(search, final=little, rounds=(Round("cogging", ()),))
@@ -170,7 +170,7 @@ def test_effects_that_explain_enough_are_outside_the_catalogue_with_the_right_re
 def test_a_dropped_effect_that_was_not_allowed_gives_the_reason() -> None:
     """The remaining effect explains enough, but those before it did not."""
     search = found(1.0)
-    term = next(t for t in TERMS if t.name == "cogging")
+    term = next(t for t in MOTION if t.name == "cogging")
     views = search.final.equations[0].views
     little = fit(views, "N m", search.final.nominal, (Added(term, (7.0,), ()),), search.baseline)
     before = replace(search, final=little, rounds=(Round("cogging", ()),))

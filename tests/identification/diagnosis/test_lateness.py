@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.rows.view import views
-from identification.diagnosis.terms.lateness import command_delay_error, voltage_is_computed
 from identification.recording import Bench, Controller, Dataset, Model, Recording
+from identification.views.view import command_delay_error, views, voltage_is_computed
 
 from .benches import campaign
 

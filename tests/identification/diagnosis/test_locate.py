@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Joint, fit
+from identification.diagnosis.fit.joint import Joint, fit, without_effect
 from identification.diagnosis.fit.linear import Added
-from identification.diagnosis.fit.single_effect import without_effect
 from identification.diagnosis.rows.families import (
     DIRECTION,
     FROM_TORQUE,
@@ -25,14 +24,14 @@ from identification.diagnosis.rows.families import (
 )
 from identification.diagnosis.score.beside import Mismatch, mismatch_of, parts
 from identification.diagnosis.score.locate import best_map, curve, maps, ranges
-from identification.diagnosis.terms import TERMS
+from identification.effects import MOTION
 from identification.recording import Array, Dataset
 
 from .benches import campaign, nominal_fit
 from .test_fits import begun_with
 
 CENTER_RAD, WIDTH_RAD = 0.1, 0.06
-TERM = {term.name: term for term in TERMS}
+TERM = {term.name: term for term in MOTION}
 
 
 def test_a_worn_patch_lies_where_it_is_though_its_torque_turns_with_the_motion() -> None:

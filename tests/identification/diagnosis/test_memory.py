@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.corrected.states import advanced
-from identification.diagnosis.terms.memory import (
+from identification.numerics.series import (
     dahl,
     delayed_series,
     falling_play,
@@ -137,18 +136,3 @@ def test_a_delay_holds_the_ends(time_s: float) -> None:
     held = np.arange(200) - time_s / 0.001
     assert late[held <= 0.0] == pytest.approx(series[0])
     assert late[held >= 199.0] == pytest.approx(series[-1])
-
-
-def test_the_corrected_model_delays_a_series_in_the_same_way() -> None:
-    series, time = np.sin(0.1 * np.arange(200)), 0.001 * np.arange(200)
-    for late_s in (0.00137, -0.0217):
-        assert advanced(series, time, -late_s) == pytest.approx(
-            delayed_series(series, 0.001, late_s), abs=1e-12
-        )
-
-
-def test_the_corrected_model_delays_straight_over_a_gap_in_the_times() -> None:
-    time = np.delete(0.01 * np.arange(100), slice(40, 70))
-    assert advanced(2.0 * time, time, -0.0037)[5:-5] == pytest.approx(
-        2.0 * (time - 0.0037)[5:-5], abs=1e-12
-    )

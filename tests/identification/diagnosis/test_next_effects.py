@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.rows.view import views
-from identification.diagnosis.score.collinear import collinear_effects
+from identification.diagnosis.fit.stack import Candidate
+from identification.diagnosis.score.observable import collinear_effects
 from identification.diagnosis.score.significance import (
     sign_flip_p_value,
     size_p_value,
@@ -31,13 +30,14 @@ from identification.diagnosis.selection.removal import (
     share_equation,
     would_be_removed,
 )
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.recording import Pendulum
+from identification.views.view import views
 
 from .benches import campaign, honest, nominal_fit
 
-BY_NAME = {t.name: t for t in TERMS}
+BY_NAME = {t.name: t for t in MOTION}
 COGGING = {"torque_Nm": 1.0, "per_motor_turn": 7.0, "phase_rad": 0.0}
 NAMES = ("encoder_eccentricity", "encoder_slip", "asymmetric_coulomb", "cogging")
 
@@ -52,7 +52,7 @@ def plain() -> Joint:
 @pytest.fixture(scope="module")
 def gap(plain: Joint) -> Joint:
     """The gap alone is in the model, and too narrow by a third."""
-    fixed = replace(BY_NAME["backlash"], refine={})
+    fixed = BY_NAME["backlash"].modified(refine={})
     return fit(
         plain.equations[0].views,
         "N m",
@@ -221,14 +221,14 @@ def test_a_loss_is_built_exactly_however_large() -> None:
 
 def test_a_loss_under_friction_alone_is_one_with_the_constants_and_under_a_weight_is_not() -> None:
     joint = nominal_fit(honest())
-    assert collinear_effects(joint, TERMS) == ("transmission_efficiency",)
+    assert collinear_effects(joint, MOTION) == ("transmission_efficiency",)
     hung = [
         replace(r, pendulum=Pendulum(mass=20.0, length=0.3, zero=0.5))
         for r in honest()
         if r.role == "fit"
     ]
     here = views(hung, 25.0)
-    assert collinear_effects(fit(here, "N m", joint.nominal), TERMS) == ()
+    assert collinear_effects(fit(here, "N m", joint.nominal), MOTION) == ()
 
 
 def test_a_gear_whose_ratio_swings_shows_in_the_torque_as_well() -> None:
@@ -351,5 +351,5 @@ def test_the_trial_of_an_effect_has_the_size_that_its_coefficient_states() -> No
     ]
     (best,) = best_of_each(alike, {"time_skew": term})
     assert best.shape[0] == pytest.approx(0.002, rel=0.5)
-    (longest,) = best_of_each(alike, {"time_skew": replace(term, size=None)})
+    (longest,) = best_of_each(alike, {"time_skew": term.modified(size=None)})
     assert longest.shape[0] == max(c.shape[0] for c in alike)

@@ -4,14 +4,12 @@ both ways fits.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.one_direction import direction_dependent
+from identification.diagnosis.verdict.reasons import direction_dependent
+from identification.effects import MOTION
 
 from .benches import campaign, nominal_fit
 
@@ -21,7 +19,7 @@ PATCH = {"torque_Nm": 1.5, "center_rad": 0.1, "width_rad": 0.06}
 def patched(hidden: str, width: float) -> Joint:
     """Fit a patch of both ways, of a width that is not sought, to a bench that hides an effect."""
     joint = nominal_fit(campaign({hidden: PATCH}, 31, 6.0))
-    term = replace(next(t for t in TERMS if t.name == "position_dependent_friction"), refine={})
+    term = next(t for t in MOTION if t.name == "position_dependent_friction").modified(refine={})
     return fit(
         joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.1, width), (1.0,)),), joint
     )

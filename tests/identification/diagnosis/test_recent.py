@@ -8,10 +8,9 @@ import weakref
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.rows.recent import forget, recent
-from identification.diagnosis.rows.view import views
-from identification.diagnosis.terms import TERMS
+from identification.effects import MOTION
 from identification.recording import Dataset, Model, RecordingError
+from identification.views.view import forget, recent, views
 
 from .benches import honest, nominal_fit
 
@@ -34,7 +33,7 @@ def test_results_are_kept_until_they_are_released() -> None:
 def test_the_next_diagnosis_releases_the_recordings_of_the_one_before() -> None:
     joint = nominal_fit(honest()[:1])
     (view,) = views(honest()[:1], 25.0)
-    term = next(t for t in TERMS if t.name == "presliding")
+    term = next(t for t in MOTION if t.name == "presliding")
     term.columns["torque"](view, joint.nominal, (1e4,))
     kept = weakref.ref(view)
     del view

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Added
-from identification.diagnosis.rows.scales import at_scale
-from identification.diagnosis.rows.view import View
 from identification.diagnosis.selection.comparison import implausible
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
-from identification.model.units import LINEAR
+from identification.effects import MOTION
+from identification.effects.effect import Context
+from identification.model.parameters import LINEAR
+from identification.views.view import View, at_scale
 
 from .benches import honest, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 
 
 def scaled(view: View, torque: float = 1.0, travel: float = 1.0, motion: str = "rotary") -> View:
@@ -78,7 +77,7 @@ def test_the_plausible_mass_grows_with_the_weights_of_the_bench() -> None:
             for v in joint.equations[0].views
         )
         equations = tuple(replace(e, views=views) for e in joint.equations)
-        heavy = replace(effect, term=replace(effect.term, read=lambda *_: {"mass_kg": 300.0}))
+        heavy = replace(effect, term=effect.term.modified(read=lambda *_: {"mass_kg": 300.0}))
         reason = implausible(replace(joint, effects=(heavy,), equations=equations))
         assert (reason == "") == plausible
 

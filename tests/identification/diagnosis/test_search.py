@@ -12,20 +12,19 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.candidate import Candidate, log_surprise, wald_statistic
 from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Added, fit
+from identification.diagnosis.fit.stack import Candidate, log_surprise, wald_statistic
 from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.rows.clock import one_clock
-from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
 from identification.diagnosis.selection.comparison import implausible
 from identification.diagnosis.selection.removal import needed_share
 from identification.diagnosis.selection.unseen import validation_rms
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.recording import Bench, Dataset, Model, Recording
+from identification.views.view import one_clock, views
 
 from .benches import campaign, honest, nominal_fit
 
@@ -118,7 +117,7 @@ def test_a_gap_is_followed_from_wherever_a_recording_begins_in_it() -> None:
     recordings = campaign({"backlash": {"gap_rad": gap}}, 8, 6.0)
     joint = nominal_fit(recordings[:3])
     rows = joint.stack.part("transmission")
-    term = next(t for t in TERMS if t.name == "backlash")
+    term = next(t for t in MOTION if t.name == "backlash")
     after = fit(
         joint.equations[0].views,
         "N m",
@@ -178,7 +177,7 @@ def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     recording = campaign({}, 3, 6.0)[0]
     recording = replace(recording, bench=replace(recording.bench, motion=motion))
     joint = nominal_fit([recording])
-    spring = next(t for t in TERMS if t.name == "return_spring")
+    spring = next(t for t in MOTION if t.name == "return_spring")
     found = implausible(replace(joint, effects=(Added(spring, (), (2.0, 2.0 * rest)),)))
     assert found.startswith(said)
     assert bool(found) == bool(said)
@@ -197,7 +196,7 @@ def test_the_inertia_of_a_load_is_plausible_for_the_weights_of_the_bench(
         if r.weight_mass in (0.0, 30.6)
     ]
     joint = nominal_fit(recordings)
-    inertia = next(t for t in TERMS if t.name == "load_inertia")
+    inertia = next(t for t in MOTION if t.name == "load_inertia")
     found = implausible(replace(joint, effects=(Added(inertia, (), (15.0,)),)))
     assert found.startswith(said)
     assert bool(found) == bool(said)
@@ -210,7 +209,7 @@ def test_the_inertia_of_a_load_is_plausible_for_the_inertia_of_the_machine(
     """A fast machine has little torque and travel for its inertia."""
     joint = nominal_fit(honest())
     values = {**joint.nominal.values, "J": heavier * joint.nominal.values["J"]}
-    inertia = next(t for t in TERMS if t.name == "load_inertia")
+    inertia = next(t for t in MOTION if t.name == "load_inertia")
     machine = replace(
         joint,
         nominal=replace(joint.nominal, values=values),
@@ -237,7 +236,7 @@ def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> Non
 
 
 def test_once_a_turn_of_the_joint_is_a_weight_and_no_cogging() -> None:
-    cogging = next(t for t in TERMS if t.name == "cogging")
+    cogging = next(t for t in MOTION if t.name == "cogging")
     joint = nominal_fit(campaign({}, 3, 6.0)[:1])
     geared = Context(joint.equations[0].views, joint.nominal)
     direct = tuple(replace(v, recording=replace(v.recording, bench=Bench())) for v in geared.views)

@@ -13,6 +13,7 @@ from identification.diagnosis import diagnose
 from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.held_out import DROPPED
+from identification.effects import EFFECTS, MOTION
 from identification.recording import RecordingError
 
 OUTSIDE, NAMED = Verdict.OUTSIDE_CATALOGUE, Verdict.NAMED
@@ -98,11 +99,11 @@ def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
     monkeypatch: pytest.MonkeyPatch, moves: bool
 ) -> None:
     """A gap is found; the valve's own motion may then be too little for a fit."""
-    sides: list[tuple[str, tuple[str, ...]]] = []
-    gap = SimpleNamespace(term=term("backlash"))
+    sides: list[tuple[str, bool]] = []
+    gap = SimpleNamespace(term=EFFECTS["backlash"])
 
     def search(here: Any, _unit: str, _first: Any, _terms: Any, *rest: Any) -> Any:
-        sides.append((here, tuple(rest[-1].until)))
+        sides.append((here, rest[-1].until_flexible))
         return SimpleNamespace(final=SimpleNamespace(effects=[gap]), side=here)
 
     def fit(*_: Any) -> str:
@@ -113,17 +114,16 @@ def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
     for name, replaced in (("search", search), ("fit_from_estimate", fit)):
         monkeypatch.setattr(diagnose, name, replaced)
     monkeypatch.setattr(diagnose, "views", lambda *_: "valve")
-    monkeypatch.setattr(diagnose, "on_the_joint", lambda terms: terms)
     dataset = SimpleNamespace(part=lambda _role: [], model=SimpleNamespace(fixed=()), recordings=())
     first = SimpleNamespace(nominal=None)
     task: Any = SimpleNamespace(
         dataset=dataset, here="motor", unit="N m", first=first, rng=None, bandwidth=25.0
     )
     task.report = lambda *_: None
-    here, found, flexible = diagnose._search_sides(task, EVERY, False)
+    here, found, flexible = diagnose._search_sides(task, MOTION, False)
     side = "valve" if moves else "motor"
     assert (here, found.side, flexible) == (side, side, moves)
-    assert sides == [("motor", diagnose.FLEXIBLE), (side, ())]
+    assert sides == [("motor", True), (side, False)]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
 def test_friction_fitted_to_the_motor_behind_a_still_valve_is_stated(
     name: str, twist: float, stated: bool
 ) -> None:
-    final = SimpleNamespace(effects=[SimpleNamespace(term=term(name))])
+    final = SimpleNamespace(effects=[SimpleNamespace(term=EFFECTS[name])])
     found: Any = SimpleNamespace(final=final)
     views: Any = [SimpleNamespace(twist=np.full(3, twist))]
     texts = diagnose._still_valve(found, views)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.result import ResidualTrace
-from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.score.single_recordings import (
     crowded_recordings,
     rests_under_torque,
     shortest,
 )
 from identification.recording import Recording
+from identification.views.view import View, views
 
 from .benches import campaign
 

@@ -19,23 +19,22 @@ from scipy.optimize import minimize_scalar
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
-from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Stack, stack_of
+from identification.diagnosis.fit.stack import Candidate, Stack, stack_of
 from identification.diagnosis.rows.equations import Equation, equations
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.estimate.default import identify, solve_stages
 from identification.prepare import default_bandwidth, prepare
 from identification.recording import Array, Dataset, Model, Recording
 from identification.signals import decimator
+from identification.views.nominal import Nominal
+from identification.views.view import View, views
 
 from .benches import BENCH, CHANNELS, CYCLE_S, campaign, honest, nominal_fit, sines
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 TRUE = {"Mc": 6.825, "sigma_2": 5.3462, "J": 0.204, "omega_sf": 0.0557}
 SURE = 12.0
 """Surprise, -log of a chance, beyond which a single effect counts as found."""
@@ -96,7 +95,7 @@ def test_no_regressor_of_the_torque_holds_the_measured_torque() -> None:
     assert trapped.gain > 0.999 * power, "explains a torque that it knows nothing of"
     context = Context(torque.views, joint.nominal)
     view = torque.views[0]
-    for term in (t for t in TERMS if "torque" in t.columns):
+    for term in (t for t in MOTION if "torque" in t.columns):
         # How loaded bristles begin, one number, is taken from presliding's first 20 ms.
         begun = 0.05 if term.name == "presliding" else -1.0
         later = (np.arange(len(view.torque)) * view.step > begun).astype(float)

@@ -21,8 +21,8 @@ from identification.diagnosis.score.significance import (
     trial_candidates,
 )
 from identification.diagnosis.selection.baselines import greedy_bic, library
-from identification.diagnosis.terms import friction
-from identification.diagnosis.terms.term import Context
+from identification.effects import MOTION
+from identification.effects.effect import Context
 from identification.recording import Array
 
 from .benches import honest, nominal_fit
@@ -115,7 +115,7 @@ def test_few_blocks_prove_nothing_however_large_the_effect() -> None:
 
 def test_an_honest_bench_alarms_by_bic_and_not_by_blocks() -> None:
     joint = nominal_fit(honest())
-    terms = friction.TERMS
+    terms = [e for e in MOTION if e.group == "friction"]
     assert greedy_bic(library(joint, terms)) != ()
     trials = list(
         trial_candidates(joint.stack, Context(joint.equations[0].views, joint.nominal), terms)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.diagnosis.rows.blocks import in_blocks
-from identification.diagnosis.terms.wave import sine_cosine
+from identification.numerics.series import sine_cosine
 
 
 @given(st.floats(-200.0, 200.0), st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=40))

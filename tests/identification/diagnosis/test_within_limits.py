@@ -12,15 +12,15 @@ from scipy.optimize import lsq_linear
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.within_limits import cross_validation_residual, within_limits
 from identification.diagnosis.rows.equations import equations
-from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.terms import TERMS
+from identification.effects import MOTION
 from identification.recording import Array, Recording
+from identification.views.nominal import Nominal
+from identification.views.view import View, views
 
 from .benches import campaign, nominal_fit
 
 DRAG = {"quadratic_drag": {"coefficient_Nms2_rad2": 6.0}}
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 
 
 @lru_cache

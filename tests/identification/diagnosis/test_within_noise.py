@@ -11,23 +11,21 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.rows.equations import least_noise
-from identification.diagnosis.rows.instants import between_samples
-from identification.diagnosis.rows.view import View
+from identification.diagnosis.rows.equations import between_samples, least_noise
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import beyond_noise, size_p_value
 from identification.diagnosis.selection.search import _Case, _missing_test
-from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.term import Context
-from identification.estimate.equation_error.bandwidth import common_bandwidth
-from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
+from identification.effects import MOTION
+from identification.effects.effect import Context
+from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
 from identification.prepare import default_bandwidth, prepare
 from identification.signals import quantum
+from identification.views.view import View
 from tests.identification.synthetic import sine
 
 from .benches import honest, nominal_fit
 
-TERM = {t.name: t for t in TERMS}
+TERM = {t.name: t for t in MOTION}
 COUNT_RAD = 2.0 * math.pi / 2048
 
 

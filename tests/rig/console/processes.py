@@ -94,7 +94,10 @@ class Place:
     def run(self, sequence: Path, *options: str) -> subprocess.Popen[bytes]:
         """Start a run on the simulated bench."""
         out = self.folder / "runs" / f"{sequence.stem}-{len(self.started)}"
-        command = ["run", str(sequence), "--out", str(out), *options]
+        return self.command("run", str(sequence), "--out", str(out), *options)
+
+    def command(self, *command: str) -> subprocess.Popen[bytes]:
+        """Start a command of ``rig``."""
         child = subprocess.Popen(
             [sys.executable, "-c", PATIENT, *command],
             env=self.environment,

@@ -58,6 +58,8 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 def where(console: Served) -> Iterator[Place]:
     """The place of the console; its runs end with the test."""
     yield console.place
+    # A test that failed may have left the console suspended.
+    console.process.send_signal(signal.SIGCONT)
     console.place.stop_all()
 
 
@@ -147,6 +149,10 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     expect(page.locator("#bench")).to_have_text("SIMULATED bench practical")
     expect(page.locator("#prompt")).to_be_visible()
     expect(page.locator("#told")).to_contain_text("Take every weight off the lever")
+    # There is no stage before the first.
+    expect(page.locator("#repeat")).to_be_disabled()
+    expect(page.locator("#headline")).to_have_text("OFF")
+    assert "`" not in page.locator("#prompt").inner_text()
     require_accessible(page)
     page.fill("#mass", "3")
     page.press("#mass", "Enter")
@@ -174,6 +180,11 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     page.fill("#mass", "20,05")
     page.press("#mass", "Enter")
     in_phase(page, "excite")
+    # The answer to the prompt gives way to what the run is doing.
+    expect(page.locator("#outcome")).to_have_text(
+        "Stage heavy. The joint follows the planned motion."
+    )
+    expect(page.locator("#headline")).to_have_text("ENERGISED")
     wait_until(lambda: drawn(page) > 3.0)
     # The charts are drawn over their whole width, although they were hidden at first.
     wait_until(lambda: page.evaluate(CHART_SHARE) > 0.95)
@@ -186,7 +197,11 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     second.keyboard.press("Space")
     for each in (page, second):
         expect(each.locator("#ending")).to_contain_text("the drive is de-energised (read back")
-        expect(each.locator("#stop")).to_be_disabled()
+        expect(each.locator("#headline")).to_have_text("STOPPED, NOT JUDGED")
+        expect(each.locator("#stop-what")).to_have_text("nothing is in progress")
+        expect(each.locator("#stop")).to_be_enabled()
+    # The masses of the torque against speed, not the numbers of the excitations.
+    expect(page.locator("#friction-legend li")).to_have_text(["0 kg", "20.05 kg"])
     shoot(second, "stopped")
     require_accessible(page)
     record = ended(where, before + 1)
@@ -210,12 +225,13 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     # A run that begins elsewhere does not hide the end of the run that this page has stopped.
     expect(page.locator("#others")).to_contain_text("paused on practical")
     in_phase(page, "ended")
-    expect(page.locator("#stop")).to_be_disabled()
+    expect(page.locator("#stop")).to_be_enabled()
+    expect(page.locator("#stop-what")).to_have_text("stops paused on practical")
     expect(page.locator("#outcome")).to_contain_text("the drive is off (read back)")
     require_accessible(page)
     choose(page, "paused on practical")
     in_phase(page, "excite")
-    expect(page.locator("#outcome")).to_be_empty()
+    expect(page.locator("#outcome")).to_contain_text("The joint follows the planned motion")
     expect(page.locator("#others")).to_be_hidden()
     page.click("#pause")
     expect(page.locator("#go-on")).to_be_visible()
@@ -229,8 +245,9 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     assert ended(where, before + 2)["de_energised"]
     # The pause that was requested has ended with the run.
     expect(page.locator("#pause")).to_have_text("Pause at the end of the stage")
-    page.click("#resume")
+    page.dblclick("#resume")
     expect(page.locator("#told")).to_contain_text("Stage heavy: the drive is off")
+    expect(page.locator("#repeat")).to_be_enabled()
     page.fill("#mass", "20")
     page.press("#mass", "Enter")
     expect(page.locator("#ending")).to_contain_text("all 2 stages done")
@@ -244,7 +261,9 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     wait_until(lambda: page.evaluate("window.rigConsole.continued()"))
     shoot(page, "continued")
     # Judged at its end, as its sequence states limits.
+    expect(page.locator("#headline")).to_have_text("ACCEPTED")
     expect(page.locator("#judged")).to_contain_text("Verdict: accepted")
+    expect(page.locator("#friction-legend li")).to_have_text(["0 kg", "20 kg"])
     expect(page.locator("#recorded")).to_contain_text("accepted")
     with page.context.expect_page() as made:
         page.locator("#judged a", has_text="certificate").first.click()
@@ -273,13 +292,13 @@ def test_a_line_about_an_ended_run_is_not_told_about_the_next(
     page.check("#start-yes")
     start(page, where.sequence("energised", LONG_S))
     expect(page.locator("#drive")).to_contain_text("ENERGISED")
-    expect(page.locator("#outcome")).to_contain_text("started")
+    expect(page.locator("#outcome")).to_contain_text("The joint follows the planned motion")
     assert not [words for words in page.evaluate("window.told") if "has ended" in words]
     page.click("#stop")
     expect(page.locator("#outcome")).to_contain_text("The run has ended; the drive is off")
     page.click("#resume")
     expect(page.locator("#prompt")).to_be_visible()
-    expect(page.locator("#outcome")).to_contain_text("the run continues")
+    expect(page.locator("#outcome")).to_have_text("The run waits for your answer")
     assert not page.locator("#ending").is_visible()
 
 
@@ -351,14 +370,34 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     throttle = frozen.context.new_cdp_session(frozen)
     throttle.send("Emulation.setCPUThrottlingRate", {"rate": 20})
     lost = opened()
+    expect(lost.locator("#chart-angle .chart-now")).not_to_be_empty()
     lost.context.set_offline(True)
     lost.click("#stop")
-    expect(lost.locator("#alerts")).to_contain_text("STOP was NOT confirmed")
+    alarm = lost.locator("#alerts .alarm", has_text="STOP was NOT confirmed")
+    expect(alarm).to_have_attribute("role", "alert")
+    lost.evaluate("scrollTo(0, document.body.scrollHeight)")
+    for width in (1280, 390):
+        lost.set_viewport_size({"width": width, "height": 844})
+        expect(alarm).to_be_in_viewport(ratio=1)
+        box = alarm.bounding_box()
+        assert box is not None
+        assert box["width"] >= width - 20  # less a scroll bar
+    assert alarm.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(179, 0, 30)"
+    require_accessible(lost)
+    lost.set_viewport_size({"width": 1280, "height": 844})
     shoot(lost, "network-lost")
     # The console itself stands still: no page hears anything, and the run goes on.
     console.process.send_signal(signal.SIGSTOP)
     expect(lost.locator("#contact")).to_have_text("NO CONTACT")
     expect(lost.locator("#alerts")).to_contain_text("The run continues without this page")
+    # The values say how old they are.
+    expect(lost.locator("#chart-angle .chart-now")).to_contain_text(
+        re.compile(r"^(\d+ min )?\d+ s old: ")
+    )
+    expect(lost.locator("#limits-when")).to_contain_text(re.compile(r"\d s old"))
+    expect(lost.locator("#drive")).to_contain_text(re.compile(r"was ENERGISED .*\d+ s ago"))
+    expect(lost.locator("#headline")).to_contain_text(re.compile(r"ENERGISED, .*\d+ S AGO"))
+    expect(lost.locator("#stop")).to_be_enabled()
     shoot(lost, "no-contact")
     size = growth(where)
     wait_until(lambda: growth(where) > size)
@@ -483,7 +522,7 @@ def test_a_run_whose_program_is_killed_is_said_to_be_gone(
     child.kill()
     child.wait()
     expect(page.locator("#alerts")).to_contain_text("ended without recording an end")
-    expect(page.locator("#stop")).to_be_disabled()
+    expect(page.locator("#stop")).to_be_enabled()
     require_accessible(page)
 
 
@@ -511,18 +550,118 @@ def test_a_drive_that_could_not_be_read_is_not_said_to_be_read_back(
 
 
 def test_values_are_called_new_only_with_power_and_if_they_are(opened: Callable[..., Page]) -> None:
-    imported = """async ([phase, current]) => {
+    imported = """async ([phase, current, silent, lost]) => {
         const { whenWords } = await import("/static/words.js");
-        return whenWords(phase, { current });
+        return whenWords(phase, { current, silent: silent > 0, silent_s: silent }, lost);
     }"""
     page = opened()
-    for phase, current, words in (
-        ("excite", True, "now"),
-        ("excite", False, "last"),
-        ("connecting", False, "last"),
-        ("load", True, "last"),
+    for phase, current, silent_s, lost_ms, words in (
+        ("excite", True, 0, 0, "now"),
+        ("excite", False, 0, 0, "last"),
+        ("connecting", False, 0, 0, "last"),
+        ("load", True, 0, 0, "last"),
+        ("load", True, 0, 9000, "last"),
+        ("excite", True, 0, 400, "1 s old:"),
+        ("excite", True, 0, 8000, "8 s old:"),
+        ("excite", True, 3, 0, "3 s old:"),
+        ("excite", True, 3, 60_000, "1 min 3 s old:"),
     ):
-        assert page.evaluate(imported, [phase, current]) == words
+        assert page.evaluate(imported, [phase, current, silent_s, lost_ms]) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (None, "not reported"),
+        (-0.0004, "0.000 deg"),
+        (-0.0006, "-0.001 deg"),
+        (-1.234, "-1.23 deg"),
+    ],
+)
+def test_a_value_that_rounds_to_zero_has_no_sign(
+    opened: Callable[..., Page], value: float | None, words: str
+) -> None:
+    imported = """async (value) => {
+        const { shownNumber } = await import("/static/charts.js");
+        return shownNumber(value, "deg");
+    }"""
+    assert opened().evaluate(imported, value) == words
+
+
+def test_the_head_of_the_page_is_one_line(opened: Callable[..., Page], where: Place) -> None:
+    child = where.run(where.sequence("a-name-of-usual-length", SHORT_S), "--yes")
+    page = opened()
+    expect(page.locator("#ending")).to_contain_text("all 2 stages done")
+    child.wait(WAIT_S)
+    boxes = [
+        page.locator(f"header > {each}").bounding_box() for each in ("h1", "#contact", "#scope")
+    ]
+    middles = [box["y"] + box["height"] / 2 for box in boxes if box]
+    assert len(middles) == 3
+    assert max(middles) - min(middles) < 10
+
+
+def test_a_page_that_shows_an_ended_run_stops_the_run_of_a_terminal(
+    opened: Callable[..., Page], where: Place
+) -> None:
+    page = opened()
+    page.check("#start-yes")
+    start(page, where.sequence("mine", SHORT_S))
+    expect(page.locator("#ending")).to_contain_text("all 2 stages done")
+    where.run(where.sequence("other", LONG_S), "--yes", "--realtime")
+    expect(page.locator("#stop-what")).to_have_text("stops other on practical")
+    expect(page.locator("#ending")).to_be_visible()
+    page.click("#stop")
+    # The page then shows the end of what was stopped.
+    expect(page.locator("#ending")).to_contain_text("STOP by the console")
+    expect(page.locator("#outcome")).to_contain_text("the drive is off (read back)")
+    where.started[-1].wait(WAIT_S)
+    newest = max(where.records(), key=lambda record: record["parts"][0]["created"])
+    assert (newest["state"], newest["de_energised"]) == ("stopped", True)
+    page.click("#stop")
+    expect(page.locator("#outcome")).to_contain_text("Nothing was in progress")
+
+
+def test_a_bench_is_made_safe_or_an_alarm_says_that_it_is_not(opened: Callable[..., Page]) -> None:
+    page = opened()
+    page.click("#make-safe")
+    expect(page.locator("#safe-words")).to_contain_text("nothing to switch off")
+    expect(page.locator("#make-safe")).to_be_enabled()
+    assert not page.locator("#alerts .alarm").count()
+    page.route(
+        "**/off",
+        lambda route: route.fulfill(
+            json={"words": "the drive reports off, but 3.98 A", "proved": False}
+        ),
+    )
+    page.click("#make-safe")
+    alarm = page.locator("#alerts .alarm")
+    expect(alarm).to_contain_text("NOT proved off")
+    expect(alarm).to_contain_text("3.98 A")
+    require_accessible(page)
+
+
+def test_a_rejected_run_is_said_to_be_rejected(
+    opened: Callable[..., Page], where: Place, console: Served
+) -> None:
+    sequence = where.sequence("strict", SHORT_S)
+    sequence.write_text(sequence.read_text() + "acceptance:\n  - tracking error rms < 0.0001 deg\n")
+    child = where.run(sequence, "--yes")
+    page = opened()
+    expect(page.locator("#headline")).to_have_text("REJECTED")
+    expect(page.locator("#headline")).to_have_class("bad")
+    expect(page.locator("#failed")).to_contain_text("tracking error rms < 0.0001 deg")
+    assert not page.locator(".ending.good").count()
+    child.wait(WAIT_S)
+    page.click("#recorded-again")
+    with page.context.expect_page() as opening:
+        page.locator("#judged a", has_text="how it ended").click()
+    made = opening.value
+    expect(made.locator(".verdict")).to_have_text("REJECTED")
+    # The link of the page leads to the certificate, also in the sandbox of the console.
+    made.get_by_role("link", name="certificate.html").click()
+    expect(made.locator("body")).to_contain_text("REJECTED")
+    assert made.url.endswith("/certificate.html")
 
 
 def test_the_charts_hold_the_extremes_of_the_recording(
@@ -538,3 +677,12 @@ def test_the_charts_hold_the_extremes_of_the_recording(
     assert found["angle"][0] == pytest.approx(-4.0, abs=0.1)
     assert found["angle"][1] == pytest.approx(4.0, abs=0.1)
     assert found["supply_voltage"] == pytest.approx([60.0, 60.0], abs=0.1)
+    # The axes of all charts are about their values, also out of sight and of a constant value.
+    for name, (low, high) in found.items():
+
+        def axis(name: str = name) -> list[float]:
+            return list(page.evaluate("name => window.rigConsole.axis(name)", name))
+
+        wait_until(lambda low=low, high=high, axis=axis: axis()[0] < low <= high < axis()[1])
+        least, most = axis()
+        assert most - least < 0.3 * max(abs(low), abs(high)) + 2.0 * (high - low) + 0.01

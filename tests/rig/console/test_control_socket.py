@@ -263,9 +263,30 @@ def test_a_pause_of_a_run_without_prompts_can_be_answered(bound: Bound, screen: 
     Answers(bound, "nonsense", "repeat")
     told: list[str] = []
     bound.control.tell = told.append  # type: ignore[method-assign]
+    shown: list[str] = []
+    screen.say = lambda words, err=True: shown.append(words)  # type: ignore[method-assign]
     found = AutomaticOperator(screen=screen, control=bound.control).paused("empty", bound.stop)
     assert found is Verb.REPEAT
-    assert "To continue, press `Go on` on the page of `rig console`, or send SIGUSR1" in told[0]
+    assert "To continue, press `Go on` on the page of `rig console`, or send SIGUSR1" in shown[0]
+    assert shown[0].startswith(told[0])
+
+
+@pytest.mark.parametrize("topic", ["weight", "pause"])
+def test_a_page_with_buttons_is_not_told_what_to_type(
+    bound: Bound, screen: Screen, topic: str
+) -> None:
+    told: list[str] = []
+    bound.control.tell = told.append  # type: ignore[method-assign]
+    Answers(bound, "nonsense", "20", "repeat")
+    asked = operator(bound, screen)
+    if topic == "weight":
+        asked.confirm_weight("heavy", 30.6)
+        assert len(told) == 6
+    else:
+        bound.stop.pause()
+        asked.paused("empty", bound.stop)
+        assert len(told) == 6
+    assert not [words for words in told if "`" in words]
 
 
 @pytest.mark.parametrize("typed", [b"30.6\n", b""])

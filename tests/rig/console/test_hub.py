@@ -12,11 +12,13 @@ from starlette.websockets import WebSocketDisconnect
 
 from rig.console.app import Console
 from rig.console.controls import Page
+from rig.console.door import MOST_PAGES, MOST_READERS
 from rig.console.followed import SILENT_S
 from rig.console.gate import Token
 from rig.console.hub import TICK_S, Hub, Refusal
+from rig.console.run_link import Unreachable
 from rig.console.starting import Starter
-from rig.terminal.control_messages import VERSION
+from rig.terminal.control_messages import VERSION, Command
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +39,9 @@ class Desk:
             "version": VERSION,
             "run": key,
             "folder": folder or f"/runs/{key}",
+            "name": "run",
+            "bench": "b",
+            "real": False,
             "cycle_s": 0.001,
             "torque_per_ampere": 3.0,
             "gear_ratio": 100.0,
@@ -46,7 +51,8 @@ class Desk:
         self.tell(key, ended=None)
 
     def tell(self, key: str, ended: object) -> None:
-        self.hub._heard(f"/{key}.sock", {"status": {"phase": "excite", "ended": ended}})
+        status = {"phase": "excite", "ended": ended, "stopping": False}
+        self.hub._heard(f"/{key}.sock", {"status": status})
 
     def end(self, key: str) -> None:
         self.tell(key, {"words": "done", "good": True})
@@ -179,6 +185,103 @@ def test_a_run_that_was_chosen_is_shown(desk: Desk) -> None:
     assert desk.shown() == "one"
     desk.begin("three")
     assert desk.shown() == "one"
+
+
+def reached(desk: Desk, key: str, **about: object) -> None:
+    given = {"version": VERSION, "run": key, "name": "jog", "bench": "b", "real": True, **about}
+    desk.hub._heard(f"/{key}.sock", {"about": given})
+
+
+class Sent:
+    """What is sent to the programs in progress; some of them do not answer."""
+
+    def __init__(self, desk: Desk, monkeypatch: pytest.MonkeyPatch, *mute: str) -> None:
+        self.stopped: list[str] = []
+        self.mute = mute
+        self.begins: list[str] = []
+        self.desk = desk
+        monkeypatch.setattr(
+            desk.hub._links, "runs", lambda: [f"/{key}.sock" for key in self.begins]
+        )
+        monkeypatch.setattr(desk.hub._links, "ask", self.ask)
+        monkeypatch.setattr(desk.hub._links, "command", self.command)
+
+    def ask(self, path: str, what: str) -> None:
+        if what == "about":
+            reached(self.desk, path[1:-5])
+
+    async def command(self, path: str, run: str, command: Command, *_: object) -> dict[str, object]:
+        assert command is Command.STOP
+        self.stopped.append(run)
+        if run in self.mute:
+            raise Unreachable("no answer")
+        return {"taken": True, "words": ""}
+
+
+def pressed(desk: Desk, page: Page | None = None) -> dict[str, Any]:
+    console = Console(desk.hub, Token(), frozenset())
+    return asyncio.run(console._command(page, {"command": "stop"}))
+
+
+def test_stop_is_for_whatever_moves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    start_it(desk, "mine")
+    desk.end("mine")
+    desk.begin("other")
+    reached(desk, "jog")
+    sent = Sent(desk, monkeypatch)
+    # The page shows the end of its own run.
+    assert desk.shown() == "mine"
+    assert pressed(desk, desk.page)["stopped"] == ["other", "jog"]
+    assert sent.stopped == ["other", "jog"]
+    # The page then shows the end of what was stopped.
+    assert desk.shown() == "other"
+    # A jog is no run: it is not shown, and its end is its socket's.
+    assert "jog" not in desk.hub.runs
+    desk.hub.others["jog"].gone = True
+    desk.end("other")
+    assert pressed(desk)["stopped"] == []
+
+
+def test_stop_reaches_what_began_just_now(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = Sent(desk, monkeypatch)
+    sent.begins = ["new"]
+    assert pressed(desk)["stopped"] == ["new"]
+
+
+def test_a_stop_names_what_did_not_confirm_it(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    desk.begin("one")
+    desk.begin("two")
+    sent = Sent(desk, monkeypatch, "one")
+    with pytest.raises(Refusal) as refused:
+        pressed(desk)
+    assert refused.value.details == {"unconfirmed": ["one"]}
+    assert sent.stopped == ["one", "two"]
+
+
+def test_programs_on_other_benches_are_not_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = Desk(tmp_path)
+    desk.hub._only = frozenset({"mine"})
+    reached(desk, "other", bench="b")
+    reached(desk, "jog", bench="mine")
+    Sent(desk, monkeypatch)
+    assert pressed(desk)["stopped"] == ["jog"]
+
+
+@pytest.mark.parametrize(("may", "most"), [(True, MOST_PAGES), (False, MOST_READERS)])
+def test_pages_are_bounded_with_the_token_and_without(desk: Desk, may: bool, most: int) -> None:
+    controls = desk.hub.controls
+    desk.hub.controls.close(desk.page)
+    opened = []
+    while controls.room(may):
+        opened.append(controls.open())
+        if may:
+            controls.admit(opened[-1])
+    assert len(opened) == most
+    assert controls.room(not may)
+    controls.close(opened[0])
+    assert controls.room(may)
 
 
 def opened_again(desk: Desk, shown: object, own: object = False) -> Page:

@@ -228,7 +228,8 @@ def test_damaged_runs_are_refused_with_the_remedy(root: Path) -> None:
     (root / "mine-02" / "run.json").write_text("{")
     answer = desk.post("/compare", {"runs": ["mine-01", "bare", "half", "mine-02"]})
     assert answer[0] == 409
-    assert "half: there is no run.json; `rig recover` rebuilds it" in words(answer)
+    assert "half: there is neither a run.json nor a copy" in words(answer)
+    assert "`rig recover`" in words(answer)
     assert "mine-02/run.json" in words(answer)
     assert "bare" not in words(answer)
     assert os.listdir(root.parent / "outside") == []

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import uvicorn
+from uvicorn.server import ServerState
 from wsproto import ConnectionType, WSConnection
-from wsproto.events import AcceptConnection, Message, Ping, RejectConnection, Request, TextMessage
+from wsproto.events import (
+    AcceptConnection,
+    CloseConnection,
+    Message,
+    Ping,
+    RejectConnection,
+    Request,
+    TextMessage,
+)
 
-from .processes import Served, place, served
+from rig.cli.entry import STOPPED
+from rig.console.door import MOST_OPEN, MOST_PAGES, MOST_READERS, bounded
+
+from .processes import Served, place, served, wait_until
 from .sockets import Peer
 
 STOP = {"page": "none", "number": 1, "command": "stop", "run": "0" * 32}
@@ -36,9 +51,14 @@ class Page:
         self.socket.sendall(self.wire.send(Request(host=sent, target="/live", extra_headers=extra)))
         self.events: list[Any] = []
         self.accepted = isinstance(self._next(), AcceptConnection)
+        self.refused = False
         if self.accepted:
             self.socket.sendall(self.wire.send(Message(data=json.dumps({"token": token}))))
-            self.key = self.read()["hello"]["page"]
+            event = self._next()
+            self.refused = isinstance(event, CloseConnection)
+            if not self.refused:
+                self.events.insert(0, event)
+                self.key = self.read()["hello"]["page"]
 
     def _next(self) -> Any:
         while True:
@@ -149,7 +169,7 @@ def test_a_command_of_another_site_is_refused(console: Served, origin: str | Non
 
 
 @pytest.mark.parametrize("authorization", [None, "", "Bearer", "Bearer wrong", "Basic {token}"])
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume", "/off"])
 def test_no_command_without_the_token(
     console: Served, path: str, authorization: str | None
 ) -> None:
@@ -159,7 +179,7 @@ def test_no_command_without_the_token(
     assert "read-only" in text
 
 
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume", "/off"])
 @pytest.mark.parametrize("method", ["GET", "HEAD", "PUT", "OPTIONS"])
 def test_nothing_is_commanded_by_another_method(console: Served, path: str, method: str) -> None:
     origin = f"http://127.0.0.1:{console.port}"
@@ -253,6 +273,93 @@ def test_the_controls_of_a_closed_page_go_to_the_only_other(
     assert second.controls()["yours"]
 
 
+def test_only_known_benches_are_made_safe(console: Served) -> None:
+    content = {"page": "none", "number": 1}
+    for bench in ("/etc/passwd", "-h", ["practical"], None):
+        assert console.request("POST", "/off", {**content, "bench": bench})[0] == 409
+    status, text, _ = console.request("POST", "/off", {**content, "bench": "practical"})
+    assert (status, json.loads(text)["proved"]) == (200, True)
+
+
+def still_open(connections: list[socket.socket]) -> int:
+    count = 0
+    for each in connections:
+        each.setblocking(False)
+        try:
+            count += bool(each.recv(1, socket.MSG_PEEK))
+        except BlockingIOError:
+            count += 1
+        except OSError:
+            pass
+    return count
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: "])
+def test_connections_are_bounded_and_the_newest_is_served(console: Served, begun: bytes) -> None:
+    connections = []
+    for _ in range(300):
+        connections.append(socket.create_connection(("127.0.0.1", console.port), timeout=20))
+        connections[-1].sendall(begun)
+    # A command comes after them, and is answered.
+    assert console.request("POST", "/command", {**STOP, "run": None})[0] == 200
+    assert still_open(connections) <= MOST_OPEN
+    # What sends no whole request is closed.
+    wait_until(lambda: not still_open(connections), 30.0)
+    for each in connections:
+        each.close()
+
+
+class Wire:
+    """The transport of a connection that only remembers that it was closed."""
+
+    def __init__(self) -> None:
+        self.aborted = False
+
+    def abort(self) -> None:
+        self.aborted = True
+
+    def get_extra_info(self, name: str) -> None:
+        return None
+
+    def is_closing(self) -> bool:
+        return self.aborted
+
+
+def test_a_connection_with_a_command_in_progress_is_closed_last() -> None:
+    async def nothing(scope: object, receive: object, send: object) -> None:
+        return None
+
+    async def opening() -> list[bool]:
+        config = uvicorn.Config(nothing)
+        config.load()
+        kind, wires, made = bounded(3), [], []
+        for number in range(5):
+            made.append(kind(config, ServerState(), {}))
+            wires.append(Wire())
+            made[-1].connection_made(wires[-1])  # type: ignore[arg-type]
+            if not number:
+                made[0].cycle = SimpleNamespace(  # type: ignore[assignment]
+                    response_complete=False, scope={"method": "POST"}
+                )
+        for each in made:
+            each._leave()
+        return [each.aborted for each in wires]
+
+    assert asyncio.run(opening()) == [False, True, True, False, False]
+
+
+@pytest.mark.parametrize("may", [True, False])
+def test_pages_are_bounded(console: Served, opened: Callable[..., Page], may: bool) -> None:
+    most = MOST_PAGES if may else MOST_READERS
+    pages = [opened(console.token if may else "") for _ in range(most + 5)]
+    # A page of the test before may still be open at first.
+    assert sum(not page.refused for page in pages) <= most
+    assert pages[-1].refused
+    # The others still have room, and STOP needs no page.
+    wait_until(lambda: not opened("" if may else console.token).refused)
+    assert console.request("POST", "/command", {**STOP, "run": None})[0] == 200
+
+
 def test_a_run_takes_a_stop_once(console: Served, page: Page) -> None:
     where = console.place
     where.run(where.sequence("replayed", 30.0), "--yes", "--realtime")
@@ -272,6 +379,21 @@ def test_a_run_takes_a_stop_once(console: Served, page: Page) -> None:
     (record,) = where.records()
     assert (record["state"], record["de_energised"]) == ("stopped", True)
     assert "STOP by the console, page" in record["message"]
+
+
+def test_stop_reaches_a_jog(console: Served, page: Page) -> None:
+    where = console.place
+    where.command("jog", "practical", "--to", "20", "--speed", "0.2", "--realtime")
+    names: list[str] = []
+    while names != ["jog on practical"]:
+        state = page.read().get("state", {})
+        names = [each["name"] for each in state.get("moving", [])]
+    content = {"page": page.key, "number": 99, "command": "stop"}
+    status, text, _ = console.request("POST", "/command", content)
+    assert (status, json.loads(text)["words"]) == (200, "jog on practical")
+    assert where.started[-1].wait(60) == STOPPED
+    while names:
+        names = page.read().get("state", {}).get("moving", names)
 
 
 def test_the_sockets_are_this_users_only(console: Served) -> None:

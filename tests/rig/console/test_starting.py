@@ -11,8 +11,6 @@ from typing import Any
 
 import pytest
 
-from rig.cli.commands.console import _server
-from rig.common.errors import InputError
 from rig.config.packaged import packaged
 from rig.console.starting import Starter, StartError, Wish
 
@@ -50,6 +48,47 @@ def arguments(starter: Starter) -> list[str]:
     assert not starter.failures()
     assert not log.exists()
     return words
+
+
+def test_a_run_that_is_being_continued_is_not_continued_again(tmp_path: Path) -> None:
+    wait = (sys.executable, "-c", "input()")
+    starter = Starter(["practical"], tmp_path, wait)
+    about = {"real": False, "bench": "b", "folder": str(tmp_path / "run")}
+    spawned: list[list[str]] = []
+    busy = True
+
+    class Child:
+        def poll(self) -> int | None:
+            return None if busy else 2
+
+    def spawn(arguments: list[str]) -> Any:
+        spawned.append(arguments)
+        return Child()
+
+    starter._spawn = spawn  # type: ignore[method-assign]
+    starter.resume(about, "")
+    starter.resume(about, "")
+    assert len(spawned) == 1
+    # Another run, and the same run once its program has ended.
+    starter.resume({**about, "folder": str(tmp_path / "other")}, "")
+    busy = False
+    starter.resume(about, "")
+    assert [each[1] for each in spawned] == [str(tmp_path / n) for n in ("run", "other", "run")]
+
+
+@pytest.mark.parametrize(("status", "proved"), [(0, True), (4, False), (2, False), (70, False)])
+def test_a_bench_is_made_safe_by_rig_off(tmp_path: Path, status: int, proved: bool) -> None:
+    script = f"import sys; print(*sys.argv[1:]); raise SystemExit({status})"
+    starter = Starter(["practical"], tmp_path, (sys.executable, "-c", script))
+
+    async def twice() -> list[dict[str, Any]]:
+        return await asyncio.gather(starter.off("my.yaml"), starter.off("my.yaml"))
+
+    first, second = asyncio.run(twice())
+    assert first == {"words": "off -- my.yaml", "proved": proved}
+    # A second request waits for the first.
+    assert second is first
+    assert not starter._offs
 
 
 def test_a_run_starts_as_it_was_shown(sequence: Path, tmp_path: Path) -> None:
@@ -160,10 +199,3 @@ def test_a_run_that_fails_to_start_says_why(sequence: Path, tmp_path: Path) -> N
 def test_broken_wishes_are_refused(message: dict[str, Any]) -> None:
     with pytest.raises(StartError):
         Wish.of(message)
-
-
-def test_without_the_extra_the_command_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "rig.console.serve", raising=False)
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
-    with pytest.raises(InputError, match=r"pip install 'loadrig\[console\]'"):
-        _server()

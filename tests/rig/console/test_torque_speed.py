@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.model.nominal import NOMINAL
+from identification.model.parameters import NOMINAL
 from rig.common.result_files import IDENTIFY_SCHEMA, RESULT_FILE
 from rig.console.channels import DEG
 from rig.console.torque_speed import BLOCK, MOST, TorqueSpeed, curves

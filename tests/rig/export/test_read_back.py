@@ -105,6 +105,45 @@ def test_a_run_comes_back(
     assert {r.weight_mass for r in found} != {0.0}
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_export_without_an_ending_gets_one_that_a_campaign_reads(
+    tmp_path: Path, kind: str, runner: object, fake_bench: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder, _ = runner(fake_bench())  # type: ignore[operator]
+    assert status(["export", str(folder.path), "--format", kind, "--out", "exp"]) == 0
+    made = [path.name for path in tmp_path.glob("exp*") if not path.name.endswith(".json")]
+    assert all(name.endswith(f".{kind}") for name in made)
+    assert len(made) == (3 if kind == "csv" else 1)
+    assert len(load_source(campaign(tmp_path, f"exp*.{kind}")).recordings) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "remedies"),
+    [
+        (["--out", "exp.xyz"], ["--out exp.xyz.csv"]),
+        (["--out", "exp.mat"], ["--out exp.mat.csv", "--format mat"]),
+        (["--out", "exp.csv", "--format", "candump"], ["--out exp.csv.log", "--format csv"]),
+    ],
+)
+def test_an_ending_of_another_format_is_refused(
+    tmp_path: Path,
+    options: list[str],
+    remedies: list[str],
+    runner: object,
+    fake_bench: object,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder, _ = runner(fake_bench())  # type: ignore[operator]
+    capsys.readouterr()
+    assert status(["export", str(folder.path), *options]) == 2
+    told = capsys.readouterr().err
+    assert all(remedy in told for remedy in remedies)
+    assert not list(tmp_path.glob("exp*"))
+
+
 def test_constants_and_role_of_the_campaign_win(tmp_path: Path) -> None:
     name = exported(tmp_path, "parquet", dataset())
     path = campaign(tmp_path, name, ", role: fit", "{torque_constant: {value: 0.031, std: 0.002}}")

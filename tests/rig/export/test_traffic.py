@@ -18,6 +18,7 @@ from drivers.interfaces import RawFrame
 from drivers.serial_port import SERIAL_FLAG
 from rig.cli.entry import status
 from rig.common.sample import Sample
+from rig.runs.export import extension
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import open_recorder
@@ -76,7 +77,7 @@ def with_frames(run: Path, frames: list[RawFrame]) -> None:
 
 
 def exported(run: Path, kind: str) -> Path:
-    path = run.parent / f"traffic.{kind}"
+    path = run.parent / f"traffic.{extension(kind)}"
     path.unlink(missing_ok=True)
     assert status(["export", str(run), "--format", kind, "--out", str(path)]) == 0
     return path
@@ -120,9 +121,10 @@ def test_any_frames_come_back(
         for message, frame in zip(found, wanted, strict=True):
             assert abs(message.timestamp - base - (frame.time_ns - first) / 1e9) < 2e-6
     else:
-        first = wanted[0].time_ns
+        origin = found[0].timestamp - wanted[0].time_ns / 1e9
         for message, frame in zip(found, wanted, strict=True):
-            assert abs(message.timestamp - (frame.time_ns - first) / 1e9) < 2e-6
+            assert abs(message.timestamp - origin - frame.time_ns / 1e9) < 2e-6
+        assert 0.0 <= found[0].timestamp < 1.0
 
 
 def _serial(frame: RawFrame) -> bool:

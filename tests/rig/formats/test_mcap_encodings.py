@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message_factory import GetMessageClass
 from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as RosWriter
 
@@ -182,3 +184,41 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("rig.sources.formats.library.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"CDR .*needs mcap_ros2; .*'loadrig\[mcap\]'"):
         McapTable(tmp_path / "log.mcap")
+
+
+def test_a_topic_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:
+    """One topic lacks the definition of a message inside it, one has a definition that ROS refuses,
+    one breaks off in the log.
+    """
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+
+        def channel(topic: str, definition: str, encoding: str = "cdr") -> int:
+            kind = "ros2msg" if encoding == "cdr" else "jsonschema"
+            name = "state" if topic == "/misnamed" else "State"
+            schema = writer.register_schema(f"my_msgs/msg/{name}", kind, definition.encode())
+            return writer.register_channel(topic, encoding, schema)
+
+        lacking = channel("/lacking", "std_msgs/Header header\nfloat64 value\n")
+        misnamed = channel("/misnamed", "float64 value\n")
+        good = channel("/good", "float64 value\n")
+        broken = channel("/broken", "{}", "json")
+        bare = writer.register_channel("/bare", "cdr", 0)
+        for k in range(3):
+            now = FIRST_NS + k * 10**7
+            cdr = b"\0\1\0\0" + struct.pack("<d", k)
+            text = b'{"x": 1}' if k < 2 else b'{"x": '
+            rows = ((lacking, cdr), (misnamed, cdr), (good, cdr), (broken, text), (bare, cdr))
+            for number, data in rows:
+                writer.add_message(number, now, data, now)
+        writer.finish()
+    table = McapTable(path)
+    assert table.names == ("/good.value", "/good.log_time")
+    same(table.read([0])[0], np.arange(3.0))
+    (note,) = table.notes
+    assert all(f"{topic} (" in note for topic in ("/lacking", "/misnamed", "/broken", "/bare"))
+    assert "mcap recover" not in note
+    with pytest.raises(InputError, match=r"no such column .*/lacking \("):
+        load_file(tmp_path, "log.mcap", "{time: log_time, angle: /lacking.value, current: value}")

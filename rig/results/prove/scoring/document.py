@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from identification.plots.proof import confusion_matrix, power_curve
+from identification.plots.mismatch import confusion_matrix, power_curve
 from rig.common.result_files import Provenance
 from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Picture, Section, Table

@@ -83,4 +83,4 @@ def nice(rough: float) -> float:
 def tick_label(value: float, step: float) -> str:
     """Return the label of a tick, with the digits needed for the tick spacing."""
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value + 0.0:.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"
+    return f"{value:z.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"

@@ -1,0 +1,73 @@
+"""Draws worlds, simulates them on a plant, and seals them for ``rig prove --from``."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import click
+
+from benchmarks.worlds.seal import Plant, seal_worlds
+from rig.results.prove.engines import Processes
+from rig.results.prove.seal import random_salt, repeated_salt
+
+OWN, THIRD, MUJOCO = "own", "third", "mujoco"
+
+
+def plant_named(name: str) -> Plant:
+    """Return the plant with this name.
+
+    Raises:
+        InputError: The plant needs a package that is not installed.
+    """
+    if name == OWN:
+        from benchmarks.worlds.own_plant.plant import OwnPlant
+
+        return OwnPlant()
+    if name == THIRD:
+        from benchmarks.worlds.third.plant import OdePlant
+
+        return OdePlant()
+    from benchmarks.worlds.mujoco_plant.plant import MujocoPlant, require_mujoco
+
+    require_mujoco()
+    return MujocoPlant()
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--plant",
+    type=click.Choice([OWN, THIRD, MUJOCO]),
+    default=OWN,
+    show_default=True,
+    help="own: the machine of the simulated bench; third: differential equations written from the "
+    "paper alone; mujoco: a machine in MuJoCo (needs the extra `mujoco`).",
+)
+@click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option(
+    "--secret",
+    is_flag=True,
+    help="Seal with random salts, so that nobody can find a truth by trying seeds. Without it the "
+    "digests repeat with the seed.",
+)
+def main(out: Path, plant: str, rigs: int, seed: int, jobs: int, secret: bool) -> None:
+    """Seal worlds into OUT; nothing is diagnosed.
+
+    \b
+    Example:
+      python -m benchmarks.worlds worlds --plant third --rigs 12 --jobs 2
+      rig prove --from worlds --jobs 2 --out proof
+    """
+    salt = random_salt if secret else partial(repeated_salt, seed)
+    machine, engine = plant_named(plant), Processes(jobs)
+    for rig in seal_worlds(
+        out, machine, rigs, seed, engine, lambda what, _: click.echo(what, err=True), salt
+    ):
+        click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""A plant written from the paper and the list of effects alone."""

@@ -1,0 +1,33 @@
+"""The catalogue: one class per effect, with its words, parameters, equations and response; nothing
+else names an effect.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from types import ModuleType
+
+from identification.effects import device, friction, gas_generator, motor, sensing, transmission
+from identification.effects.effect import Effect
+from identification.effects.gas_generator import GasGeneratorEffect
+
+
+def _of(module: ModuleType) -> tuple[Effect, ...]:
+    """Return the effects of a module in the order of their definition."""
+    own = (c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect))
+    return tuple(c() for c in own if c.__module__ == module.__name__ and "name" in vars(c))
+
+
+MOTION: tuple[Effect, ...] = tuple(
+    e for module in (motor, transmission, friction, device, sensing) for e in _of(module)
+)
+"""Effects of machine and sensors, in the order of the catalogue."""
+GAS: tuple[GasGeneratorEffect, ...] = tuple(
+    e for e in _of(gas_generator) if isinstance(e, GasGeneratorEffect)
+)
+"""Effects of the gas generator, which another model computes
+(:mod:`identification.model.gas_generator`).
+"""
+EFFECTS: Mapping[str, Effect] = {e.name: e for e in (*MOTION, *GAS)}
+"""Name to effect, in the order of the catalogue."""

@@ -1,1 +1,0 @@
-"""Estimates the inertia by instrumental variables (M27-M32): instruments, variance inflation."""

@@ -1,1 +1,0 @@
-"""The identification method of the paper (genetic algorithm), and a comparison of optimisers."""

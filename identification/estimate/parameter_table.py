@@ -1,0 +1,383 @@
+"""Computes the parameter table with values, intervals and reasons for withheld values (M43), and
+the fit errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.estimate.equation_error import HIGHEST_SHARE, LOWEST_SHARE, model_torque
+from identification.model.parameters import (
+    GEAR_PARAMETERS,
+    LOAD_PARAMETERS,
+    STRIBECK_TERMS,
+    SYSTEM_PARAMETERS,
+    UNITS_ROTARY,
+    unit_on,
+)
+from identification.numerics.arrays import Array
+from identification.numerics.spread import Spread
+from identification.prepare import Prepared, torque_unit, volts_per_torque
+from identification.recording import Model
+from identification.result import Fit, Parameter, Trace, Tradeoff
+
+WIDEST = 0.5
+"""Ratio of the 90 % interval's half width to the value above which a parameter is not
+identifiable.
+"""
+LEAST_RISE = 1e-3
+"""Ratio of the rise to the Coulomb level below which the rise is not identifiable."""
+
+
+def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
+    """Return the unit of each parameter by name; torques are in A if the torque constant is
+    unknown.
+    """
+    recording = prepared[0].recording
+    amperes = torque_unit(recording) == "A"
+    motion = recording.bench.motion
+    return {name: unit_on(motion, unit, amperes) for name, unit in UNITS_ROTARY.items()}
+
+
+def fit_of(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    alpha: float,
+    validate: Sequence[Prepared] = (),
+) -> Fit:
+    """Return the torque error over the used samples, and over the validation recordings.
+
+    The unit is that of the torque; if only the voltage was measured, the unit is V, and the error
+    is the armature voltage R I of the torque error.
+    """
+    first = prepared[0]
+    volts = volts_per_torque(first.recording)
+    rms, relative = _errors(prepared, values, alpha)
+    held: tuple[float | None, float | None] = (
+        _errors(validate, values, alpha) if validate else (None, None)
+    )
+    scale = 1.0 if volts is None else volts
+    return Fit(
+        unit=torque_unit(first.recording) if volts is None else "V",
+        bandwidth_Hz=first.bandwidth_Hz,
+        train_rms=scale * rms,
+        train_relative=relative,
+        validate_rms=None if held[0] is None else scale * held[0],
+        validate_relative=held[1],
+    )
+
+
+def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
+    """Return the geometric mean over the recordings of their rms torque errors, N m or N.
+
+    The size of the error differs between recordings: a recording whose motion is too fast for the
+    bandwidth has an error many times that of other recordings. In the geometric mean all recordings
+    have equal weight, whatever their length and error.
+    """
+    errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
+    return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))
+
+
+def _errors(
+    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float
+) -> tuple[float, float]:
+    """Return the rms torque error over the used samples, and its ratio to the rms drive torque."""
+    error = torque = 0.0
+    count = 0
+    for p in prepared:
+        used = p.used
+        residual = (p.torque - model_torque(p, values, alpha))[used]
+        error += float(residual @ residual)
+        torque += float(p.drive_torque[used] @ p.drive_torque[used])
+        count += int(np.sum(used))
+    return math.sqrt(error / max(count, 1)), math.sqrt(error / torque) if torque > 0.0 else 0.0
+
+
+def trace_of(p: Prepared, values: Mapping[str, float], alpha: float) -> Trace:
+    """Return the signals of one recording as used in the fit."""
+    return Trace(
+        recording=p.recording.name,
+        role=p.recording.role,
+        stage=p.recording.stage,
+        time=p.time,
+        angle=p.angle,
+        velocity=p.velocity,
+        torque=p.torque,
+        torque_model=model_torque(p, values, alpha),
+        friction=np.asarray(p.torque - values.get("J", 0.0) * p.acceleration),
+        used=p.used,
+    )
+
+
+def parameter_table(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    spread: Spread,
+    model: Model,
+    floors: Mapping[str, float],
+) -> dict[str, Parameter]:
+    """Return every parameter with its interval and, if known, its floor; a parameter without
+    interval has a reason.
+    """
+    units = units_of(prepared)
+    fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
+    table: dict[str, Parameter] = {}
+    order = [
+        n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, *GEAR_PARAMETERS, "offset") if n in values
+    ]
+    for name in order:
+        value = values[name]
+        if name in model.fixed:
+            table[name] = Parameter(
+                name, units[name], value, value, value, reason="fixed in the campaign, not fitted"
+            )
+        elif name not in spread.names:
+            table[name] = Parameter(
+                name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name)
+            )
+        else:
+            judged = _judge(
+                name, units[name], value, spread.half_width(name), fastest, prepared, values
+            )
+            table[name] = replace(judged, floor=floors.get(name))
+    seen = {
+        names
+        for names in STRIBECK_TERMS
+        if names[1] in spread.names and _rise_is_seen(names, values, spread)
+    }
+    for names in STRIBECK_TERMS:
+        if names[1] in spread.names:
+            shared = any(other[2] == names[2] for other in seen - {names})
+            _judge_rise(table, names, values, spread, keep_speed=shared)
+    return table
+
+
+def _rise_is_seen(names: tuple[str, str, str], values: Mapping[str, float], spread: Spread) -> bool:
+    coulomb, static, _ = names
+    half = spread.half_width_above(static, coulomb)
+    return values[static] - values[coulomb] >= max(half, LEAST_RISE * values[coulomb])
+
+
+def _judge_rise(
+    table: dict[str, Parameter],
+    names: tuple[str, str, str],
+    values: Mapping[str, float],
+    spread: Spread,
+    *,
+    keep_speed: bool,
+) -> None:
+    """If the rise is not significant, withhold the static level, and also the Stribeck speed unless
+    another rise determines it.
+    """
+    coulomb, static, speed = names
+    rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
+    if not _rise_is_seen(names, values, spread):
+        unit = "" if table[static].unit == "1" else f" {table[static].unit}"
+        reason = (
+            f"the rise from Coulomb to static friction, {rise:.2g} +- {half:.2g}{unit}, is not "
+            "significant in these recordings"
+        )
+        withheld = (static,) if keep_speed else (static, speed)
+        for name in (n for n in withheld if n in spread.names and table[n].identifiable):
+            table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
+    elif table[speed].at_bound and table[static].identifiable:
+        reason = f"{static} is the friction at the slow end of the falling part, and for {speed} "
+        reason += f"{table[speed].reason}"
+        table[static] = Parameter(
+            static, table[static].unit, None, identifiable=False, reason=reason
+        )
+
+
+def _absent(name: str) -> str:
+    coulomb, static, _ = next(names for names in STRIBECK_TERMS if name in names[1:])
+    return (
+        f"static friction does not exceed Coulomb friction in these recordings: {static} would "
+        f"fall to {coulomb}, its lower bound"
+    )
+
+
+def _judge(
+    name: str,
+    unit: str,
+    value: float,
+    half: float,
+    fastest: float,
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+) -> Parameter:
+    """Return the parameter, with a reason where the data do not determine it."""
+    speed = name in ("omega_sf", "omega_sL")
+    at_bound = value <= 0.0 if name != "offset" and not speed else False
+    if speed:
+        at_bound = (
+            value >= 0.999 * HIGHEST_SHARE * fastest or value <= 1.001 * LOWEST_SHARE * fastest
+        )
+    if name == "offset":
+        scale = math.sqrt(
+            sum(float(np.mean(p.torque[p.used] ** 2)) for p in prepared if np.any(p.used))
+        )
+        loose = half > 0.1 * scale
+    else:
+        loose = not half <= WIDEST * abs(value)
+    if loose or at_bound:
+        return Parameter(
+            name,
+            unit,
+            None,
+            identifiable=False,
+            at_bound=at_bound,
+            reason=_why(name, unit, value, half, at_bound, prepared, values),
+        )
+    return Parameter(name, unit, value, value - half, value + half)
+
+
+def _why(
+    name: str,
+    unit: str,
+    value: float,
+    half: float,
+    at_bound: bool,
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+) -> str:
+    """Return the reason why a parameter is not identifiable."""
+    if at_bound and name in ("omega_sf", "omega_sL"):
+        return (
+            f"the search ends at the bound of this parameter, {value:.3g} {unit}: the recordings "
+            "do not show the falling part of friction"
+        )
+    if at_bound:
+        return "the best fit would have a value below 0, which is the lower bound"
+    suffix = "" if unit == "1" else f" {unit}"
+    interval = (
+        f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide for "
+        "the value to count as identified"
+    )
+    if name == "J":
+        inertia = max(
+            float(np.std((values["J"] * p.acceleration)[p.used]))
+            for p in prepared
+            if np.any(p.used)
+        )
+        torque = max(float(np.std(p.torque[p.used])) for p in prepared if np.any(p.used))
+        return f"J domega/dt is only {100.0 * inertia / torque:.2g} % of the torque, and {interval}"
+    return interval
+
+
+TRADE_OFF = 0.9
+"""Least correlation, as a magnitude, at which two parameters count as a trade-off."""
+_SHOWN = 0.3
+"""A parameter is listed in a combination if its share is at least this part of the greatest share.
+"""
+
+_AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
+"""Pairs (a, b) whose sum a + b omega is the friction at a speed omega well above the Stribeck speed
+(eq. 9 and 13).
+"""
+_AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
+"""Pairs (a, b) whose sum a + b F_P L1 is the friction under a contact moment F_P L1 (eq. 15)."""
+
+
+def tradeoffs(
+    spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
+) -> tuple[Tradeoff, ...]:
+    """Return the pairs with a correlation of :data:`TRADE_OFF` or more, the highest correlation
+    first.
+
+    Args:
+        spread: Covariance of the fitted parameters.
+        values: Value of each parameter by name.
+        units: Unit of each parameter by name.
+    """
+    names, correlation = _correlation(spread, values)
+    found = []
+    for j, first in enumerate(names):
+        for k in range(j + 1, len(names)):
+            rho = float(correlation[j, k])
+            if abs(rho) >= TRADE_OFF:
+                second = names[k]
+                pinned = _pinned(first, second, spread, values, units)
+                words = f"{first} and {second} are correlated (correlation {rho:+.3f}): {pinned}"
+                found.append(Tradeoff((first, second), rho, words))
+    return tuple(sorted(found, key=lambda pair: -abs(pair.correlation)))
+
+
+def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
+    """Return a text with the least determined combination of relative changes of the parameters;
+    empty if no parameter was fitted.
+
+    The least determined combination is the eigenvector of the relative covariance with the greatest
+    eigenvalue.
+    """
+    names, correlation = _correlation(spread, values)
+    if not names:
+        return ""
+    relative = _relative(spread, values, names)
+    shares, vectors = np.linalg.eigh(correlation * np.outer(relative, relative))
+    vector = vectors[:, -1] / vectors[np.argmax(np.abs(vectors[:, -1])), -1]
+    shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
+    changes = [f"{name} by {share:+.2g} %" for name, share in shown]
+    where = (
+        f"{shown[0][0]} alone" if len(shown) == 1 else "a joint change of " + " and ".join(changes)
+    )
+    upper = np.triu(np.abs(correlation), 1)
+    line = (
+        f"least determined is {where}: relative standard deviation "
+        f"{100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
+    )
+    if len(names) > 1:
+        j, k = np.unravel_index(int(np.argmax(upper)), upper.shape)
+        line += (
+            f"; the greatest correlation is {correlation[j, k]:+.2f}, of {names[j]} and {names[k]}"
+        )
+    return line
+
+
+def _correlation(spread: Spread, values: Mapping[str, float]) -> tuple[list[str], Array]:
+    """Return the names whose variance is finite and above 0, and their correlations."""
+    variance = np.diag(spread.covariance)
+    kept = [
+        k for k, n in enumerate(spread.names) if 0.0 < variance[k] < math.inf and values[n] != 0.0
+    ]
+    deviation = np.sqrt(variance[kept])
+    return [spread.names[k] for k in kept], spread.covariance[np.ix_(kept, kept)] / np.outer(
+        deviation, deviation
+    )
+
+
+def _relative(spread: Spread, values: Mapping[str, float], names: list[str]) -> Array:
+    variance = dict(zip(spread.names, np.diag(spread.covariance), strict=True))
+    return np.array([math.sqrt(variance[n]) / abs(values[n]) for n in names])
+
+
+def _pinned(
+    a: str, b: str, spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
+) -> str:
+    """Return a text with the combination of two parameters that has the least variance."""
+    j, k = spread.names.index(a), spread.names.index(b)
+    c = spread.covariance
+    weight = -float(c[j, k] / c[k, k])
+    if weight > 0.0 and ((a, b) in _AT_SPEED or (a, b) in _AT_LOAD):
+        total = values[a] + weight * values[b]
+        half = spread.half_width_along({a: 1.0, b: weight})
+        unit = "" if units[a] == "1" else f" {units[a]}"
+        scale = "rad/s" if units["omega_sf"].endswith("rad/s") else "m/s"
+        at = (
+            f"{weight:.3g} {scale}"
+            if (a, b) in _AT_SPEED
+            else f"a contact moment of {weight:.3g} {units['Mc']}"
+        )
+        return (
+            f"only their sum at {at} is determined, {a} + {weight:.3g} {b} = {total:.5g} +- "
+            f"{half:.2g}{unit}"
+        )
+    power = -float(c[j, k] / c[k, k] * values[b] / values[a])
+    half = 100.0 * spread.half_width_along({a: 1.0 / values[a], b: power / values[b]})
+    kind, shown = (
+        ("product", f"{a} {b}^{power:.2g}") if power > 0.0 else ("ratio", f"{a} / {b}^{-power:.2g}")
+    )
+    return f"only the {kind} {shown} is determined, to {half:.2g} %"

@@ -1,0 +1,541 @@
+"""Computes the final estimate: by prediction errors if the acceptance tests pass, else by equation
+error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identification.estimate import searches as staged
+from identification.estimate.covariance import (
+    covariances,
+    named_covariances,
+    not_below,
+    rise_to_static,
+)
+from identification.estimate.equation_error import block_sandwich
+from identification.estimate.parameter_table import typical_error
+from identification.estimate.replicates import Bias, likelihood_bias
+from identification.estimate.searches import Refined
+from identification.estimator_settings import DEFAULT, AcceptanceLimits, EstimatorSettings
+from identification.filter.likelihood import (
+    ROUNDS,
+    Point,
+    Reduced,
+    optimise_breakaway_times,
+    reduce,
+    search_breakaway_times,
+)
+from identification.filter.noise import Noise
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.segments import motion
+from identification.model.ladder import NOMINAL
+from identification.model.parameters import INDEX, LOGARITHMIC, STRIBECK_TERMS, pack, unpack
+from identification.numerics.arrays import Array
+from identification.numerics.least_squares import equilibrated
+from identification.numerics.progress import Progress, silent
+from identification.numerics.spread import Spread
+from identification.prepare import Prepared
+from identification.recording import Model, Recording
+from identification.result import Convergence, MeasuredNoise, Starts
+
+
+def try_refinements(
+    attempt: Callable[[bool], Refined | str],
+    error: Callable[[Mapping[str, float]], float],
+    values: Mapping[str, float],
+    limits: AcceptanceLimits = DEFAULT.acceptance,
+) -> tuple[Refined | None, str]:
+    """Refine the values with white torque noise, and with correlated noise if the innovations
+    contradict white noise.
+
+    Args:
+        attempt: Function that refines the values, with or without a correlated part of the noise;
+            it returns the reason as text if prediction errors do not apply.
+        error: Function of the values that returns the mean equation error over the recordings.
+        values: Start values.
+        limits: Limits of the tests.
+
+    Returns:
+        The refinement, or None if prediction errors do not apply, and the reason for the rejection,
+        which is empty if the refinement is accepted.
+    """
+    refined = attempt(False)
+    if isinstance(refined, str):
+        return None, refined
+    before = error(values)
+    fault = refusal(refined, before, error(refined.values), limits)
+    if fault and refined.stopped:
+        return refined, f"{fault}; the search stopped at its greatest number of filter runs"
+    if fault and _coloured(refined, limits):
+        # The cause of the correlation may be noise of the current sensor, and not unmodelled
+        # physics.
+        other = attempt(True)
+        if not isinstance(other, str):
+            also = refusal(other, before, error(other.values), limits)
+            return (
+                (refined, f"{fault}; with correlated torque noise: {also}") if also else (other, "")
+            )
+    return refined, fault
+
+
+def _coloured(refined: Refined, limits: AcceptanceLimits) -> bool:
+    """Return whether innovations are correlated, or imply a torque noise above the torque
+    scatter.
+    """
+    return (
+        abs(refined.whiteness) > limits.whiteness
+        or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
+    )
+
+
+def refusal(
+    refined: Refined,
+    before: float,
+    after: float,
+    limits: AcceptanceLimits = DEFAULT.acceptance,
+) -> str:
+    """Return the reason why the refined values are rejected; empty if they are accepted.
+
+    Args:
+        refined: The refinement.
+        before: Mean equation error of the start values over the recordings.
+        after: Mean equation error of the refined values over the recordings.
+        limits: Limits of the tests.
+    """
+    judged = (
+        refined.whiteness,
+        refined.equations_chi2,
+        refined.likelihood_drop,
+        after,
+        *refined.values.values(),
+    )
+    if not np.all(np.isfinite(judged)):
+        return "the search diverged to values that are not finite"
+    if abs(refined.whiteness) > limits.whiteness:
+        return (
+            f"neighbouring prediction errors have a correlation of {refined.whiteness:+.2f} "
+            f"(limit {limits.whiteness}), so the parameters would compensate physics that the "
+            "model lacks"
+        )
+    if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
+        return (
+            f"the torque noise by the prediction errors, {refined.noise.torque:.3g}, is greater "
+            f"than {limits.noise_ratio:g} times the torque scatter from sample to sample, "
+            f"{refined.torque_scatter:.3g}, so the parameters would compensate physics that the "
+            "model lacks"
+        )
+    if refined.repeating_share > limits.repeating_share:
+        return (
+            f"{100.0 * refined.repeating_share:.0f} % of the correlated noise repeats in matching "
+            f"half cycles (limit {100.0 * limits.repeating_share:.0f} %), so the recordings show "
+            "physics that the model lacks"
+        )
+    if refined.equations_chi2 > limits.chi2:
+        return (
+            "no search of the unloaded fit solves the estimating equations (least chi-square "
+            f"{refined.equations_chi2:.3g}, limit {limits.chi2:g})"
+        )
+    if refined.likelihood_drop > limits.drop:
+        return (
+            "the search of the loaded fit ends at a lower likelihood than it starts (change of "
+            f"the deviance {refined.likelihood_drop:+.0f}, limit {limits.drop:+g})"
+        )
+    if after > limits.error_ratio * before:
+        return (
+            f"the refined values raise the equation error from {before:.3g} to {after:.3g}, that "
+            f"is, by more than a factor of {limits.error_ratio:g}"
+        )
+    return ""
+
+
+NEEDED = (
+    "prediction errors need even sampling, a quantised encoder, a measured torque or current, and "
+    "two breakaways from rest"
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The final estimate, with the steps that led to it.
+
+    Attributes:
+        values: Name to value.
+        spread: Covariance of the fitted parameters.
+        floors: Half width of the 90 % interval at the Cramer-Rao bound, by name; empty without an
+            accepted refinement.
+        taken: The refinement, if it is accepted.
+        starts: Search ends of the refinement, whether accepted or not.
+        stages: Record of each search.
+        warnings: Reason why the refinement was rejected.
+    """
+
+    values: dict[str, float]
+    spread: Spread
+    floors: Mapping[str, float] = field(default_factory=dict)
+    taken: Refined | None = None
+    starts: tuple[Starts, ...] = ()
+    stages: tuple[Convergence, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def refine(
+    recordings: Sequence[Recording],
+    active: Sequence[Prepared],
+    values: dict[str, float],
+    names: Sequence[str],
+    model: Model,
+    bandwidth_Hz: float,
+    rng: np.random.Generator,
+    settings: EstimatorSettings = DEFAULT,
+    progress: Progress = silent,
+) -> Found:
+    """Refine equation-error values by prediction errors, apply the acceptance tests, and correct
+    the bias.
+
+    Args:
+        recordings: Recordings to fit.
+        active: The same recordings, prepared for the equation error.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        bandwidth_Hz: Bandwidth of the equation error.
+        rng: Random generator for the noise of the simulated replicates.
+        settings: Settings of the estimator.
+        progress: Called at the start of each fit, and with every pair of replicates.
+    """
+    plain = Found(values, block_sandwich(active, values, names, model.alpha))
+    refined, fault = try_refinements(
+        lambda correlated: refine_recordings(
+            recordings, values, names, model, correlated, progress
+        ),
+        lambda v: typical_error(active, v, model.alpha),
+        values,
+        settings.acceptance,
+    )
+    stages = () if refined is None else (joint_convergence(refined),)
+    if refined is None or fault:
+        starts = () if refined is None else refined.starts
+        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
+        return replace(plain, starts=starts, stages=stages, warnings=(kept,))
+    bias = likelihood_bias(refined.joint, refined.names, rng, settings.replicates, progress)
+    found = Found(
+        dict(refined.values),
+        spread_of(refined),
+        floors_of(refined.names, refined.floor),
+        refined,
+        refined.starts,
+        stages,
+        partly_used(refined.left_out),
+    )
+    if bias is None:
+        return found
+    found = _unbiased(found, bias)
+    return _with_instruments(found, refined.joint, bias) if bias.replicates else found
+
+
+def _unbiased(found: Found, bias: Bias) -> Found:
+    """Subtract the bias (M36) and add its variance (M42); a correction that would lead beyond the
+    range of its parameter is omitted.
+    """
+    values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
+    rises = all(
+        values[static] >= values[coulomb]
+        for coulomb, static, _ in STRIBECK_TERMS
+        if static in values
+    )
+    positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
+    if not (rises and positive):
+        return found
+    covariance = found.spread.covariance + _left_open(bias, found.spread.names)
+    return replace(found, values=values, spread=replace(found.spread, covariance=covariance))
+
+
+def _left_open(bias: Bias, names: Sequence[str]) -> Array:
+    return np.diag([bias.variances[name] for name in names])
+
+
+def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
+    """Solve the estimating equation of the inertia with instruments from matching half cycles and
+    from replicates (M32); the other parameters change with the inertia.
+
+    Floors are computed from the replicates.
+
+    The equation is solved at the bias-corrected values of the other parameters, because in a
+    replicate the other parameters have the values with which it was simulated. Errors of the other
+    parameters have an effect of second order, which is not negligible if these errors are several
+    standard deviations.
+    """
+    names = found.spread.names
+    begun = replace(joint, vector=pack(found.values, joint.alpha))
+    there = search_breakaway_times(begun, HUBER_THRESHOLD)
+    solved = covariances(there, bias.replicates)
+    x = there.origin()
+    x[: len(solved.step)] += solved.step
+    values = {**found.values, **unpack(there.parameters(x), names)}
+    achieved, floor = named_covariances(solved, there, names)
+    spread = replace(found.spread, covariance=achieved + _left_open(bias, names))
+    return replace(found, values=values, spread=spread, floors=floors_of(names, floor))
+
+
+def refine_recordings(
+    recordings: Sequence[Recording],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    model: Model,
+    correlated: bool = False,
+    progress: Progress = silent,
+) -> Refined | str:
+    """Return the refined estimate, or a text with the reason why prediction errors do not apply.
+
+    Args:
+        recordings: Recordings to fit.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        correlated: Whether the torque noise has a correlated part.
+        progress: Called at the start of each fit.
+    """
+    if not names:
+        return "every parameter is fixed"
+    if model.friction != NOMINAL:
+        return (
+            f"prediction errors support only the friction model {NOMINAL}, but the model "
+            f"{model.friction} is declared"
+        )
+    if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
+        return "the equation error finds no static friction above Coulomb friction"
+    motions = [motion(r) for r in recordings]
+    found = [m for m in motions if m is not None]
+    left_out = tuple(r.name for r, m in zip(recordings, motions, strict=True) if m is None)
+    unloaded = [m for m in found if m.recording.stage == "unloaded"]
+    loaded = [m for m in found if m.recording.stage == "loaded"]
+    if not values["J"] > 0.0:
+        return "the equation error finds no inertia above 0, with which a refinement could start"
+    for condition, usable in (("unloaded", unloaded), ("loaded", loaded)):
+        unusable = [r.name for r in recordings if r.stage == condition]
+        if unusable and not usable:
+            return f"{NEEDED}; {', '.join(unusable)} {_lack(unusable)} one of these"
+    if not unloaded:
+        return "a refinement by prediction errors needs an unloaded recording"
+    if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
+        # A static friction above Coulomb friction may be visible in the breakaways even if the
+        # equation error, at its bandwidth, does not show it.
+        values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
+    try:
+        refined = staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
+    except np.linalg.LinAlgError:
+        return (
+            "the search by prediction errors finds no solution: the recordings do not determine "
+            "the parameters, or the machine has physics that the model lacks"
+        )
+    return replace(refined, left_out=left_out)
+
+
+def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
+    """Return the warning that prediction errors do not use some recordings; empty if they use
+    all.
+    """
+    if not left_out:
+        return ()
+    names = ", ".join(left_out)
+    return (
+        f"{names}: used by the equation error only, for the start values; {NEEDED}, and "
+        f"{'this recording' if len(left_out) == 1 else 'each of these recordings'} lacks one of "
+        "these",
+    )
+
+
+def _lack(names: Sequence[str]) -> str:
+    return "lacks" if len(names) == 1 else "lack"
+
+
+def spread_of(refined: Refined) -> Spread:
+    """Return the covariance and the degrees of freedom of refined values."""
+    return Spread(refined.names, refined.covariance, math.inf)
+
+
+def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
+    """Return the measured noise of a refined estimate, with torques in ``unit``."""
+    noise, steps = (
+        refined.noise,
+        [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions],
+    )
+    return MeasuredNoise(
+        noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit
+    )
+
+
+def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
+    """Return the half width of the 90 % interval of each parameter, by name, at the Cramer-Rao
+    bound ``floor``, shape (p, p).
+    """
+    exact = Spread(names, floor, math.inf)
+    return {name: exact.half_width(name) for name in names}
+
+
+def joint_convergence(refined: Refined) -> Convergence:
+    """Return the record of the joint fit."""
+    return Convergence(
+        stage="joint",
+        method="prediction error",
+        evaluations=refined.evaluations,
+        generations=refined.iterations,
+        cost=refined.innovation_rms,
+        cost_unit="of the noise",
+    )
+
+
+PASSES = 3
+SETTLED = 0.2
+"""Size of a step below which the passes end: rms over the parameters, in standard errors."""
+
+
+def refine_pieces(
+    heads: Sequence[Recording],
+    pieces: Sequence[Recording],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    model: Model,
+    progress: Callable[[float], None],
+    correlated: bool = False,
+) -> Refined | str:
+    """Return the refined estimate over all pieces, or a text with the reason why prediction errors
+    do not apply.
+
+    Args:
+        heads: First pieces of recordings, for the start values, one or more for each load
+            condition.
+        pieces: All pieces, including the heads.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        progress: Called with the ratio of the passes done to the greatest number of passes.
+        correlated: Whether the torque noise has a correlated part.
+    """
+    start = refine_recordings(heads, values, names, model, correlated)
+    if isinstance(start, str):
+        return start
+    # Least squares give a biased inertia, because noise in the drive's loop counts as excitation;
+    # therefore the inertia is that of the heads.
+    names = [n for n in start.names if n != "J"]
+    free = [INDEX[n] for n in names]
+    vector = pack(start.values, model.alpha)
+    begins: dict[int, tuple[Array, ...]] = {}
+    evaluations = start.evaluations
+    left_out = dict.fromkeys(piece.name for piece in pieces)
+    for number in range(PASSES):
+        found: list[Reduced] = []
+        for k, piece in enumerate(pieces):
+            settled = _settled(piece, vector, free, model, start.noise, begins.get(k))
+            if settled is None:
+                continue
+            point = settled
+            left_out.pop(piece.name, None)
+            begins[k] = point.breakaway_times
+            found.append(reduce(point, HUBER_THRESHOLD))
+            evaluations += point.filter.evaluations
+            progress((number + (k + 1) / len(pieces)) / PASSES)
+        step, length = _step(found)
+        x = point.origin()
+        x[: len(free)] += step
+        vector = point.parameters(x)
+        if length < len(free) * SETTLED**2:
+            break
+    evaluated = replace(
+        start,
+        evaluations=evaluations,
+        iterations=start.iterations + number + 1,
+        left_out=tuple(left_out),
+    )
+    return _over_all(evaluated, found, names, vector)
+
+
+def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
+    """Return the Gauss-Newton step of the parameters, and its squared norm in standard errors."""
+    normal = np.sum([r.normal for r in found], axis=0)
+    gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
+    step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
+    return step, float(step @ normal @ step)
+
+
+def _over_all(
+    start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
+) -> Refined:
+    """Return the estimate of the heads, with values, covariance and innovations replaced by those
+    of all pieces.
+
+    Args:
+        start: The estimate of the heads.
+        found: Normal equations of the pieces.
+        names: Parameters that all pieces determine.
+        vector: Parameters.
+    """
+    achieved, floor = start.covariance.copy(), start.floor.copy()
+    order = np.ix_(*2 * [[start.names.index(n) for n in names]])
+    achieved[order], floor[order] = _covariances(found, names, vector)
+    squares, count = sum(r.squares for r in found), sum(r.count for r in found)
+    return replace(
+        start,
+        values={**start.values, **unpack(vector, [n for n in INDEX if n in start.values])},
+        covariance=achieved,
+        floor=floor,
+        innovation_rms=float(np.sqrt(squares / count)),
+        whiteness=sum(r.neighbours for r in found) / squares,
+        breakaways=sum(len(r.scores) for r in found),
+    )
+
+
+def _settled(
+    piece: Recording,
+    vector: Array,
+    free: Sequence[int],
+    model: Model,
+    noise: Noise,
+    begins: tuple[Array, ...] | None,
+) -> Point | None:
+    """Return a piece with optimised breakaway times, or None if prediction errors do not apply to
+    the piece.
+
+    Args:
+        piece: The piece.
+        vector: Parameters.
+        free: Indices of the free parameters.
+        model: Declared terms and fixed values.
+        noise: Noise of torque and angle.
+        begins: Breakaway times of the previous pass, s; None in the first pass.
+    """
+    moving = motion(piece)
+    if moving is None:
+        return None
+    point = Point.of([moving], vector, free, model, noise)
+    if begins is None:
+        return optimise_breakaway_times(point, HUBER_THRESHOLD, ROUNDS)
+    return optimise_breakaway_times(replace(point, breakaway_times=begins), HUBER_THRESHOLD, 1)
+
+
+def _covariances(
+    found: Sequence[Reduced], names: Sequence[str], vector: Array
+) -> tuple[Array, Array]:
+    """Return the covariance of the named parameters and its Cramer-Rao bound; the covariance is the
+    larger of the inverse information and the sandwich covariance.
+    """
+    normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
+    scores = np.concatenate([r.scores for r in found])
+    bread = np.linalg.pinv(normal, hermitian=True)
+    scaled = scores / scale
+    clusters = max(len(scores), 2)
+    sandwich = bread @ (scaled.T @ scaled) @ bread * clusters / max(clusters - len(names), 1)
+    mean_square = sum(r.squares for r in found) / sum(r.count for r in found)
+    plain = bread * max(mean_square, 1.0)
+    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
+    units = np.array([vector[INDEX[n]] if INDEX[n] in LOGARITHMIC else 1.0 for n in names])
+    turn = rise_to_static(names)
+    full = plain * np.outer(widen * units / scale, widen * units / scale)
+    bound = bread * np.outer(units / scale, units / scale)
+    floor = np.asarray(turn @ bound @ turn.T)
+    return not_below(turn @ full @ turn.T, floor), floor

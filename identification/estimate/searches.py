@@ -1,0 +1,793 @@
+"""Searches for the maximum of the likelihood of the loaded fit, from several starts.
+
+A fit consists of a grid of start points, least squares at raised noise levels, further searches
+from neighbours of the best end, and a list of the basins that were found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.estimate.covariance import covariances, named_covariances
+from identification.estimate.inertia import SOLVED, equations_chi2, fit_beside_inertia, solve
+from identification.filter.experiment import Filter
+from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
+from identification.filter.noise import Noise
+from identification.filter.noise_level import (
+    HUBER_THRESHOLD,
+    deviance,
+    first_correlated_noise,
+    likeliest_noise,
+    repeating_share,
+    torque_noise,
+)
+from identification.filter.segments import Motion
+from identification.model.parameters import (
+    INDEX,
+    INERTIA,
+    LOAD_RISE,
+    MC,
+    MU_C,
+    OFFSET,
+    OMEGA_SF,
+    OMEGA_SL,
+    SYSTEM_RISE,
+    pack,
+    unpack,
+)
+from identification.numerics import least_squares as levenberg
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import each
+from identification.numerics.least_squares import huber, negative_log_likelihood
+from identification.numerics.progress import Progress, silent
+from identification.recording import Model
+from identification.result import Starts
+
+_TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
+"""Torque noise levels of the searches of the loaded fit, relative to the estimated level; with
+fewer levels the searches miss the best end.
+"""
+MOST_PASSES = 4000
+"""Number of filter runs over the recordings (passes) after which a fit starts no further search and
+returns its best end. If the model is right, the unloaded and the loaded fit take some hundred
+passes each, and 3000 passes in the worst known case.
+"""
+STARTS = 3
+"""Number of start points from which a search is run; more than one, because the likeliest point of
+the grid is not always in the basin of the true values.
+"""
+_MISSED = 0.8
+"""Mean Huber cost of a residual above which a search counts as not converged. The mean cost is 0.26
+to 0.55 at true values, and 1.4 or more if a search does not converge.
+"""
+_WIDE_STEP = 0.3
+"""Relative step of a coordinate (a parameter, or its logarithm) for finite differences, used after
+searches that failed to converge.
+"""
+_SEEKS = 3
+"""Greatest number of alternations between a fit and a grid search of the breakaway times."""
+_LEAST_GAIN = 0.05
+"""Decrease of the negative log likelihood in a step, below which a fit ends."""
+_LEAST_RESOLVED = 0.05
+_BESIDE = (
+    ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
+    ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
+)
+"""Neighbours of the best end of the loaded fit, first far neighbours and then near neighbours, each
+as index of a parameter and factor on this parameter.
+"""
+_ROUNDS = 2
+"""Greatest number of rounds of searches from neighbours of the best end so far; a second round
+follows only if the first round finds a better end.
+"""
+_APART = 0.1
+"""Relative difference of the Stribeck speed, or of the rise, above which two ends are in different
+basins.
+"""
+SAME_END = 1.0
+"""Difference in deviance up to which two search ends count as equal; it corresponds to a change of
+one parameter by one standard error.
+"""
+_AS_LIKELY = 4.0
+"""Difference in deviance up to which the recordings do not decide between two ends; it corresponds
+to a change of one parameter by two standard errors.
+"""
+_SEVERAL = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """End of a search of the loaded fit.
+
+    Attributes:
+        unresolved: Whether the Stribeck speed at the end is below the resolution of the samples.
+        deviance: Deviance (M24) at the end; infinite if it is not finite.
+        point: End point of the search.
+    """
+
+    unresolved: bool
+    deviance: float
+    point: Point
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Sort key; the better of two ends has the lower rank."""
+        return self.unresolved, self.deviance
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedFit:
+    """Result of the loaded fit.
+
+    Attributes:
+        point: The likeliest end.
+        drop: Deviance of the likeliest end less the deviance of the likeliest start.
+        ends: Ends of all searches, in the order of the searches.
+    """
+
+    point: Point
+    drop: float
+    ends: tuple[End, ...]
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the passes were used up (:data:`MOST_PASSES`)."""
+        return spent(self.point)
+
+
+def spent(point: Point) -> bool:
+    """Return whether the passes of a point's fit are used up (:data:`MOST_PASSES`)."""
+    return point.filter.evaluations >= MOST_PASSES
+
+
+def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
+    """Search the loaded fit from the likeliest start points in turn, or from ``point`` if there are
+    no start points.
+
+    If a start point is likelier than every end, because the search at a raised noise level left the
+    basin of the start point, one more search runs from this start point at the estimated noise
+    level. Ends with a Stribeck speed below the resolution of the samples are used only if there are
+    no other ends: below the resolution the rise affects no prediction and fits noise.
+    """
+    starts = list(starts) or [point]
+    followed = starts[:STARTS]
+    begun = [_deviance(start) for start in followed]
+    ends = [_ended(followed[0], _TEMPERING)] if spent(followed[0]) else []
+    ends += _ended_each(followed, _TEMPERING)
+    left = min(ends, key=lambda end: end.rank).deviance
+    likelier = [s for s, there in zip(followed, begun, strict=True) if there < left]
+    ends += _ended_each(likelier, (1.0,))
+    best = _neighbours(min(ends, key=lambda end: end.rank), ends)
+    if _missed(best):
+        best = _smoothed(starts, best, ends)
+    return LoadedFit(best.point, best.deviance - min(begun), tuple(ends))
+
+
+def basins(fit: LoadedFit) -> list[Point]:
+    """Return the end of the loaded fit, then the best end of each other basin, likeliest first.
+
+    Ends with a Stribeck speed below the samples' resolution are omitted.
+    """
+    found = [fit.point]
+    for end in sorted(fit.ends, key=lambda end: end.rank):
+        if not end.unresolved and all(_apart(end.point, other) for other in found):
+            found.append(end.point)
+    return found[:STARTS]
+
+
+def _apart(one: Point, other: Point) -> bool:
+    """Return whether two ends are in different basins, that is, differ in the Stribeck speed or the
+    rise of the load friction.
+    """
+    places = [OMEGA_SL, LOAD_RISE]
+    away = np.abs(one.vector[places] - other.vector[places])
+    return bool(np.any(away > _APART * np.abs(other.vector[places])))
+
+
+def likeliest_together(starts: Sequence[Point]) -> Searched:
+    """Return the start point of the joint fit whose search, with fixed inertia, has the likeliest
+    end.
+
+    The searches of the loaded fit keep the system parameters fixed. Errors of the system parameters
+    can make a wrong basin the likeliest; a search in all parameters corrects such an error. Of
+    equally likely ends, an end with a several times larger Stribeck speed is preferred, because the
+    likelihood is flat at Stribeck speeds below the resolution of the samples.
+
+    A search ends early if the steps that it may still take, each with the decrease of the last
+    step, would not reach the least cost of the earlier searches.
+
+    Args:
+        starts: Starts of the joint fit, each from an end of the loaded fit.
+
+    Returns:
+        The chosen start point (not the end of its search), and the iterations of all searches.
+    """
+    ends, iterations, reached = [], 0, math.inf
+    for start in starts:
+        found = _likelihood(start.freeing([k for k in start.free if k != INERTIA]), reach=reached)
+        iterations += found.iterations
+        reached = min(reached, _cost(found.point))
+        speed = float(found.point.vector[OMEGA_SL])
+        ends.append((not _resolved(found.point), _deviance(found.point), speed))
+    unresolved, least, speed = best = min(ends)
+    slower = [
+        e
+        for e in ends
+        if e[0] == unresolved and e[1] < least + _AS_LIKELY and e[2] > _SEVERAL * speed
+    ]
+    taken = ends.index(max(slower, key=lambda e: e[2], default=best))
+    return Searched(starts[taken], iterations)
+
+
+def _cost(point: Point) -> float:
+    """Return the cost that a search by likelihood minimises; infinite if the cost is not finite."""
+    cost = negative_log_likelihood(*point.predictions(point.origin()), HUBER_THRESHOLD)
+    return cost if math.isfinite(cost) else math.inf
+
+
+def _missed(end: End) -> bool:
+    """Return whether the residuals at an end are far greater than the noise of the recordings."""
+    residual = end.point.weighted().residuals(end.point.origin())
+    return bool(np.mean(huber(residual, HUBER_THRESHOLD)) > _MISSED)
+
+
+def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
+    """Search from the start points with finite differences over wide steps, until the residuals at
+    an end agree with the noise; return the best end.
+
+    Far from the true values the model in the filter may stick and slip in slow ramps. The
+    prediction errors then depend irregularly on the parameters: derivatives over small steps are a
+    hundred times as large as derivatives over wide steps, and give no useful search direction.
+
+    Args:
+        starts: Starts of the searches.
+        best: The best end so far.
+        ends: List to which the ends of the searches are appended.
+    """
+    before = best
+    for start in starts:
+        if spent(start):
+            break
+        ends.append(_ended(start, _TEMPERING, _WIDE_STEP))
+        best = min(best, ends[-1], key=lambda end: end.rank)
+        if not _missed(best):
+            break
+    return best if best is before else _neighbours(best, ends)
+
+
+def _neighbours(best: End, ends: list[End]) -> End:
+    """Search again from neighbours of an end, with breakaway times computed anew; return the
+    likeliest of all ends.
+
+    Parameters and breakaway times are coupled, so that a search may end where neither a change of
+    parameters alone nor a change of breakaway times alone lowers the cost.
+
+    Args:
+        best: The end whose neighbours are the start points.
+        ends: List to which the ends of the searches are appended.
+    """
+    for beside in _BESIDE:
+        for _ in range(_ROUNDS):
+            begun = best
+            starts = [
+                _multiplied(begun.point, place, factor)
+                for place, factor in beside
+                if place in best.point.free
+            ]
+            found = _ended_each(starts, (1.0,))
+            ends += found
+            best = min((best, *found), key=lambda end: end.rank)
+            if begun.deviance - best.deviance < SAME_END:
+                break
+    return best
+
+
+def _multiplied(begun: Point, place: int, factor: float) -> Point:
+    """Return the point with one parameter multiplied by a factor."""
+    vector = begun.vector.copy()
+    vector[place] *= factor
+    return begun.at(vector)
+
+
+def _ended_each(starts: Sequence[Point], tempering: Sequence[float]) -> list[End]:
+    """Search from several points of one fit, two at a time; return the ends in the order of the
+    points. Points for which the earlier searches left no passes are omitted.
+    """
+
+    def alone(start: Point) -> tuple[End, int]:
+        own = replace(start, filter=Filter(start.experiment))
+        end = _ended(own, tempering)
+        return replace(end, point=replace(end.point, filter=start.filter)), own.filter.evaluations
+
+    ends = []
+    for start, (end, evaluations) in zip(starts, each(alone, starts), strict=True):
+        if not spent(start):
+            start.filter.evaluations += evaluations
+            ends.append(end)
+    return ends
+
+
+def _ended(start: Point, tempering: Sequence[float], step: float = PARAMETER_STEP) -> End:
+    """Search from a point and return the end."""
+    point = refine(start, tempering, step).point
+    return End(not _resolved(point), _deviance(point), point)
+
+
+def _deviance(point: Point) -> float:
+    """Return the deviance at a point; infinite if it is not finite."""
+    found = deviance(*point.run())
+    return found if math.isfinite(found) else math.inf
+
+
+def _resolved(point: Point) -> bool:
+    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed
+    exceeds a share of the speed that the joint gains within one sample period because load friction
+    falls.
+    """
+    p = point.vector
+    moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))
+    period = max(m.recording.period for m in point.motions)
+    return bool(p[OMEGA_SL] > _LEAST_RESOLVED * moment * p[LOAD_RISE] * period / p[INERTIA])
+
+
+def refine(
+    point: Point, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP
+) -> Searched:
+    """Search by least squares at decreasing noise levels, then by likelihood at the estimated noise
+    level.
+
+    Least squares at noise levels above the estimated level lead the search into the basin of the
+    maximum. At the estimated level the likelihood is maximised: the standard deviations depend on
+    the parameters, so that least squares with constant weights do not find the maximum.
+
+    Args:
+        point: Start of the search.
+        tempering: Torque noise level of each search, relative to the estimated level.
+        step: Relative step for finite differences at raised noise.
+    """
+    iterations = 0
+    for factor in tempering:
+        louder = replace(point, noise=point.noise.louder(factor))
+        found = _least_squares(louder, step) if factor > 1.0 else _likelihood(louder)
+        point = replace(found.point, noise=point.noise)
+        iterations += found.iterations
+    return Searched(point, iterations)
+
+
+def _least_squares(point: Point, step: float) -> Searched:
+    """Search by least squares with the standard deviations at the start point."""
+    held = point.weighted(step)
+    found = levenberg.minimise(
+        held.residuals,
+        held.jacobian,
+        point.origin(),
+        threshold=HUBER_THRESHOLD,
+        tolerance=1e-4,
+    )
+    return Searched(point.moved(found.x), found.steps)
+
+
+def _likelihood(point: Point, reach: float = math.inf) -> Searched:
+    """Search by likelihood, in alternation with a grid search of the breakaway times.
+
+    Args:
+        point: Start.
+        reach: Cost that another search reached; a search that would not reach this cost ends early.
+    """
+    iterations = 0
+    for _ in range(_SEEKS):
+        found = levenberg.minimise_deviance(
+            point.predictions,
+            point.derivatives,
+            point.origin(),
+            threshold=HUBER_THRESHOLD,
+            tolerance=_LEAST_GAIN,
+            reach=reach,
+        )
+        iterations += found.steps
+        there = point.moved(found.x)
+        point, moved = there.weighted().with_best_breakaways(HUBER_THRESHOLD)
+        if found.beaten or not moved:
+            break
+    return Searched(point, iterations)
+
+
+_SPEEDS = 6
+_STATICS = 7
+_CLIP = 10.0
+
+
+def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[Point]:
+    """Return start points from a grid of static limits and Stribeck speeds; a parameter that is not
+    free keeps its value.
+
+    The static limits of the grid are at or below the greatest torque before visible motion, because
+    motion becomes visible some time after the breakaway.
+
+    Returns:
+        A point for every Stribeck speed with its likeliest static limit, likeliest first.
+    """
+    loaded = rise == LOAD_RISE
+    fastest = max(
+        float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in point.motions
+    )
+    speeds = np.array([point.vector[speed]])
+    if speed in point.free:
+        speeds = np.concatenate([speeds, np.geomspace(0.01, 0.35, _SPEEDS) * fastest])
+    peaks = [m.peak_torque() for m in point.motions]
+    best: dict[float, tuple[float, Point]] = {}
+    for share in np.linspace(0.75, 1.0, _STATICS) if rise in point.free else (1.0,):
+        p = point.vector.copy()
+        if rise in point.free:
+            limits = [
+                (share * peak - (p[MC] + p[SYSTEM_RISE] if loaded else 0.0))
+                / (float(np.median(m.breakaway_moment)) if loaded else 1.0)
+                for m, peak in zip(point.motions, peaks, strict=True)
+            ]
+            p[rise] = float(np.median(limits)) - p[coulomb]
+        if p[rise] < 0.0:
+            continue
+        limit = point.at(p)
+        for omega_s in speeds:
+            p = p.copy()
+            p[speed] = omega_s
+            start = replace(limit, vector=p)
+            cost = deviance(*start.run(), _CLIP)
+            if omega_s not in best or cost < best[omega_s][0]:
+                best[omega_s] = (cost, start)
+    return [start for _, start in sorted(best.values(), key=lambda found: found[0])]
+
+
+_Free = tuple[Sequence[int], Sequence[int]]
+"""Indices of the free parameters in two parts: the parameters that least squares estimate, and the
+inertia; the second part is empty if the inertia is fixed.
+"""
+_AGAIN = 2
+"""Greatest number of further attempts that start from the best end if no start point leads to a
+solution; no attempt follows one that brings no improvement.
+"""
+_INERTIAS = (1.0, 0.8, 0.6, 1.25)
+"""Start values of the inertia, relative to the inertia of the equation error, which noise biases
+upward.
+"""
+_FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
+"""Further start values of the inertia, relative to the inertia of the equation error, which are
+tried if no other start point leads to a solution. In short, fast slips the equation error may give
+a fiftieth of the true inertia.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """End point of one attempt to solve the unloaded fit.
+
+    Attributes:
+        chi2: Chi-square of the estimating equations (M29).
+        point: Point at which the attempt ended.
+    """
+
+    chi2: float
+    point: Point
+
+
+def solve_unloaded(
+    begun: Point, system: Sequence[int], inertia: Sequence[int]
+) -> tuple[Solved, tuple[float, ...]]:
+    """Solve the unloaded fit from one start point after another, until the estimating equations are
+    solved.
+
+    Several start values of the inertia are needed: least squares with fixed inertia lead into the
+    basin that belongs to this inertia, and the inertia of the equation error may be wrong by half
+    or more.
+
+    Args:
+        begun: Point at the equation error's values.
+        system: Indices of the free parameters except the inertia.
+        inertia: Index of the inertia, if it is free.
+
+    Returns:
+        The best end, and the chi-square of every solution.
+
+    Raises:
+        numpy.linalg.LinAlgError: The instruments do not determine the parameters from any start.
+    """
+    free = system, inertia
+    both = bool(system) and bool(inertia)
+    at_system = begun.freeing(system)
+
+    def starts() -> Iterator[Point]:
+        yield from (_heavier(begun, share) for share in (_INERTIAS if inertia else (1.0,)))
+        searched = breakaway_starts(at_system, MC, SYSTEM_RISE, OMEGA_SF) if system else []
+        for start in searched[:STARTS]:
+            yield from (_heavier(start, share) for share in _INERTIAS[: len(inertia) * 3])
+
+    found: list[float] = []
+    best = _best_of(starts(), free, None, found)
+    last: Solved | None = None
+    for _ in range(_AGAIN if both else 0):
+        if best is None or best is last or best.chi2 < SOLVED or spent(begun):
+            break
+        last = best
+        again = replace(best.point, noise=begun.noise)
+        best = _best_of([again], free, best, found)
+    if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
+        best = _best_of(_far(at_system), free, best, found)
+    if best is None:
+        raise np.linalg.LinAlgError("no start of the search leads to a solution")
+    return best, tuple(found)
+
+
+def _heavier(point: Point, share: float) -> Point:
+    """Return the point with the inertia multiplied by the factor ``share``."""
+    vector = point.vector.copy()
+    vector[INERTIA] *= share
+    return replace(point, vector=vector)
+
+
+def _far(point: Point) -> Iterator[Point]:
+    """Yield start points at inertias far from that of the equation error, each with the likeliest
+    breakaway times.
+    """
+    for share in _FAR:
+        yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
+
+
+def _best_of(
+    starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
+) -> Solved | None:
+    """Try one start point after another until the estimating equations are solved; return the best
+    end, which may be ``best``.
+
+    Args:
+        starts: Start points, tried in turn.
+        free: Free parameters.
+        best: The best end so far.
+        found: List to which the chi-square of every attempt is appended.
+    """
+    for number, start in enumerate(starts):
+        if (best is not None and best.chi2 < SOLVED) or (spent(start) and (best or number)):
+            break
+        solved = _solved_from(start, free)
+        if solved is not None:
+            found.append(solved.chi2)
+            if best is None or solved.chi2 < best.chi2:
+                best = solved
+    return best
+
+
+def _solved_from(start: Point, free: _Free) -> Solved | None:
+    """Return the solution of the unloaded fit from one start, or None if the solution fails."""
+    system, inertia = free
+    point = start.freeing(system)
+    try:
+        if system:
+            point = refine(point, (1.0,)).point
+        point = point.freeing((*system, *inertia))
+        if point.free:
+            point = solve(point)
+        chi2 = equations_chi2(point) if point.free else 0.0
+    except np.linalg.LinAlgError:
+        # If static and Coulomb friction are equal, the Stribeck speed is undetermined; from slips
+        # alone the equation error may find such values.
+        return None
+    return Solved(chi2, point) if math.isfinite(chi2) else None
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A refined estimate.
+
+    Attributes:
+        values: Value of each parameter by name.
+        covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
+        floor: Cramer-Rao bound of the covariance
+            (:mod:`identification.estimate.covariance`), shape (p, p).
+        names: Names of the fitted parameters, in the order of the covariance.
+        innovation_rms: Rms of normalised innovations with variance inflation; 1 if the noise model
+            is right.
+        whiteness: Correlation of neighbouring innovations, with variance inflation.
+        noise: Noise of torque and angle.
+        repeating_share: Share of the correlated noise that repeats in matching half cycles (M26);
+            zero without correlated noise.
+        torque_scatter: Torque scatter from sample to sample, N m rms.
+        evaluations: Runs of the filter over all recordings.
+        iterations: Iterations of the joint fit.
+        breakaways: Number of segments.
+        likelihood_drop: Deviance at the end of the loaded fit less the deviance at its likeliest
+            start point; positive if least squares at a raised noise level left the basin of this
+            start point.
+        equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
+        joint: The estimate in the joint experiment.
+        starts: Search ends of each search.
+        left_out: Names of recordings to which prediction errors do not apply.
+        stopped: Whether the unloaded or the loaded fit reached its greatest number of filter runs.
+    """
+
+    values: Mapping[str, float]
+    covariance: Array
+    floor: Array
+    names: tuple[str, ...]
+    innovation_rms: float
+    whiteness: float
+    noise: Noise
+    repeating_share: float
+    torque_scatter: float
+    evaluations: int
+    iterations: int
+    breakaways: int
+    likelihood_drop: float
+    equations_chi2: float
+    joint: Point
+    starts: tuple[Starts, ...] = ()
+    left_out: tuple[str, ...] = ()
+    stopped: bool = False
+
+
+def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
+    """Return the indices of the parameters that are not fixed: of the system load, of the working
+    load, and of the inertia.
+    """
+    fixed = {INDEX[n] for n in model.fixed if n in INDEX}
+    system = [
+        k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed
+    ]
+    if "offset" in model.terms and OFFSET not in fixed:
+        system.append(OFFSET)
+    load = [
+        k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed
+    ]
+    return system, load, [] if INERTIA in fixed else [INERTIA]
+
+
+def _first_point(
+    unloaded: Sequence[Motion],
+    start: Mapping[str, float],
+    system: Sequence[int],
+    model: Model,
+    correlated: bool,
+) -> Point:
+    """Return the start point of the unloaded fit: the values of the equation error, with the
+    likeliest noise at these values.
+    """
+    # Without load the equation error gives good start values. Under load the start values of the
+    # grid are used, because load friction falls too steeply with speed to be resolved after
+    # filtering.
+    first = Point.of(
+        unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
+    )
+    if correlated:
+        first = replace(first, noise=first_correlated_noise(first))
+    return replace(first, noise=likeliest_noise(first))
+
+
+def refine_stages(
+    unloaded: Sequence[Motion],
+    loaded: Sequence[Motion],
+    start: Mapping[str, float],
+    model: Model,
+    correlated: bool = False,
+    progress: Progress = silent,
+) -> Refined:
+    """Fit the unloaded recordings, then the loaded recordings, then all recordings jointly.
+
+    Args:
+        unloaded: Unloaded recordings.
+        loaded: Loaded recordings, may be empty.
+        start: Equation-error values of all parameters.
+        model: Declared terms and fixed values.
+        correlated: Whether the torque noise has a correlated part.
+        progress: Called at the start of each of the three fits.
+    """
+    system, load, inertia = _sought(model)
+    progress(f"unloaded fit, recordings: {len(unloaded)}", 0.0)
+    begun = _first_point(unloaded, start, system, model, correlated)
+    first, chi2s = solve_unloaded(begun, system, inertia)
+    starts = [
+        Starts("unloaded", "chi-square of the estimating equations", chi2s, SOLVED, absolute=True)
+    ]
+    evaluations, likelihood_drop, stopped = begun.filter.evaluations, 0.0, spent(begun)
+    free, ends = [*system, *inertia], [first.point]
+    if loaded:
+        progress(f"loaded fit, recordings: {len(loaded)}", 0.0)
+        second, count = _loaded_fit(first.point, loaded, load, model)
+        evaluations, likelihood_drop = evaluations + count, second.drop
+        stopped |= second.stopped
+        starts.append(_loaded_starts(second))
+        free, ends = [*system, *load, *inertia], basins(second)
+    progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
+    fitted = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
+    joint = fitted.point
+    names = tuple(n for n, k in INDEX.items() if k in free)
+    residual = joint.weighted().residuals(joint.origin())
+    achieved, floor = named_covariances(covariances(joint), joint, names)
+    innovation_rms, whiteness = innovation_statistics(residual, joint.breakaways)
+    return Refined(
+        values={**start, **unpack(joint.vector, [n for n in INDEX if n in start])},
+        covariance=achieved,
+        floor=floor,
+        names=names,
+        innovation_rms=innovation_rms,
+        whiteness=whiteness,
+        noise=joint.noise,
+        repeating_share=repeating_share(joint) if correlated else 0.0,
+        torque_scatter=torque_noise(joint.motions),
+        evaluations=evaluations + joint.filter.evaluations,
+        iterations=fitted.iterations,
+        breakaways=joint.breakaways,
+        likelihood_drop=likelihood_drop,
+        equations_chi2=first.chi2,
+        joint=joint,
+        starts=tuple(starts),
+        stopped=stopped,
+    )
+
+
+def _loaded_fit(
+    first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
+) -> tuple[LoadedFit, int]:
+    """Return the fit of the load parameters, with the other parameters fixed at the end of the
+    unloaded fit, and the number of filter runs.
+    """
+    begun = Point.of(loaded, first.vector, load, model, first.noise)
+    found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
+    return found, begun.filter.evaluations
+
+
+def _loaded_starts(found: LoadedFit) -> Starts:
+    ends = tuple(end.deviance for end in found.ends if math.isfinite(end.deviance))
+    return Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END)
+
+
+def _joint_fit(
+    first: Point,
+    motions: Sequence[Motion],
+    free: Sequence[int],
+    ends: Sequence[Point],
+    model: Model,
+) -> Searched:
+    """Fit all recordings jointly; of several ends of the loaded fit, the likeliest is the start
+    point.
+
+    Args:
+        first: End of the unloaded fit.
+        motions: Unloaded recordings, then loaded recordings.
+        free: Free parameters.
+        ends: Ends of the loaded fit, or the end of the unloaded fit if no recording is loaded.
+        model: Declared terms and fixed values.
+    """
+    joint = Point.of(motions, first.vector, free, model, first.noise)
+    starts = [
+        replace(
+            joint,
+            vector=end.vector,
+            breakaway_times=(
+                first.breakaway_times
+                if end is first
+                else (*first.breakaway_times, *end.breakaway_times)
+            ),
+        )
+        for end in ends
+    ]
+    begun = likeliest_together(starts) if len(starts) > 1 else Searched(starts[0], 0)
+    found = fit_beside_inertia(begun.point, lambda point: refine(point, (1.0,)))
+    return Searched(found.point, begun.iterations + found.iterations)
+
+
+def innovation_statistics(residual: Array, breakaways: int) -> tuple[float, float]:
+    """Return the rms of the innovations and the correlation of neighbouring innovations, with
+    outliers clipped.
+
+    Clipping limits the effect of a few short segments on which the filter diverges. Unmodelled
+    physics affects most segments; therefore clipping does not hide unmodelled physics.
+
+    Args:
+        residual: Innovations over their standard deviations, then ties, shape (r,).
+        breakaways: Number of ties.
+    """
+    inside = np.clip(residual[: len(residual) - breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD)
+    power = np.mean(inside**2)
+    return float(np.sqrt(power)), float(np.mean(inside[1:] * inside[:-1]) / power)

@@ -1,1 +1,0 @@
-"""Uncertainty of the estimates (M37-M43): covariance, Cramer-Rao bound, intervals, trade-offs."""

@@ -1,0 +1,3 @@
+"""The corrected model: nominal parameters with identified effects, on recordings and as source
+code.
+"""

@@ -1,0 +1,357 @@
+"""Computes torque, friction level and tangent of the nominal model at the full sample rate, for
+regressors and joint fits.
+
+The parameters are the rise dM = Ms - Mc and log omega_s, with which a joint fit converges to the
+right basin more often.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identification.model.parameters import STRIBECK_TERMS as _RISES
+from identification.recording import Array
+from identification.signals import central_difference
+from identification.views.view import View, recent
+
+RISE = 0.5
+"""Assumed rise of static over Coulomb friction, as a share of Coulomb friction."""
+LARGEST_STEP = 0.4
+"""Greatest change of log omega_s in one iteration."""
+_AT_LIMIT = 1e-9
+LEAST_RISE = 1e-6
+"""Least rise of static over Coulomb friction, as a share of Coulomb friction."""
+LEAST_FALL = 1e-3
+"""Rise, as a share of Coulomb friction, below which dry friction counts as constant with speed."""
+STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
+
+
+class NominalTorque:
+    """Torque of the nominal model at given values: system load (eq. 9), working load (eq. 13) and
+    inertia, of a view.
+    """
+
+    values: Mapping[str, float]
+    alpha: float
+    undeclared: tuple[float, float, float, float]
+    zero_A: float
+    ripple: tuple[tuple[float, ...], ...]
+    efficiency: float
+    presliding_stiffness: float
+
+    def get(self, name: str) -> float:
+        """Return the value of a nominal parameter; 0 if the bench has no such parameter."""
+        return float(self.values.get(name, 0.0))
+
+    def level(self, view: View) -> Array:
+        """Return the magnitude of the system friction (eq. 9), N m.
+
+        If load-dependent friction is declared, the level includes the friction of the gear due to a
+        weight that turns with the joint.
+        """
+        return _level(self, view)
+
+    @property
+    def _geared(self) -> bool:
+        """Whether load-dependent friction is declared."""
+        return any(self.get(name) for name in _RISES[2][:2])
+
+    def gear(self, view: View) -> Array:
+        """Return the coefficient of declared load-dependent friction, or 0 if none is declared."""
+        return self._level(view, _RISES[2], "")
+
+    def coefficient(self, view: View) -> Array:
+        """Return the magnitude of m_L, eq. 12."""
+        return self._level(view, _RISES[1], "mu_2")
+
+    def borne(self, view: View) -> Array:
+        """Return the magnitude of the torque of loads that turn with the joint, N m; the gear
+        transmits this torque.
+
+        The torque excludes the inertia torque of a weight, on which load-dependent friction does
+        not depend in eq. 9, in the friction ladder and on the bench.
+        """
+        return _borne(view, self.undeclared)
+
+    def helping(self, view: View) -> Array:
+        """Return the torque of loads that turn with the joint, declared or identified, N m;
+        positive if this torque drives the joint forward.
+        """
+        if not any(self.undeclared):
+            return view.known
+        return _helping(view, self.undeclared)
+
+    def helped(self, view: View) -> bool:
+        """Whether a load that turns with the joint, declared or identified, acts in this
+        recording.
+        """
+        return any(self.undeclared) or view.burdened
+
+    def drive(self, view: View) -> Array:
+        """Return the torque that the drive must produce, including the torque of loads that turn
+        with the joint, N m.
+        """
+        return _drive(self, view)
+
+    def falling(self, view: View) -> Array:
+        """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""
+        omega_s = self.get("omega_sf")
+        if omega_s <= 0.0:
+            return np.zeros(len(view.velocity))
+        return np.asarray(np.exp(-(np.abs(view.velocity / omega_s) ** self.alpha)))
+
+    def friction(self, view: View) -> Array:
+        """Return the sum of system load and working load with its sign (eq. 9 and 13), N m."""
+        return _friction(self, view)
+
+    def torque(self, view: View) -> Array:
+        """Return the torque of the model (eq. 15), N m."""
+        return _torque(self, view)
+
+    def _level(self, view: View, names: tuple[str, str, str], viscous: str) -> Array:
+        coulomb, static, omega = (self.get(n) for n in names)
+        total = coulomb + self.get(viscous) * np.abs(view.velocity)
+        if omega > 0.0:
+            total = total + (static - coulomb) * _fall(view, omega, self.alpha)[1]
+        return np.asarray(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal(NominalTorque):
+    """Values of the nominal parameters.
+
+    Instances are compared by identity, as keys of caches: hundreds of trial parameters use the same
+    series of a recording.
+
+    Attributes:
+        values: Name to value, at the joint.
+        free: Names of the estimated parameters.
+        alpha: Stribeck exponent.
+        undeclared: Load torque of identified effects that turn with the joint: coefficients of
+            sin(angle), cos(angle), angle and 1, N m. The gear transmits this torque like that of a
+            declared load.
+        zero_A: Zero offset of the logged current, from identified effects, A.
+        ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
+            the number of recordings, if each recording has its own origin of angles), and
+            coefficients; empty without ripple.
+        efficiency: Efficiency of the transmission, from identified effects.
+        fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
+            derivatives with respect to rises and Stribeck speeds; None without such an effect.
+        late_s: Delay of the torque samples relative to the angle samples, from an identified
+            effect, s; 0 without such an effect.
+        presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
+            0 without such an effect.
+        most: Name of each static level to its greatest value by the recordings; empty for no
+            limits.
+    """
+
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    alpha: float
+    undeclared: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    zero_A: float = 0.0
+    ripple: tuple[tuple[float, ...], ...] = ()
+    efficiency: float = 1.0
+    fitted_alpha: float | None = None
+    late_s: float = 0.0
+    presliding_stiffness: float = 0.0
+    most: Mapping[str, float] = field(default_factory=dict)
+
+    def without_effects(self) -> Nominal:
+        """Return the values without those of identified effects that other effects depend on."""
+        return replace(self, undeclared=(0.0, 0.0, 0.0, 0.0), zero_A=0.0, ripple=(), efficiency=1.0)
+
+    def limited(self, views: Sequence[View]) -> Nominal:
+        """Return the values with static levels limited to the greatest torque at a breakaway.
+
+        Without these limits a fit may diverge in the static levels if no row is slow.
+        """
+        unloaded = [v for v in views if not v.loaded] or views
+        most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
+        loaded = [
+            float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment))
+            for v in views
+            if v.loaded
+        ]
+        return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
+
+    def at_most(self, step: Array) -> frozenset[str]:
+        """Return the static levels that are at their limit and that ``step`` would move beyond this
+        limit.
+        """
+        return frozenset(
+            name
+            for name, change in zip(self.free, step, strict=True)
+            if name in self.most
+            and change > 0.0
+            and self.get(name) >= (1.0 - _AT_LIMIT) * self.most[name]
+        )
+
+    def tangent(self, view: View) -> Array:
+        """Return the torque's derivatives with respect to the free parameters, shape (len(free),
+        m).
+        """
+        return np.stack([self._direction(view, name) for name in self.free])
+
+    def moved(self, linear_step: Array, speed_step: Array, share: float = 1.0) -> Nominal:
+        """Return the values after a step of the free parameters, within physical limits.
+
+        Args:
+            linear_step: Changes of the parameters in which the torque is linear, with fixed
+                Stribeck speeds.
+            speed_step: Changes of all parameters, of which only the changes of the Stribeck speeds
+                are used. They are scaled by the ratio of the previous to the new rise.
+            share: Share of the changes of the Stribeck speeds that is applied.
+        """
+        values = dict(self.values)
+        for name, change in zip(self.free, (float(s) for s in linear_step), strict=True):
+            if name in (*SPEEDS, *STATICS):
+                continue
+            values[name] = (
+                values[name] + change if name == "offset" else max(0.0, values[name] + change)
+            )
+        for coulomb, static, _ in _RISES:
+            if static in values:
+                rise = self._rise(coulomb, static)
+                if static in self.free:
+                    rise += float(linear_step[self.free.index(static)])
+                level = values[coulomb] + max(rise, LEAST_RISE * values[coulomb])
+                values[static] = max(min(level, self.most.get(static, math.inf)), values[coulomb])
+        for name in set(SPEEDS) & set(self.free):
+            before = sum(self._rise(c, s) for c, s, speed in _RISES if speed == name)
+            after = sum(
+                values.get(s, 0.0) - values.get(c, 0.0) for c, s, speed in _RISES if speed == name
+            )
+            if before > 0.0 and after > 2.0 * LEAST_RISE * sum(
+                values.get(c, 0.0) for c, _, w in _RISES if w == name
+            ):
+                change = share * float(speed_step[self.free.index(name)]) * before / after
+                values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
+        return replace(self, values=values)
+
+    def _rise(self, coulomb: str, static: str) -> float:
+        return self.get(static) - self.get(coulomb)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the system friction does not fall with speed."""
+        return self._rise("Mc", "Ms") < LEAST_FALL * self.get("Mc")
+
+    def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
+        """Return the values with an assumed rise of static over Coulomb friction and the Stribeck
+        speed ``omega_s``; all parameters except ``fixed`` are free.
+        """
+        values = dict(self.values)
+        for coulomb, static, speed in _RISES:
+            if static in values and static not in fixed:
+                values[static] = (1.0 + RISE) * values[coulomb]
+            if speed in values and speed not in fixed:
+                values[speed] = omega_s
+        return replace(self, values=values, free=tuple(n for n in values if n not in fixed))
+
+    def _direction(self, view: View, name: str) -> Array:
+        load = view.moment * view.sense
+        if name == "J":
+            return view.acceleration
+        if name == "offset":
+            return np.ones(len(view.time))
+        if name == "sigma_2":
+            return view.velocity
+        if name == "mu_2":
+            return np.asarray(view.moment * view.velocity)
+        total = np.zeros(len(view.time))
+        for scale, names in zip(
+            (view.sense, load, view.sense * self.borne(view)), _RISES, strict=True
+        ):
+            if name in names and names[0] in self.values:
+                total += scale * self._slope(view, name, names)
+        return total
+
+    def _slope(self, view: View, name: str, names: tuple[str, str, str]) -> Array:
+        """Return the derivative of a friction level with respect to its Coulomb part, its rise or
+        the logarithm of its Stribeck speed.
+        """
+        coulomb, static, omega = (self.get(n) for n in names)
+        if name == names[0]:
+            return np.ones(len(view.time))
+        if omega <= 0.0:
+            return np.zeros(len(view.time))
+        alpha = self.fitted_alpha or self.alpha
+        power, fall = _fall(view, omega, alpha)
+        return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
+
+
+@recent
+def _helping(view: View, undeclared: tuple[float, float, float, float]) -> Array:
+    return _frozen(view.known - _unknown(view, undeclared))
+
+
+@recent
+def _borne(view: View, undeclared: tuple[float, float, float, float]) -> Array:
+    return _frozen(
+        np.abs(view.hanging - _unknown(view, undeclared) if any(undeclared) else view.hanging)
+    )
+
+
+def _unknown(view: View, undeclared: tuple[float, float, float, float]) -> Array:
+    sine, cosine, slope, constant = undeclared
+    return np.asarray(
+        sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
+    )
+
+
+@recent
+def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
+    """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha), which a friction level and its
+    derivatives have in common.
+    """
+    power = _frozen((np.abs(view.velocity) / omega) ** alpha)
+    return power, _frozen(np.exp(-power))
+
+
+@recent
+def _level(nominal: NominalTorque, view: View) -> Array:
+    total = nominal._level(view, _RISES[0], "sigma_2")
+    return _frozen(total + nominal.borne(view) * nominal.gear(view) if nominal._geared else total)
+
+
+@recent
+def _friction(nominal: NominalTorque, view: View) -> Array:
+    total = nominal.level(view)
+    if view.loaded:
+        total = total + view.moment * nominal.coefficient(view)
+    return _frozen(view.sense * total)
+
+
+@recent
+def _torque(nominal: NominalTorque, view: View) -> Array:
+    return _frozen(
+        nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset")
+    )
+
+
+@recent
+def _drive(nominal: NominalTorque, view: View) -> Array:
+    return _frozen(nominal.torque(view) - nominal.helping(view))
+
+
+def _frozen(series: Array) -> Array:
+    """Return the series, made read-only because several callers use it."""
+    series.flags.writeable = False
+    return series
+
+
+def winding_voltage(view: View) -> Array:
+    """Return R I + L dI/dt + Ke omega of the logged current, V (eq. 1); unknown constants count as
+    0.
+    """
+    assert view.current is not None
+    bench = view.recording.bench
+    change = central_difference(view.current, view.step)
+    resistive = (bench.resistance or 0.0) * view.current
+    emf = (bench.back_emf_constant or 0.0) * view.motor_speed
+    return np.asarray(resistive + (bench.inductance or 0.0) * change + emf)

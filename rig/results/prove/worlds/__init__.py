@@ -1,1 +1,0 @@
-"""Draws worlds: machine, drive, encoders, logger and motions of a trial, for any plant."""

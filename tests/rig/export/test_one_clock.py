@@ -1,0 +1,130 @@
+"""Frames and samples of a run on one clock: in the recording and in each export, by readers of
+other projects. The clock of the bench begins far from zero, as a computer's monotonic clock does.
+"""
+
+from __future__ import annotations
+
+import csv
+import struct
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as Protobuf
+from mcap_ros2.decoder import DecoderFactory as Ros
+
+from drivers.clock import SimulatedClock
+from drivers.interfaces import RawFrame
+from rig.cli.entry import status
+from rig.common.sample import Sample
+from rig.runs.recorder import open_recorder
+from rig.runs.run_file import read_record
+
+BOOT_NS = 1_254_980_000_000
+ANSWER_S = 0.4e-3
+"""Time from the start of a cycle of the fake bench to its frames."""
+PDO = 0x181
+
+
+@pytest.fixture
+def run(runner: Any, fake_bench: Any) -> Path:
+    folder, _ = runner(fake_bench(clock=SimulatedClock(BOOT_NS)))
+    return Path(folder.path)
+
+
+def created(run: Path) -> float:
+    return datetime.fromisoformat(read_record(run).parts[0].created).timestamp()
+
+
+def exported(run: Path, kind: str, name: str) -> Path:
+    assert status(["export", str(run), "--format", kind, "--out", str(run / name)]) == 0
+    return run / name
+
+
+def sample_times(run: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
+    with (run / "recording.mcap").open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[Protobuf()])
+        return np.array([m.time for *_, m in reader.iter_decoded_messages(["/sample"])])
+
+
+def behind(times: Any, frames: Any) -> Any:
+    """Time from the start of each cycle to its frames, s. Outside a cycle the fake bench has frames
+    at the very start of the next cycle.
+    """
+    frames = np.sort(frames)
+    return frames[np.searchsorted(frames, np.add(times, ANSWER_S / 2))] - times
+
+
+def test_in_the_recording(run: Path) -> None:
+    found = []
+    with (run / "recording.mcap").open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages(["/frames"]):
+            found += [f[0] / 1e9 for f in struct.iter_unpack("<qIB8sB", message.data)]
+    np.testing.assert_allclose(behind(sample_times(run), found), ANSWER_S, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["candump", "asc"])
+def test_in_a_text_log(run: Path, kind: str) -> None:
+    path = exported(run, kind, "a.log" if kind == "candump" else "a.asc")
+    reader = can.CanutilsLogReader if kind == "candump" else can.ASCReader
+    options = {} if kind == "candump" else {"relative_timestamp": False}
+    with reader(path, **options) as messages:
+        stamps = [m.timestamp - created(run) for m in messages if m.arbitration_id == PDO]
+    np.testing.assert_allclose(behind(sample_times(run), stamps), ANSWER_S, atol=3e-6)
+
+
+def test_in_one_mcap_export(run: Path) -> None:
+    path = exported(run, "mcap", "a.mcap")
+    logged: dict[str, list[float]] = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[Ros()])
+        for _, channel, message, content in reader.iter_decoded_messages(["/can"]):
+            stamp = content.header.stamp
+            assert message.log_time == stamp.sec * 1_000_000_000 + stamp.nanosec
+            logged.setdefault(channel.topic, []).append(message.log_time / 1e9 - created(run))
+    with path.open("rb") as stream:
+        for _, channel, message in make_reader(stream).iter_messages():
+            if channel.topic.startswith("/recording/"):
+                logged.setdefault(channel.topic, []).append(message.log_time / 1e9 - created(run))
+    frames = logged.pop("/can")
+    assert len(logged) == 3
+    for times in logged.values():
+        np.testing.assert_allclose(behind(times, frames), ANSWER_S, atol=1e-6)
+
+
+def test_a_table_beside_a_log(run: Path) -> None:
+    """The times of a CSV export are those of the samples, so they fit those of the frames."""
+    exported(run, "csv", "a.csv")
+    with (run / "a-heavy.csv").open() as stream:
+        table = next(csv.DictReader(stream))
+    assert np.min(np.abs(sample_times(run) - float(table["time"]))) < 1e-9
+
+
+def test_after_a_recovery(run: Path) -> None:
+    """A recording whose writer died keeps its clock when it is repaired."""
+    path = run / "recording.mcap"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    assert status(["recover", str(run)]) == 0
+    with can.CanutilsLogReader(exported(run, "candump", "a.log")) as messages:
+        stamps = [m.timestamp - created(run) for m in messages if m.arbitration_id == PDO]
+    np.testing.assert_allclose(behind(sample_times(run), stamps), ANSWER_S, atol=3e-6)
+
+
+def test_frames_of_an_earlier_version(run: Path) -> None:
+    """Their times count from an unknown origin: the first frame is taken as the start."""
+    path = run / "recording.mcap"
+    path.unlink()
+    recorder = open_recorder(path)
+    for k in range(3):
+        frame = RawFrame(BOOT_NS + k * 1_000_000, PDO, b"1", False)
+        row = Sample(k * 1e-3, *(0.0,) * 12, statusword=0, segment=0, fresh=True)  # type: ignore[misc]
+        recorder.sample(k * 1_000_000, row, [frame])
+    recorder.close()
+    with can.CanutilsLogReader(exported(run, "candump", "a.log")) as messages:
+        stamps = [m.timestamp - created(run) for m in messages]
+    np.testing.assert_allclose(stamps, [0.0, 1e-3, 2e-3], atol=2e-6)

@@ -1,0 +1,173 @@
+"""The folder of a run that is deleted, moved or out of space: noticed, safe, and rightly worded."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.cli.entry import status
+from rig.common.errors import InputError, StorageError
+from rig.common.sample import Sample
+from rig.runs import run as run_module
+from rig.runs.catalogue.index import list_runs
+from rig.runs.recorder import GoneError, Recorder, open_recorder
+from rig.runs.run import RESERVE_FILE, read_record, require_space
+
+SEQUENCE = """\
+sequence: 1
+name: long
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 10}
+"""
+SAMPLE = Sample(*([0.0] * 13), 0x27, 1, True)
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(SEQUENCE)
+
+
+def gone(how: str) -> None:
+    if how == "deleted":
+        shutil.rmtree("out")
+    else:
+        Path("out").rename("elsewhere")
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved"])
+def test_a_folder_that_goes_under_a_run_stops_it_within_a_second(
+    how: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    event, sample, times = Recorder.event, Recorder.sample, []
+
+    def noted(self: Recorder, time_ns: int, name: str, **details: Any) -> None:
+        event(self, time_ns, name, **details)
+        if name == "segment":
+            gone(how)
+            times.append(time_ns)
+
+    def timed(self: Recorder, time_ns: int, *rest: Any) -> None:
+        sample(self, time_ns, *rest)
+        if times:
+            times.append(time_ns)
+
+    monkeypatch.setattr(Recorder, "event", noted)
+    monkeypatch.setattr(Recorder, "sample", timed)
+    # The journal writes when the excitation begins; here it is the recorder that must notice.
+    monkeypatch.setattr("rig.runs.run.RunFolder.segment_started", lambda *_: None)
+    assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 4
+    assert times[-1] - times[0] < 1_000_000_000
+    told = "".join(capsys.readouterr())
+    assert "de-energised (read back" in told
+    assert how in told
+    for wrong in ("free disk space", "rig resume", "recorded in"):
+        assert wrong not in told
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved", "replaced"])
+def test_the_recorder_notices_a_file_that_is_not_at_its_place(how: str) -> None:
+    path = Path("recording.mcap")
+    recorder = open_recorder(path)
+    recorder.sample(600_000_000, SAMPLE, [])
+    if how == "deleted":
+        path.unlink()
+    else:
+        path.rename("other.mcap")
+    if how == "replaced":
+        path.write_bytes(b"")
+    recorder.sample(650_000_000, SAMPLE, [])
+    with pytest.raises(GoneError) as caught:
+        recorder.sample(1_200_000_000, SAMPLE, [])
+    assert ("deleted" in str(caught.value)) is (how == "deleted")
+    with pytest.raises(StorageError):
+        recorder.sample(1_300_000_000, SAMPLE, [])
+    recorder.close()
+
+
+def test_the_space_for_the_whole_run_is_checked_before(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["run", "s.yaml", "--yes", "--out", "enough"]) == 0
+    size = Path("enough/recording.mcap").stat().st_size
+    cycles = read_record(Path("enough")).cycles
+    assert size < cycles * run_module.CYCLE_BYTES
+    usage = shutil.disk_usage(".")
+    free = run_module._MARGIN_BYTES + size // 2
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=free))
+    assert status(["run", "s.yaml", "--yes", "--out", "little"]) == 2
+    assert "MB are free" in capsys.readouterr().err
+    assert not Path("little").exists()
+    require_space(Path("a/b/c"), 100)
+    with pytest.raises(InputError):
+        require_space(Path("a/b/c"), 1e6)
+
+
+@pytest.mark.parametrize("first", ["recording", "run.json"])
+def test_the_state_of_a_run_that_filled_the_disk_is_kept(
+    first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full from some time on, and nothing can be written until space is given back."""
+    write, sample, event = run_module.write_json, Recorder.sample, Recorder.event
+
+    def full_disk() -> bool:
+        return Path("full").exists() and Path("out", RESERVE_FILE).exists()
+
+    def limited(path: Path, record: Any) -> None:
+        if full_disk():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(path, record)
+
+    def filling(self: Recorder, time_ns: int, *rest: Any) -> None:
+        if time_ns > 3_000_000_000:
+            Path("full").touch()
+            raise StorageError("the recording cannot be written")
+        sample(self, time_ns, *rest)
+
+    def filled(self: Recorder, time_ns: int, name: str, **details: Any) -> None:
+        event(self, time_ns, name, **details)
+        if name == "segment":
+            Path("full").touch()
+
+    monkeypatch.setattr(run_module, "write_json", limited)
+    if first == "recording":
+        monkeypatch.setattr(Recorder, "sample", filling)
+    else:
+        monkeypatch.setattr(Recorder, "event", filled)
+    assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 4
+    record = read_record(Path("out"))
+    assert (record.state, record.de_energised) == ("failed", True)
+    assert not Path("out", RESERVE_FILE).exists()
+    (entry,) = list_runs(Path()).entries
+    assert entry.head.state == "failed"
+
+
+def test_a_run_that_ends_in_order_leaves_no_reserve() -> None:
+    assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 0
+    assert not Path("out", RESERVE_FILE).exists()
+
+
+def test_a_commissioning_is_listed_as_such(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["commission", "practical", "--yes", "--angle", "0", "--out", "runs/new"]) == 0
+    (entry,) = list_runs(Path("runs")).entries
+    head = entry.head
+    assert (head.kind, head.bench, head.state, head.problem) == (
+        "commissioning",
+        "practical",
+        "done",
+        "",
+    )
+    Path("runs/new/commission.json").unlink()
+    (entry,) = list_runs(Path("runs")).entries
+    assert entry.head.kind == "half written"
+    assert "rig recover" not in entry.head.problem
+    assert status(["recover", "runs/new"]) == 2
+    assert "rig recover" not in capsys.readouterr().out
+    capsys.readouterr()
+    assert status(["runs", "list", "--verdict", "half-written"]) == 0

@@ -1,0 +1,122 @@
+"""A load that changes within a stage is noticed; a bench that merely drifts is not accused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.recording import Bench, Dataset, Recording
+from rig.cli.entry import status
+from rig.runs.run import read_record
+from rig.weighing.load_change import FEWEST_STROKES, LEAST_SHARE, changed_loads
+
+from ..long.load_change import trials
+
+SEQUENCE = """\
+sequence: 1
+name: falling
+stages:
+  - {name: heavy, stage: loaded, weight_kg: 40, tones: [{amplitude_deg: 15, frequency_Hz: 0.5}],
+     duration_s: 12, repeats: REPEATS}
+  - {name: light, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 15, frequency_Hz: 0.5}],
+     duration_s: 12}
+"""
+FAULT = """\
+faults: 1
+rows:
+  - {phase: PHASE, stage: heavy, after_s: AFTER, target: operator, fault: weight_removed, value: 20}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(phase: str = "excite", after_s: float = 6.0, repeats: int = 1) -> int:
+    Path("s.yaml").write_text(SEQUENCE.replace("REPEATS", str(repeats)))
+    Path("f.yaml").write_text(FAULT.replace("PHASE", phase).replace("AFTER", str(after_s)))
+    return status(["run", "s.yaml", "--yes", "--out", "out", "--faults", "f.yaml"])
+
+
+def test_half_of_the_weight_taken_off_is_said_recorded_and_judged(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run() == 1
+    record = read_record(Path("out"))
+    assert record.state == "done"
+    heavy, light = record.stages
+    assert heavy.load_change_kg is not None
+    assert -20.0 < heavy.load_change_kg < -10.0
+    assert light.load_change_kg is None
+    (check,) = [each for each in record.weights if each["verdict"] == "wrong"]
+    assert check["stage"] == "heavy"
+    assert "heavy: the load changed" in record.warnings[-1]
+    told = capsys.readouterr()
+    assert "warning: stage heavy: the load changed" in told.err
+    assert "done, load changed" in told.out
+
+
+def test_a_weight_taken_off_between_two_excitations_is_noticed() -> None:
+    assert run("hold", 0.0, repeats=2) == 1
+    assert read_record(Path("out")).stages[0].load_change_kg is not None
+
+
+def test_without_a_change_nothing_is_said() -> None:
+    Path("s.yaml").write_text(SEQUENCE.replace("REPEATS", "2"))
+    assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 0
+    record = read_record(Path("out"))
+    assert [stage.load_change_kg for stage in record.stages] == [None, None]
+    assert record.weights == []
+
+
+def test_no_alarm_on_sound_benches() -> None:
+    """The rate over 600 stages is that of `python -m tests.long.load_change`."""
+    assert [trial for trial in trials(40, removed=False) if trial.found is not None] == []
+
+
+def test_what_was_taken_off_is_found() -> None:
+    missed = [trial for trial in trials(40, removed=True) if trial.found is None]
+    assert all(trial.soft for trial in missed)
+    assert len(missed) <= 3
+
+
+def friction(change_kg: float, seconds: float = 20.0, drift: float = 0.0) -> Recording:
+    """Return a stage of 40 kg whose friction is that of the weight alone, with a step at half
+    time, and a drift by a share of it.
+    """
+    time = np.arange(round(seconds * 1000)) * 1e-3
+    command = np.deg2rad(10.0) * np.sin(np.pi * time)
+    load = 40.0 + np.where(time > 0.52 * seconds, change_kg, 0.0) + 40.0 * drift * time / seconds
+    noise = np.random.default_rng(1).normal(0.0, 0.05, len(time))
+    torque = 0.5 * load * np.sign(np.cos(np.pi * time)) + noise
+    return Recording(
+        name="loaded",
+        channels={"time": time, "angle": command, "torque": torque, "command": command},
+        bench=Bench(),
+        stage="loaded",
+        weight_mass=40.0,
+    )
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("share", "alarm"), [(0.4, False), (0.6, True)])
+def test_both_sides_of_the_smallest_change(sign: float, share: float, alarm: bool) -> None:
+    change = sign * share * LEAST_SHARE * 40.0
+    found = changed_loads(Dataset((friction(change),)), ["loaded"])
+    assert bool(found) is alarm
+    if alarm:
+        assert found["loaded"][0].mass_kg == pytest.approx(change, rel=0.1)
+        assert found["loaded"][0].time_s == pytest.approx(10.4, abs=1.1)
+
+
+@pytest.mark.parametrize("drift", [-0.4, 0.4])
+def test_a_steady_drift_is_no_alarm(drift: float) -> None:
+    assert changed_loads(Dataset((friction(0.0, drift=drift),)), ["loaded"]) == {}
+
+
+def test_too_few_strokes_are_not_judged() -> None:
+    seconds = FEWEST_STROKES - 1.0
+    assert changed_loads(Dataset((friction(-20.0, seconds),)), ["loaded"]) == {}

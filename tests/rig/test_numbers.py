@@ -1,0 +1,143 @@
+"""No option and no number of a configuration file takes NaN or infinity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+import yaml
+
+from rig.cli.entry import cli, status
+from rig.cli.options import Number
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.campaign import load_campaign
+from rig.config.packaged import names, packaged
+from rig.config.sequence import load_sequence
+
+NOT_NUMBERS = ("nan", "inf", "-inf", "NaN", "Infinity", "1e999")
+
+
+def _commands(command: click.Command, name: str) -> Iterator[tuple[str, click.Command]]:
+    yield name, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for sub in command.list_commands(context):
+            found = command.get_command(context, sub)
+            assert found is not None
+            yield from _commands(found, f"{name} {sub}")
+
+
+def _real(parameter: click.Parameter) -> bool:
+    """Whether an option takes real numbers: one that reads a number with a fraction as such."""
+    kinds = parameter.type.types if isinstance(parameter.type, click.Tuple) else [parameter.type]
+    for kind in kinds:
+        try:
+            value = kind.convert("1.5", None, None)
+        except (click.BadParameter, click.UsageError):
+            continue
+        if any(
+            isinstance(each, float) for each in (value if isinstance(value, tuple) else [value])
+        ):
+            return True
+    return False
+
+
+OPTIONS = [
+    pytest.param(parameter, id=f"{name} {parameter.opts[0]}")
+    for name, command in _commands(cli, "rig")
+    for parameter in command.params
+    if _real(parameter)
+]
+
+
+def test_the_options_are_found() -> None:
+    found = {str(each.id) for each in OPTIONS}
+    assert {
+        "rig run --prompt-timeout",
+        "rig identify --current-noise",
+        "rig identify --bandwidth",
+        "rig commission --speed-limit",
+        "rig commission --angle",
+        "rig jog --to",
+        "rig jog --speed",
+        "rig runs list --weight",
+        "rig watch --last",
+    } <= found
+    assert len(found) > 30
+
+
+@pytest.mark.parametrize("text", NOT_NUMBERS)
+@pytest.mark.parametrize("parameter", OPTIONS)
+def test_no_option_takes_what_is_no_finite_number(parameter: click.Parameter, text: str) -> None:
+    with pytest.raises((click.BadParameter, InputError)):
+        parameter.type.convert(text, parameter, None)
+
+
+def test_a_number_without_range_is_a_plain_number() -> None:
+    assert Number().convert("-1.5", None, None) == -1.5
+    assert click.Option(["--a"], type=Number()).get_help_record(click.Context(cli)) == (
+        "--a FLOAT",
+        "",
+    )
+    with pytest.raises(click.BadParameter):
+        Number(min=0.0, min_open=True).convert("0", None, None)
+
+
+def test_nan_on_the_command_line_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["jog", "practical", "--to", "nan"]) == 2
+    assert "--to" in capsys.readouterr().err
+
+
+CAMPAIGN = """\
+campaign: 1
+bench: {motion: rotary, torque_constant: 0.03, gear_ratio: 100.0, moment_arm: 0.095, gravity: 9.81}
+recordings:
+  - file: a.csv
+    stage: loaded
+    weight_mass: {value: 100.0, std: 0.5}
+    window: [0.5, 9.5]
+    rate: 1000.0
+    start: 0.1
+    channels: {current: {column: i, scale: 0.001, offset: 0.1}, angle: a}
+"""
+
+
+def _places(node: object, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _places(value, (*place, key))
+    elif isinstance(node, list):
+        for index, value in enumerate(node):
+            yield from _places(value, (*place, index))
+    elif isinstance(node, int | float) and not isinstance(node, bool):
+        yield place
+
+
+def _files() -> Iterator[tuple[str, object, str]]:
+    for name in names("benches"):
+        yield name, load_bench, packaged(name, "benches").read_text()
+    for name in names("sequences"):
+        yield name, load_sequence, packaged(name, "sequences").read_text()
+    yield "campaign", load_campaign, CAMPAIGN
+
+
+@pytest.mark.parametrize(("name", "load", "text"), [*_files()], ids=lambda each: str(each)[:20])
+def test_no_number_of_a_file_may_be_nan_or_infinite(
+    name: str, load, text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"{name}.yaml"
+    for place in _places(yaml.safe_load(text)):
+        for value in (float("nan"), float("inf"), float("-inf")):
+            tree = yaml.safe_load(text)
+            node = tree
+            for key in place[:-1]:
+                node = node[key]
+            node[place[-1]] = value
+            path.write_text(yaml.safe_dump(tree))
+            with pytest.raises(InputError) as caught:
+                load(path)
+            named = next(key for key in reversed(place) if isinstance(key, str))
+            assert named in str(caught.value), (place, value)
