@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import can
 
@@ -28,6 +28,7 @@ block the control loop.
 SEND_LIMIT_S: Final = 0.1
 """Time-out within which an interface must accept a frame, s."""
 
+_CONNECT_LIMIT_S: Final = 0.5
 _HIGHEST_BASE: Final = 0x7FF
 _IDENTIFIER_BITS: Final = 0x1FFFFFFF
 _MAX_BYTES: Final = 8
@@ -71,6 +72,22 @@ class FramePort(Protocol):
     def shutdown(self) -> None:
         """Close the bus. Safe to call twice; raises nothing."""
         ...
+
+
+def open_bus(interface: str, channel: str, bitrate: int, options: Mapping[str, Any]) -> can.BusABC:
+    """Open an interface of python-can.
+
+    Raises:
+        OSError: Nothing listens where a socketcand server should. python-can would try to connect
+            for 10 s, longer than a drive may stay energised.
+        can.CanError: The interface cannot be opened.
+        ValueError: An option is wrong.
+    """
+    if interface == "socketcand":
+        # The server's address may also stand in python-can's own files or its environment.
+        known = can.util.load_config(config={"interface": interface, "channel": channel, **options})
+        socket.create_connection((known["host"], known["port"]), _CONNECT_LIMIT_S).close()
+    return can.Bus(channel=channel, interface=interface, bitrate=bitrate, **options)
 
 
 class PythonCanPort:

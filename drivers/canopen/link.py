@@ -11,10 +11,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-import can
 import canopen
 
-from drivers.can.port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
+from drivers.can.port import ERROR_FLAG, FramePort, PythonCanPort, open_bus, raw_frame
 from drivers.can.slcan_port import open_slcan
 from drivers.can.timing import ANSWER_SHARE
 from drivers.canopen.axis import ONE_AXIS, Axis
@@ -125,9 +124,7 @@ class CanopenLink(Link):
         def connect() -> FramePort:
             if interface == "slcan":
                 return open_slcan(channel, clock, bitrate, **options)
-            return PythonCanPort(
-                can.Bus(channel=channel, interface=interface, bitrate=bitrate, **options), clock
-            )
+            return PythonCanPort(open_bus(interface, channel, bitrate, options), clock)
 
         name = f"{interface} {channel} at {bitrate} bit/s"
         return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)

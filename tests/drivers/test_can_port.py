@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import time
 from collections.abc import Callable
@@ -169,3 +170,13 @@ def test_a_server_that_reads_nothing_is_an_error_within_the_limit() -> None:
         assert SEND_LIMIT_S * 0.5 < longest < SEND_LIMIT_S + 1.0
         port.shutdown()
         served[0].close()
+
+
+def test_a_server_that_is_gone_is_an_error_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """python-can would try for 10 s, and a drive would stay energised as long."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        host, number = listener.getsockname()
+    monkeypatch.setenv("CAN_CONFIG", json.dumps({"host": host, "port": number}))
+    monkeypatch.setattr(can, "Bus", lambda **_: pytest.fail("python-can tries"))
+    with pytest.raises(LinkError):
+        CanopenLink.on_interface(RealClock(), "socketcand", "can0", 500_000).open()

@@ -12,7 +12,7 @@ from typing import Any
 
 from drivers.clock import NS
 from rig.common.errors import InputError
-from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.layout import CLOCK_METADATA, decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.recover import recover
 from rig.wiring.guardian import REPORT_FILE
@@ -173,8 +173,9 @@ def _recording(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[
     if not any(event["event"] == "prompt" for event in log.events):
         yield "the recording does not even hold the prompt"
     if scene.phase in CYCLING:
+        zero_ns = int(log.metadata[CLOCK_METADATA]["zero_ns"])
         frames = (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data))
-        end = max((time_ns for time_ns in frames), default=0)
+        end = zero_ns + max(frames, default=0)
         last = max((heard for heard in account.heard_ns if heard <= ns), default=0)
         if (last - end) / NS > LOG_GAP_S:
             yield (
