@@ -30,15 +30,14 @@ from diagnosis_growth import FULL, record
 import rig.config.sequence
 from drivers.mock.plant.parts.constants import Machine
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
 from identification.filter.noise_level import torque_noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import pack
 from identification.recording import Model
 from rig.cli.entry import status
 from rig.common.tables import table
-from rig.results.prove.folder import CAMPAIGN_FILE
-from rig.runs.truth import true_parameters
+from rig.results.prove.simulate import CAMPAIGN_FILE
+from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
 LONG_S = 240.0

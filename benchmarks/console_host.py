@@ -14,15 +14,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rig.common.phase import Phase
-from rig.common.sample import Sample
+from rig.common.sample import Phase, Sample
 from rig.common.timing import Histogram
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
 from rig.config.sequence import Sequence
 from rig.control.operator import AutomaticOperator
-from rig.control.progress import RunProgress
-from rig.control.remote import observed, reachable
+from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
 from rig.planning import plan as planning
 from rig.planning.limits import Limits

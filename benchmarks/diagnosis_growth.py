@@ -32,8 +32,7 @@ from identification.recording import Dataset
 from rig.common.tables import table
 from rig.results.prove.draw import draw
 from rig.results.prove.excitation import DURATION_S, experiments
-from rig.results.prove.folder import CAMPAIGN_FILE, write
-from rig.results.prove.simulate import campaign
+from rig.results.prove.simulate import CAMPAIGN_FILE, campaign, write
 from rig.sources import load_source
 
 HIDDEN = "asymmetric_viscous"

@@ -21,15 +21,15 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from identification.tracking import Tracking, track
+from identification.signals import Tracking, track
 from rig.cli import entry as cli
 from rig.common.tables import table
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.simulated_run import run_simulated
+from rig.control.session import run_simulated
 from rig.planning.feedforward import load_feedforward
+from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run import bench_constants
-from rig.runs.truth import true_parameters
 
 BENCHES = {"stiff": "practical", "soft": "practical_soft"}
 """Gains to the packaged bench that has them."""

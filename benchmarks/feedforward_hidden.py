@@ -20,13 +20,13 @@ import yaml
 
 from identification.model.parameters import NOMINAL
 from identification.recording import Recording
-from identification.tracking import REST_RAD_S, track
-from rig.common.result_files import IDENTIFY_SCHEMA
+from identification.signals import REST_RAD_S, track
+from rig.common.provenance import IDENTIFY_SCHEMA
 from rig.common.tables import table
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.control.simulated_run import run_simulated
+from rig.control.session import run_simulated
 from rig.planning.feedforward import load_feedforward
 from rig.runs.run import bench_constants
 

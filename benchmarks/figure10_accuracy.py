@@ -20,8 +20,8 @@ import numpy as np
 from identification.estimate.default import identify
 from rig.cli import entry as cli
 from rig.common.tables import table
+from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
-from rig.runs.truth import truth_of
 
 
 def main() -> None:

@@ -32,8 +32,8 @@ from identification.prepare import prepare
 from identification.recording import Dataset
 from identification.result import Identification
 from rig.common.tables import table
+from rig.runs.recorded_inputs import JOINT_FIELDS, truth_of
 from rig.runs.run import load_run
-from rig.runs.truth import JOINT_FIELDS, truth_of
 
 NORMAL_90 = 1.6449
 FAR_OFF = 0.5

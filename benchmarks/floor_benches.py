@@ -16,8 +16,8 @@ import yaml
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.simulate.drive_loop import respond, usual_loop
 from rig.cli import entry as cli
+from rig.runs.recorded_inputs import JOINT_FIELDS
 from rig.runs.run_record import RECORDING_FILE
-from rig.runs.truth import JOINT_FIELDS
 
 SPREAD = 0.4
 """Each of the nine lies within this share of the practical bench's value."""

@@ -29,22 +29,21 @@ import numpy as np
 from cmaes import CMA
 from scipy import optimize
 
+from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import Machine
-from drivers.mock.plant.true_motion import simulate
 from identification.estimate import equation_error as varpro
 from identification.estimate.default import identify
 from identification.estimate.paper_method import GENERATIONS, POPULATION, StageProblem
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.likelihood import static_crossings
-from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import pack
 from identification.numerics.least_squares import huber
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.common.tables import table
-from rig.runs.truth import true_parameters
+from rig.runs.recorded_inputs import true_parameters
 
 STAGE_S = 20.0
 RATE_HZ = 1000.0

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import Joint, Machine
-from drivers.mock.plant.true_motion import simulate
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.config.bench import load_bench
-from rig.runs.truth import JOINT_FIELDS
+from rig.runs.recorded_inputs import JOINT_FIELDS
 
 CONTACT_FORCE_N = 3000.0
 RATE_HZ = 1000.0

@@ -34,7 +34,7 @@ from rig.common.sample import Sample
 from rig.common.tables import table
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.simulated_run import run_simulated
+from rig.control.session import run_simulated
 from rig.runs.recorder import Recorder
 from rig.sources import load_source
 

@@ -28,18 +28,17 @@ from identification.estimate.default import identify
 from identification.result import Identification
 from rig.cli import entry as cli
 from rig.common.places import write_json
-from rig.common.result_files import Provenance
+from rig.common.provenance import Provenance
 from rig.common.tables import table
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.results.design.document import excitation_words
+from rig.results.design.document import PROPOSAL_FILE, excitation_words, proposal_text
 from rig.results.design.experiment import plan_experiment
-from rig.results.design.proposal import PROPOSAL_FILE, proposal_text
-from rig.results.files import write_texts
+from rig.results.document import write_texts
 from rig.results.identify.record import identification_record, uncertainty_record
+from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
-from rig.runs.truth import truth_of
 
 SPREAD = 0.4
 LEAST_RISE = 1.2

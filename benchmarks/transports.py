@@ -25,9 +25,7 @@ from time import perf_counter
 
 import numpy as np
 
-from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Gate
-from drivers.amt21.line import Amt21Line
-from drivers.amt21.link import EncoderLink
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
@@ -35,20 +33,19 @@ from drivers.clock import NS, Clock, RealClock
 from drivers.epos.link import EposSerialLink
 from drivers.errors import DeviceError
 from drivers.interfaces import Encoder, Link
-from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.encoder import ENCODER_EDS
+from drivers.mock.encoder import ENCODER_EDS, SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine, Sensing
-from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.serial_line import RealTimeBench
 from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import PySerialPort
 from drivers.units import EncoderScales, ServoScales
 from rig.cli.entry import status
 from rig.common.tables import table
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.wiring.connect import connect
 
 SCALES = ServoScales(

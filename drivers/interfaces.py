@@ -8,16 +8,78 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
 from drivers.homing import Homes
-from drivers.lacks import NOTHING, Lacks
-from drivers.remedies import Recognised, SpeedRemedies
+
+
+@dataclass(frozen=True)
+class Lacks:
+    """Limits and values that a drive lacks.
+
+    Attributes:
+        limits: Fields of :class:`~drivers.interfaces.ServoLimits` that the drive does not enforce.
+        temperature: Whether the drive does not report its temperature.
+        supply: Whether the drive does not report its supply voltage.
+        words: Text for the operator, one sentence for each limit or value.
+    """
+
+    limits: frozenset[str] = frozenset()
+    temperature: bool = False
+    supply: bool = False
+    words: tuple[str, ...] = ()
+
+
+NOTHING = Lacks()
+"""Record of a drive that enforces all limits and reports all values."""
+
+
+KNOWN_SPREAD: Final = 2.2
+"""Greatest ratio between the unit of speed that is computed from a motion and a known unit, at
+which the two count as equal. Known units differ by far more. The computed unit is inexact because
+the drive rounds the speed to whole units.
+"""
+MEASURED_SPREAD: Final = 1.5
+"""Greatest error factor of a unit of speed that is computed from a motion of some hundredths of a
+radian, without rounding: on most simulated benches with stick-slip the factor was 0.74 to 1.42.
+"""
+
+
+class SpeedRemedies:
+    """Corrections of a wrong unit of the reported speed of a drive."""
+
+    def speed_remedy(self, factor: float) -> str:
+        """Return a text on how to correct a reported speed of ``factor`` times the true speed."""
+        return "correct the drive's unit of speed in the bench file"
+
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        """Return the factor of the nearest known unit of speed, if its ratio to the rough
+        ``factor`` is within ``spread``; otherwise the rough factor.
+        """
+        return factor
+
+    def speed_settings(self, factor: float) -> Sequence[tuple[str, str | float | None]]:
+        """Return the keys in the drive's section of the bench file, and their values, that correct
+        a speed reported as ``factor`` times the true speed; empty if no key corrects it.
+        """
+        return ()
+
+
+class Recognised:
+    """Evidence that a device is not the one that was assumed."""
+
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield a text for each difference between the device and its description.
+
+        Raises:
+            LinkError: The device cannot be reached.
+        """
+        yield from ()
 
 
 class ServoState(Enum):
@@ -455,3 +517,14 @@ class PressureTransmitter(ABC):
     @abstractmethod
     def sample(self) -> PressureSample:
         """Return the sample of the last exchange."""
+
+
+EXTENDED_FLAG: Final = 0x80000000
+REMOTE_FLAG: Final = 0x40000000
+ERROR_FLAG: Final = 0x20000000
+"""Flag of error frames and other frames that are no data frames."""
+SERIAL_FLAG: Final = 0x10000000
+"""Flag of bytes of a serial line, whose number is in the low bits. The flag is valid only without
+the other flags, because this bit is also a bit of extended identifiers.
+"""
+IDENTIFIER_BITS: Final = 0x1FFFFFFF

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 import serial
 
 from drivers.clock import NS, RealClock
-from drivers.frame_flags import SERIAL_FLAG as SERIAL_FLAG
+from drivers.interfaces import SERIAL_FLAG as SERIAL_FLAG
 from drivers.interfaces import RawFrame
 from drivers.port_errors import UnpluggedError, close_all, os_errors
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.model.gas_generator import impacted_area
 from identification.model.parameters import torque_word, unit_on
-from identification.model.valve import impacted_area
 from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Recording, RecordingError
 from identification.signals import (

@@ -21,7 +21,7 @@ from hypothesis import settings
 
 from identification.numerics.compiled import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
-from rig.common.allocation import keep_freed_memory
+from rig.common.start_up import keep_freed_memory
 
 _GRACE_S = 1.0
 _FOREIGN = Path(__file__).with_name("worlds")

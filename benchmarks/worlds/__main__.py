@@ -9,7 +9,7 @@ import click
 
 from benchmarks.worlds.seal import Plant, seal_worlds
 from rig.results.prove.engines import Processes
-from rig.results.prove.seal import random_salt, repeated_salt
+from rig.results.prove.truth import random_salt, repeated_salt
 
 OWN, THIRD, MUJOCO = "own", "third", "mujoco"
 

@@ -27,8 +27,7 @@ from benchmarks.worlds.world import (
     Sensing,
     World,
 )
-from rig.results.prove.draw import Assigned, Kind, apportion, in_turn
-from rig.results.prove.sizes import log
+from rig.results.prove.draw import Assigned, Kind, apportion, in_turn, log
 from rig.results.prove.truth import Axis
 
 FEWEST, MOST = 2, 16

@@ -19,7 +19,7 @@ import yaml
 from benchmarks.worlds.logger import Columns
 from benchmarks.worlds.world import Planned, World
 from rig.common.places import replacing, write_text
-from rig.results.prove.folder import CAMPAIGN_FILE
+from rig.results.prove.simulate import CAMPAIGN_FILE
 
 FORMATS: Mapping[str, str] = {
     "time": "%.7f",

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.worlds.world import Constants, Drive, Log, LoopKind, Motion, Motor, Sensing
-from rig.results.prove.sizes import even, log
+from rig.results.prove.draw import even, log
 
 GRAVITY_M_S2 = 9.80665
 SMALLEST_N_M, LARGEST_N_M = 0.2, 40.0

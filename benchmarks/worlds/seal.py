@@ -16,9 +16,8 @@ from benchmarks.worlds.files import truth_of_world, write_world
 from benchmarks.worlds.logger import Columns, columns
 from benchmarks.worlds.world import Array, Signals, World
 from rig.results.prove.engines import Engine
-from rig.results.prove.interchange.folder import SealedRig, write_truth
-from rig.results.prove.interchange.sealing import Made, Task, made, making, seal_all
-from rig.results.prove.seal import random_salt
+from rig.results.prove.interchange import Made, SealedRig, Task, made, making, seal_all, write_truth
+from rig.results.prove.truth import random_salt
 
 MOVING = 0.05
 """Share of the greatest speed in a recording above which the joint counts as moving."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.results.prove.sizes import away_from, either, even, log, one_of
+from rig.results.prove.draw import away_from, either, even, log, one_of
 
 Parameters = dict[str, float]
 _phase = even(-math.pi, math.pi)

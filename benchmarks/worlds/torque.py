@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.worlds.motion import Reach, command
 from benchmarks.worlds.world import CENTRING_DAMPING, COMMAND_S, Array, Constants
 from identification.numerics.compiled import compiled
-from rig.results.prove.sizes import log
+from rig.results.prove.draw import log
 
 OVER_STATIC = (1.15, 4.0)
 """Range of the ratio of the greatest torque sent to the static friction."""

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 from shapes import Shape, is_record, shape
 
-from rig.config.descriptions import meanings, summary
+from rig.cli.authoring.schema import meanings, summary
 from rig.config.simulated_machine import may_be
 
 REQUIRED = "**required**"

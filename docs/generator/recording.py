@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 from keys import table
 
+from rig.cli.authoring.schema import meanings
 from rig.common.sample import Sample
-from rig.config.descriptions import meanings
 from rig.runs.mcap import layout as mcap_layout
 from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT, Ending
 

@@ -17,8 +17,8 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.result import MeasuredNoise
+from rig.cli.authoring.schema import meanings
 from rig.commissioning.record import Measured
-from rig.config.descriptions import meanings
 from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
@@ -28,7 +28,7 @@ from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecor
 TABLE = Path(__file__).with_suffix(".txt")
 _PROVENANCE = "Every result file"
 WRITERS: Mapping[str, tuple[str, ...]] = {
-    _PROVENANCE: ("rig.common.result_files:Provenance.record",),
+    _PROVENANCE: ("rig.common.provenance:Provenance.record",),
     "rig identify: identify.json": (
         "rig.results.identify.record:identification_record",
         "rig.results.identify.record:parameter_record",
@@ -45,34 +45,34 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.record:comparison_record",
     ),
     "rig identify --plan: plan file": (
-        "rig.results.design.record:plan_record",
-        "rig.results.design.record:_intervals_record",
+        "rig.results.design.document:plan_record",
+        "rig.results.design.document:_intervals_record",
     ),
     "rig diagnose: diagnose.json": (
-        "rig.results.diagnose.record:diagnosis_record",
-        "rig.results.diagnose.record:effects_record",
-        "rig.results.diagnose.record:_effect_record",
-        "rig.results.diagnose.record:_estimate_record",
-        "rig.results.diagnose.record:_location_record",
-        "rig.results.diagnose.record:_fit_record",
-        "rig.results.diagnose.record:_curve_record",
-        "rig.results.diagnose.record:_step_record",
+        "rig.results.diagnose.model_file:diagnosis_record",
+        "rig.results.diagnose.model_file:effects_record",
+        "rig.results.diagnose.model_file:_effect_record",
+        "rig.results.diagnose.model_file:_estimate_record",
+        "rig.results.diagnose.model_file:_location_record",
+        "rig.results.diagnose.model_file:_fit_record",
+        "rig.results.diagnose.model_file:_curve_record",
+        "rig.results.diagnose.model_file:_step_record",
     ),
-    "rig diagnose --observable": ("rig.results.diagnose.observable:Seen.record",),
+    "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
-        "rig.results.simulate.record:simulation_record",
-        "rig.results.simulate.record:_case_record",
-        "rig.results.simulate.record:_sums_record",
-        "rig.results.simulate.record:_errors",
+        "rig.results.simulate.document:simulation_record",
+        "rig.results.simulate.document:_case_record",
+        "rig.results.simulate.document:_sums_record",
+        "rig.results.simulate.document:_errors",
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",
         "rig.wiring.off:Proof.record",
-        "rig.config.calibration:calibration_records",
+        "rig.config.bench:calibration_records",
     ),
     "rig run --dry-run --json": (
         "rig.results.run.dry_run:dry_run_record",
-        "rig.results.run.acceptance_text:acceptance_record",
+        "rig.results.run.dry_run:acceptance_record",
     ),
     "rig commission: commission.json": (
         "rig.results.commission:commission_record",
@@ -98,43 +98,43 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig runs compare --json": (
         "rig.results.catalogue.compare:compare_record",
         "rig.results.catalogue.compare:_difference_record",
-        "rig.results.catalogue.measured_figures:figures_record",
+        "rig.results.catalogue.compare:figures_record",
     ),
     "rig runs trend --json": (
-        "rig.results.catalogue.trend_document:trend_record",
-        "rig.results.catalogue.trend_document:_history_record",
-        "rig.results.catalogue.trend_document:_course_record",
+        "rig.results.catalogue.trend:trend_record",
+        "rig.results.catalogue.trend:_history_record",
+        "rig.results.catalogue.trend:_course_record",
     ),
     "rig runs verify --json": (
-        "rig.results.catalogue.verification:verification_record",
-        "rig.results.catalogue.verification:_run_record",
+        "rig.results.catalogue.show:verification_record",
+        "rig.results.catalogue.show:_run_record",
     ),
     "rig runs accept: acceptance.json": (
         "rig.results.acceptance.record:acceptance_record",
         "rig.results.acceptance.record:_check_record",
     ),
     "rig paper: paper.json": (
-        "rig.results.paper.record:paper_record",
-        "rig.results.paper.record:_entry",
+        "rig.results.paper.tables:paper_record",
+        "rig.results.paper.tables:_entry",
     ),
     "rig prove: prove.json": (
         "rig.results.prove.scoring.score:proof_record",
         "rig.results.prove.scoring.score:score",
-        "rig.results.prove.scoring.rates:rate",
+        "rig.results.prove.scoring.score:rate",
         "rig.results.prove.scoring.score:_method",
         "rig.results.prove.scoring.score:middle",
         "rig.results.prove.scoring.score:power",
-        "rig.results.prove.scoring.reliability:names_given",
-        "rig.results.prove.scoring.reliability:reliability",
-        "rig.results.prove.scoring.reliability:_parts",
-        "rig.results.prove.interchange.proof:_row",
+        "rig.results.prove.scoring.score:names_given",
+        "rig.results.prove.scoring.score:reliability",
+        "rig.results.prove.scoring.score:_parts",
+        "rig.results.prove.interchange:_row",
         "rig.results.prove.row:row_of",
         "rig.results.prove.row:_named",
         "rig.results.prove.row:_hits",
         "rig.results.prove.row:_parameters",
         "rig.results.prove.row:_nominal",
         "rig.results.prove.row:_held_out",
-        "rig.results.prove.located:located",
+        "rig.results.prove.row:located",
     ),
 }
 """Section of the table to the functions whose dictionaries are written."""

@@ -1,1 +1,1 @@
-"""The AMT21 encoder over RS-485."""
+"""Encoders of the AMT21 series on an RS-485 line."""

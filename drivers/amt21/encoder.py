@@ -1,24 +1,162 @@
-"""Driver of the AMT21 absolute encoder on RS-485; checks the plausibility of its answers.
-
-The check bits of an answer do not detect 46 % of double-bit errors and 25 % of random words;
-therefore every position must also be one that the joint can have reached
-(:class:`PlausibilityGate`).
-"""
+"""The AMT21 encoder over RS-485."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from drivers.amt21.line import Amt21Line
-from drivers.can.timing import ANSWER_SHARE
-from drivers.clock import NS
-from drivers.errors import ConfigurationError, DeviceError
-from drivers.interfaces import Encoder, EncoderSample, Identity
+from drivers.can.port import ANSWER_SHARE
+from drivers.clock import NS, Clock
+from drivers.errors import ConfigurationError, DeviceError, LinkError
+from drivers.interfaces import Encoder, EncoderSample, Identity, Link, RawFrame
 from drivers.objects import refusal
+from drivers.port_errors import close_all, opened, words
+from drivers.serial_port import BytePort, raw_frames
 from drivers.units import EncoderScales, nearest
+
+DEFAULT_ADDRESS: Final = 0x54
+_ANSWER_BYTES: Final = 2
+_FIRST_ANSWER_S: Final = 0.05
+_PROBES: Final = 5
+_FRAMES_KEPT: Final = 1 << 14
+
+
+class Amt21Line:
+    """The RS-485 line of one encoder.
+
+    Args:
+        clock: Real or simulated clock, as the port.
+        connect: Opens the line.
+        name: Name of the line in messages.
+        address: Address of the encoder; a multiple of 4.
+
+    Attributes:
+        answer: The last answer without the echo; empty if no answer arrived.
+        asked_ns: Time of the last request, ns.
+        answer_s: Time-out of an answer after its request, s.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        connect: Callable[[], BytePort],
+        name: str,
+        address: int = DEFAULT_ADDRESS,
+    ) -> None:
+        self.clock = clock
+        self.address = address
+        self.name = name
+        self.answer = b""
+        self.asked_ns = 0
+        self.answer_s = _FIRST_ANSWER_S
+        self._connect = connect
+        self._port: BytePort | None = None
+        self._echo = b""
+        self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
+
+    def open(self) -> None:
+        """Open the line.
+
+        Raises:
+            LinkError: It cannot be opened.
+        """
+        if self._port is None:
+            advice = "check the name of the port and your permission to use it"
+            self._port = opened(self._connect, self.name, advice)
+
+    def close(self) -> None:
+        """Close the line; safe to call twice and after a failure. Raises nothing."""
+        port, self._port = self._port, None
+        if port is not None:
+            close_all(port.close)
+
+    def find_echo(self) -> None:
+        """Detect whether the adapter returns the bytes that it sends (echo).
+
+        Raises:
+            LinkError: No encoder answers.
+        """
+        self._echo = b""
+        self.answer_s = _FIRST_ANSWER_S
+        sent = bytes([self.address])
+        for _ in range(_PROBES):
+            self.ask()
+            heard = self._read(_ANSWER_BYTES + 1)
+            if len(heard) == _ANSWER_BYTES:
+                return
+            if len(heard) == _ANSWER_BYTES + 1 and heard[:1] == sent:
+                self._echo = sent
+                return
+        raise LinkError(
+            f"{self.name}: no encoder answers at address {self.address:02X}h; check the power and "
+            "wiring of the encoder, the bit rate, and the address"
+        )
+
+    def ask(self, offset: int = 0, *command: int) -> None:
+        """Send a request; the encoder latches its position when it receives the request.
+
+        Raises:
+            LinkError: The line is gone.
+        """
+        port = self._opened()
+        request = bytes([self.address + offset, *command])
+        try:
+            port.discard()
+            port.write(request)
+        except Exception as error:
+            raise self._gone(error) from error
+        self.asked_ns = self.clock.now_ns()
+        self.answer = b""
+        self._frames.extend(raw_frames(self.asked_ns, self.address, request, True))
+
+    def collect(self, since_ns: int | None = None) -> None:
+        """Receive the answer to the last request.
+
+        Args:
+            since_ns: Start of the time for the answer; None for the time of the request.
+
+        Raises:
+            LinkError: The line is gone.
+        """
+        heard = self._read(len(self._echo) + _ANSWER_BYTES, since_ns)
+        self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
+
+    def take_frames(self) -> list[RawFrame]:
+        """Return the bytes that were sent and received since the last call, oldest first."""
+        frames = list(self._frames)
+        self._frames.clear()
+        return frames
+
+    def _read(self, count: int, since_ns: int | None = None) -> bytes:
+        port = self._opened()
+        since_ns = self.asked_ns if since_ns is None else since_ns
+        deadline = since_ns + round(self.answer_s * NS)
+        heard = b""
+        try:
+            # Bytes are read once even after the deadline, because the answer may have arrived
+            # before.
+            while len(heard) < count:
+                left = deadline - self.clock.now_ns()
+                got = port.read(max(left, 0) / NS)
+                heard += got
+                if not got and left <= 0:
+                    break
+        except Exception as error:
+            raise self._gone(error) from error
+        self._frames.extend(raw_frames(self.clock.now_ns(), self.address, heard, False))
+        return heard
+
+    def _opened(self) -> BytePort:
+        if self._port is None:
+            raise LinkError(f"{self.name} is not open: call open() first")
+        return self._port
+
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(f"{self.name} is gone: {words(error)}; check the adapter and its cable")
+
 
 COUNTS_PER_TURN: Final = 1 << 14
 TURNS: Final = 1
@@ -32,7 +170,7 @@ SET_ZERO: Final = 0x5E
 _ODD: Final = 0x2AAA
 _EVEN: Final = 0x1555
 _VALUE: Final = 0x3FFF
-_PROBES: Final = 5
+
 _STILL_COUNTS: Final = 2
 
 
@@ -138,8 +276,7 @@ class Amt21Encoder(Encoder):
     After a bad or implausible answer the angle is unchanged and the sample is not fresh.
 
     Args:
-        line: Line of the encoder, which an :class:`~drivers.amt21.link.EncoderLink` exchanges once
-            a cycle.
+        line: Line of the encoder, which an :class:`EncoderLink` exchanges once a cycle.
         scales: Direction and zero of the encoder, from the bench file; 16384 counts per turn.
         gate: Limits of plausible motion.
         elsewhere_rad: Returns the joint angle by the motor's encoder, rad, or None while it is
@@ -298,3 +435,97 @@ class Amt21Encoder(Encoder):
         self.line.ask(offset)
         self.line.collect()
         return decode(self.line.answer)
+
+
+class EncoderLink(Link):
+    """A servo's link combined with the line of an encoder.
+
+    Each cycle sends the request to the encoder first, or at the instant at which the values of the
+    servo hold, and receives its answer last. The servo's exchange is made even if the line of the
+    encoder has failed.
+
+    Args:
+        servo_link: The link of the servo, on the same clock.
+        encoder: The encoder on its line.
+        at_instant: Takes the function that the servo's link is to call at this instant; None if its
+            values hold at the start of the cycle.
+    """
+
+    def __init__(
+        self,
+        servo_link: Link,
+        encoder: Amt21Encoder,
+        at_instant: Callable[[Callable[[], None]], None] | None = None,
+    ) -> None:
+        self.clock = servo_link.clock
+        self.has_watchdog = servo_link.has_watchdog
+        self._servo_link = servo_link
+        self._encoder = encoder
+        self._line = encoder.line
+        self._asked = True
+        self._failures: list[LinkError] = []
+        self._failed = False
+        self._first = at_instant is None
+        if at_instant is not None:
+            at_instant(self._ask)
+
+    def open(self) -> None:
+        """Open the servo's link and the encoder's line; if one of the two cannot be opened, both
+        are closed.
+
+        Raises:
+            LinkError: The link or the line cannot be opened.
+        """
+        self._servo_link.open()
+        try:
+            self._line.open()
+        except BaseException:
+            close_all(self._servo_link.close)
+            raise
+
+    def close(self) -> None:
+        """Close link and line. This method raises no error, and may be called twice and after a
+        failure.
+        """
+        close_all(self._line.close, self._servo_link.close)
+
+    def exchange(self) -> None:
+        """Exchange process data with the servo while the encoder prepares its answer.
+
+        Raises:
+            LinkError: The bus failed, or the line of the encoder failed, which is reported once
+                until it works again; the values of the encoder are then not fresh.
+            DriveFault: A device sent an emergency message.
+        """
+        began_ns = self.clock.now_ns()
+        self._asked = False
+        self._failures.clear()
+        if self._first:
+            self._ask()
+        self._servo_link.exchange()
+        # After a lost answer of the servo no time of this cycle may be left.
+        since_ns = began_ns if self._asked else None
+        self._ask()
+        if not self._failures:
+            self._attempt(lambda: self._encoder.collect(since_ns))
+        reported, self._failed = self._failed, bool(self._failures)
+        if self._failures and not reported:
+            raise self._failures[0]
+
+    def _ask(self) -> None:
+        """Ask the encoder, once in a cycle."""
+        if not self._asked:
+            self._asked = True
+            self._attempt(self._encoder.ask)
+
+    def _attempt(self, step: Callable[[], None]) -> None:
+        """Use the line; store its error."""
+        try:
+            step()
+        except LinkError as error:
+            self._failures.append(error)
+
+    def take_frames(self) -> list[RawFrame]:
+        """Return the frames of link and line since the last call, oldest first."""
+        frames = self._servo_link.take_frames() + self._line.take_frames()
+        return sorted(frames, key=lambda frame: frame.time_ns)

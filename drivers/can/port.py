@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, Final, Protocol
@@ -14,9 +14,9 @@ from typing import Any, Final, Protocol
 import can
 
 from drivers.clock import Clock
-from drivers.frame_flags import ERROR_FLAG as ERROR_FLAG
-from drivers.frame_flags import EXTENDED_FLAG as EXTENDED_FLAG
-from drivers.frame_flags import REMOTE_FLAG as REMOTE_FLAG
+from drivers.interfaces import ERROR_FLAG as ERROR_FLAG
+from drivers.interfaces import EXTENDED_FLAG as EXTENDED_FLAG
+from drivers.interfaces import REMOTE_FLAG as REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
@@ -182,3 +182,29 @@ def _limit_sockets(bus: can.BusABC) -> None:
         if isinstance(part, socket.socket):
             with suppress(OSError):
                 part.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+
+
+ANSWER_SHARE: Final = 0.8
+"""Share of a control cycle within which process data must arrive; the rest of the cycle is for
+heartbeats, SDO and the computations of the host.
+"""
+
+
+def frame_bits(length: int) -> int:
+    """Return the maximum length of a base-format data frame of ``length`` bytes, in bit times.
+
+    34 + 8 n bits, with n data bytes, are subject to bit stuffing, in the worst case one stuff bit
+    after every four bits; 13 bits (delimiters, acknowledge, end of frame, intermission) are not.
+    """
+    stuffed = 34 + 8 * length
+    return stuffed + (stuffed - 1) // 4 + 13
+
+
+def cycle_bits(frames: Iterable[tuple[int, int]]) -> float:
+    """Return the mean number of bit times of SYNC and process data in a control cycle, with the
+    worst-case number of stuff bits.
+
+    Args:
+        frames: Data bytes of each PDO, and its period in cycles.
+    """
+    return frame_bits(0) + sum(frame_bits(length) / every for length, every in frames)

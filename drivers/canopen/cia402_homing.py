@@ -13,7 +13,7 @@ from typing import Final
 from drivers import servo_limits
 from drivers.canopen import cia402
 from drivers.canopen import cia402_objects as objects
-from drivers.canopen.cia402_values import CyclicValues
+from drivers.canopen.cia402_objects import CyclicValues
 from drivers.canopen.motion import OUTPUT_PDO, TARGET_POSITION, Motion, Observed
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError, StateError
 from drivers.homing import IN_PLACE, STANDARD, HomingOffer, HomingOrder, HomingState

@@ -20,8 +20,7 @@ from canopen.objectdictionary import (
 
 from drivers.canopen import xdd_text
 from drivers.canopen.eds_text import Section, decode, integer, sections
-from drivers.errors import ConfigurationError
-from drivers.plain_file import require_plain
+from drivers.errors import ConfigurationError, require_plain
 
 _OBJECT: Final = re.compile(r"([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?")
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9

@@ -8,22 +8,157 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import ClassVar, Final, Literal, NamedTuple
 
 from drivers import servo_limits
 from drivers.canopen import cia402
-from drivers.canopen.position_loop import (
-    AT_REST,
-    LoopGains,
-    LoopLimits,
-    LoopState,
-    derived,
-    step,
-)
 from drivers.errors import ConfigurationError, StateError
-from drivers.interfaces import ServoLimits
-from drivers.objects import ObjectAddress, ProcessChannel
+from drivers.interfaces import KNOWN_SPREAD, MEASURED_SPREAD, ServoLimits
+from drivers.objects import ObjectAddress, ProcessChannel, optional
 from drivers.units import ServoScales
+
+FASTEST_1_S: Final = 60.0
+"""Greatest position gain that is derived from the cycle time, 1/s; common drives have this gain."""
+GAIN_CYCLES: Final = 0.06
+"""Product of position gain and cycle time for a derived gain. A sample is two cycles old when the
+command computed from it acts, so that the delay reduces the phase margin by 0.12 rad (7 deg).
+"""
+SPEED_CYCLES: Final = 0.15
+"""Product of speed-loop bandwidth and cycle time for a derived gain; the delay reduces the phase
+margin by 0.3 rad (17 deg).
+"""
+RATIO: Final = 0.4
+"""Greatest ratio of a derived position gain to the bandwidth of the speed loop."""
+
+
+@dataclass(frozen=True)
+class LoopGains:
+    """Gains of the position loop and the speed loop.
+
+    Attributes:
+        position_1_s: Speed command per position error, 1/s.
+        speed_N_m_s_rad: Torque command per speed error, N m s/rad; 0 for a drive that is commanded
+            by a speed.
+        reset_1_s: Inverse reset time of the speed loop, 1/s.
+    """
+
+    position_1_s: float
+    speed_N_m_s_rad: float = 0.0
+    reset_1_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class LoopLimits:
+    """Limits of the command that the loop computes.
+
+    Attributes:
+        angle_min_rad: Lower end of the range of the joint angle.
+        angle_max_rad: Upper end of this range.
+        speed_rad_s: Greatest speed.
+        torque_N_m: Greatest torque.
+        deceleration_rad_s2: Deceleration with which the joint stops before an end of the range.
+    """
+
+    angle_min_rad: float
+    angle_max_rad: float
+    speed_rad_s: float
+    torque_N_m: float
+    deceleration_rad_s2: float
+
+
+class LoopState(NamedTuple):
+    """State of the loop: the last target, rad (NaN without a target), and the integral of the speed
+    controller, N m.
+    """
+
+    target_rad: float = math.nan
+    integral_N_m: float = 0.0
+
+
+AT_REST: Final = LoopState()
+
+
+def derived(
+    cycle_s: float, inertia_kg_m2: float | None, wanted: LoopGains | None = None
+) -> LoopGains:
+    """Return the gains for a cycle time; gains in ``wanted`` that are not 0 are kept.
+
+    Args:
+        cycle_s: Control cycle, s.
+        inertia_kg_m2: Inertia at the joint, or None for a drive that is commanded by a speed.
+        wanted: Gains that the bench file states, 0 for each gain that it does not state.
+    """
+    stated = wanted or LoopGains(0.0)
+    bandwidth_1_s = SPEED_CYCLES / cycle_s
+    position = min(FASTEST_1_S, GAIN_CYCLES / cycle_s)
+    if inertia_kg_m2 is None:
+        return LoopGains(stated.position_1_s or position)
+    speed = stated.speed_N_m_s_rad or inertia_kg_m2 * bandwidth_1_s
+    if inertia_kg_m2 > 0.0:
+        position = min(position, RATIO * speed / inertia_kg_m2)
+    return LoopGains(stated.position_1_s or position, speed, stated.reset_1_s or position / 2.0)
+
+
+def step(
+    state: LoopState,
+    gains: LoopGains,
+    limits: LoopLimits,
+    cycle_s: float,
+    target_rad: float,
+    angle_rad: float,
+    speed_rad_s: float,
+) -> tuple[LoopState, float, float]:
+    """Return the new state, the speed command and the torque command of one cycle.
+
+    The commands do not move the joint beyond an end of the angle range: near an end, the speed
+    command is limited to a speed from which the joint can still stop before the end. A torque that
+    would increase a speed above the speed limit is replaced by 0.
+
+    Args:
+        state: State after the last cycle.
+        gains: Gains; without a speed gain the torque command is 0.
+        limits: Limits of the commands.
+        cycle_s: Control cycle, s.
+        target_rad: Joint angle to follow.
+        angle_rad: Joint angle as last measured.
+        speed_rad_s: Joint speed as last measured.
+
+    Raises:
+        ConfigurationError: A value is not finite.
+    """
+    if not math.isfinite(target_rad + angle_rad + speed_rad_s):
+        raise ConfigurationError(
+            f"the inputs of the position loop are target {target_rad:g} rad, angle "
+            f"{angle_rad:g} rad and speed {speed_rad_s:g} rad/s, but all must be finite; check the "
+            "drive's process data"
+        )
+    ahead = 0.0 if math.isnan(state.target_rad) else (target_rad - state.target_rad) / cycle_s
+    wanted = ahead + gains.position_1_s * (target_rad - angle_rad)
+    up = _stopping(limits.angle_max_rad - angle_rad, limits)
+    down = _stopping(angle_rad - limits.angle_min_rad, limits)
+    speed = min(max(wanted, -down), up)
+    if not gains.speed_N_m_s_rad:
+        return LoopState(target_rad), speed, 0.0
+    error = speed - speed_rad_s
+    integral = state.integral_N_m + (gains.speed_N_m_s_rad * gains.reset_1_s * cycle_s * error)
+    asked = gains.speed_N_m_s_rad * error + integral
+    torque = min(max(asked, -limits.torque_N_m), limits.torque_N_m)
+    if torque != asked and torque * error > 0.0:
+        integral = state.integral_N_m  # anti-windup: no further integration at the torque limit
+    if abs(speed_rad_s) > limits.speed_rad_s and torque * speed_rad_s > 0.0:
+        torque = 0.0
+    return LoopState(target_rad, integral), speed, torque
+
+
+def _stopping(distance_rad: float, limits: LoopLimits) -> float:
+    """Return the greatest speed toward an end of the angle range at this distance from it,
+    rad/s.
+    """
+    if distance_rad <= 0.0:
+        return 0.0
+    return min(limits.speed_rad_s, math.sqrt(2.0 * limits.deceleration_rad_s2 * distance_rad))
+
 
 ModeName = Literal["csp", "csv", "cst", "pp"]
 OUTPUT_PDO: Final = 1
@@ -392,3 +527,209 @@ class ProfilePosition(Motion):
                     self._raised = not self._raised
             word |= self._AT_ONCE | (self._NEW if self._raised else 0)
         channel.stage(OUTPUT_PDO, word, counts)
+
+
+UNIT: Final[ObjectAddress] = (0x60A9, 0)
+"""SI unit of the velocity (CiA 402-2): power of ten, numerator, denominator, reserved."""
+ACCELERATION_UNIT: Final[ObjectAddress] = (0x60AA, 0)
+"""SI unit of the acceleration (CiA 402-2): power of ten, numerator, denominator, reserved."""
+RPM: Final = 2.0 * math.pi / 60.0
+"""Speed of one turn per minute, rad/s."""
+_NUMERATORS: Final[Mapping[int, float]] = {
+    0x10: 1.0,
+    0x41: math.pi / 180.0,
+    0xB4: 2.0 * math.pi,
+}
+"""Codes of CiA 303-2 for radian, degree and revolution, to the angle in rad."""
+_DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
+"""Codes of the time units second, minute and hour, to the time in s."""
+_RPM_CODE: Final = 0xC0
+_SQUARE_SECOND: Final = 0x57
+"""Codes in 60AAh for revolutions per minute and for the square second."""
+_POWERS: Final = (-3, -2, -1, 1, 2, 3)
+"""Powers of ten by which the true unit may differ from the unit in the bench file."""
+_SAME: Final = 0.01
+"""Relative difference up to which two units count as equal."""
+_UNUSUAL: Final = 3.0
+"""A decimal multiple is chosen in place of a named unit only if, on a logarithmic scale, the
+distance to the named unit is more than so many times the distance to the multiple.
+"""
+_Stated = tuple[ObjectAddress, int, float | None]
+_WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per second"}
+
+
+def decode(word: int) -> float | None:
+    """Return the motor speed of one unit, rad/s, as object 60A9h states it, or None for units
+    without SI meaning, such as counts.
+    """
+    numerator = _NUMERATORS.get(word >> 16 & 0xFF)
+    denominator = _DENOMINATORS.get(word >> 8 & 0xFF)
+    if numerator is None or denominator is None:
+        return None
+    power = word >> 24 & 0xFF
+    return numerator / denominator * 10.0 ** (power - 256 if power > 127 else power)
+
+
+def decode_acceleration(word: int) -> float | None:
+    """Return the motor acceleration of one unit, rad/s^2, as object 60AAh states it, or None for
+    units without SI meaning.
+    """
+    if word >> 8 & 0xFF == _SQUARE_SECOND:
+        return decode(word & ~0xFF00 | 0x0300)
+    if word >> 16 & 0xFF == _RPM_CODE:
+        found = decode(word & ~0xFF0000 | 0xB40000)
+        return None if found is None else found / 60.0
+    return None
+
+
+def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
+    """Yield an error for each unit of the drive that differs from the unit in the bench file."""
+    yield from _unlike(
+        "speed",
+        "rad/s",
+        scales.motor_speed_unit_rad_s,
+        _stated(channel, UNIT, decode),
+        lambda told: _words(told, scales, exact=True),
+    )
+    yield from _unlike(
+        "acceleration",
+        "rad/s^2",
+        scales.motor_acceleration_unit_rad_s2,
+        _stated(channel, ACCELERATION_UNIT, decode_acceleration),
+        lambda told: f"set servo.acceleration_unit_rad_s2: {told:.6g}",
+    )
+
+
+def _unlike(
+    name: str, symbol: str, unit: float, stated: _Stated, setting: Callable[[float], str]
+) -> Iterator[ConfigurationError]:
+    (index, _), word, told = stated
+    if told is not None and abs(told - unit) > _SAME * told:
+        yield ConfigurationError(
+            f"unit of the {name}, {index:04X}h: {told:.6g} {symbol} ({word:08X}h) in the drive, "
+            f"but {unit:.6g} {symbol} in the bench file: {setting(told)}"
+        )
+
+
+def _stated(
+    channel: ProcessChannel, address: ObjectAddress, meaning: Callable[[int], float | None]
+) -> _Stated:
+    """Return the address and the value of an object that states a unit, and the unit in SI, or None
+    if the drive has no such object or the object states no SI unit.
+    """
+    word = optional(channel.read, *address) if channel.describes(*address) else None
+    if word is None:
+        return address, 0, None
+    return address, word & 0xFFFFFFFF, meaning(word & 0xFFFFFFFF)
+
+
+def remedy(scales: ServoScales, factor: float) -> str:
+    """Return a text that states the setting to change if the reported speed is ``factor`` times the
+    true speed.
+    """
+    if factor == 0.0:
+        return (
+            "the speed 606Ch reads 0 while the position 6064h changes: the drive does not measure "
+            "the speed, or its unit of the speed is too coarse for this motion; set a finer unit "
+            "with the maker's tool, and state this unit in servo.velocity_unit_rad_s"
+        )
+    if factor < 0.0:
+        return (
+            "the speed 606Ch has the opposite sign of the change of the position 6064h; correct "
+            "the sign with the maker's tool"
+        )
+    return _words(scales.motor_speed_unit_rad_s / factor, scales)
+
+
+def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float | None], ...]:
+    """Return the keys in the bench file that correct the unit of the drive's speed, and their
+    values; none if no key corrects it.
+    """
+    if factor <= 0.0:
+        return ()
+    name, unit = _recognised(scales.motor_speed_unit_rad_s / factor, scales)
+    if name is not None and name in _units(scales):
+        return (("velocity_unit_rad_s", None), ("velocity_unit", name))
+    return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.4g}")))
+
+
+def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
+    """Return the factor of the nearest named unit if its ratio to the rough ``factor`` is within
+    ``spread``, else the power of ten nearest to the rough factor; the present unit is excluded.
+    """
+    if factor <= 0.0:
+        return factor
+    own = scales.motor_speed_unit_rad_s
+    named = _nearest(own / factor, _others(scales), spread)
+    if named is not None:
+        return own / named[1]
+    return 10.0 ** (round(math.log10(factor)) or math.copysign(1.0, math.log10(factor)))
+
+
+def _units(scales: ServoScales) -> dict[str, float]:
+    """Return the units that have a name in the bench file."""
+    return {"rpm": RPM, "counts_per_s": scales.count_rad}
+
+
+def _others(scales: ServoScales) -> dict[str, float]:
+    """Return the named units that differ from the unit in the bench file."""
+    own = scales.motor_speed_unit_rad_s
+    return {name: unit for name, unit in _units(scales).items() if abs(unit - own) > _SAME * own}
+
+
+def _decimal(scales: ServoScales) -> dict[str, float]:
+    """Return decimal multiples of the unit in the bench file by name; in many drives a power of ten
+    of the unit can be set.
+    """
+    own = scales.motor_speed_unit_rad_s
+    name = next((n for n, unit in _units(scales).items() if abs(unit - own) <= _SAME * own), None)
+    words = "times the stated unit" if name is None else _WORDS[name]
+    return {f"{10.0**power:g} {words}": own * 10.0**power for power in _POWERS}
+
+
+def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[str, float] | None:
+    """Return name and value of the nearest of the known units, or None if no known unit is within a
+    factor of ``spread``.
+    """
+    if not known:
+        return None
+    name = min(known, key=lambda name: _apart(unit, known[name]))
+    return (name, known[name]) if _apart(unit, known[name]) <= math.log(spread) else None
+
+
+def _apart(first: float, second: float) -> float:
+    return abs(math.log(first / second))
+
+
+def _recognised(unit: float, scales: ServoScales, exact: bool = False) -> tuple[str | None, float]:
+    """Return name and value of the known unit that a value belongs to; the name is None if there is
+    no such unit.
+
+    A measured value may differ from the true unit by rounding, and by peaks of the speed between
+    samples. A decimal multiple is less likely than a named unit. A decimal multiple is therefore
+    chosen only if the nearest named unit is farther from the value than the error of a measured
+    motion, and if the multiple is much nearer.
+    """
+    one = 1.0 + _SAME
+    named = _nearest(unit, _others(scales), one if exact else KNOWN_SPREAD)
+    decimal = _nearest(unit, _decimal(scales), one if exact else MEASURED_SPREAD)
+    if named is None or decimal is None:
+        return named or decimal or (None, unit)
+    apart = _apart(unit, named[1])
+    usual = apart <= math.log(MEASURED_SPREAD) or apart <= _UNUSUAL * _apart(unit, decimal[1])
+    return named if usual else decimal
+
+
+def _words(found: float, scales: ServoScales, exact: bool = False) -> str:
+    name, unit = _recognised(found, scales, exact)
+    if name is not None and name in _units(scales):
+        return f"the unit of 606Ch is {_WORDS[name]}: set servo.velocity_unit: {name}"
+    setting = f"set servo.velocity_unit_rad_s: {unit:.4g}"
+    if exact:
+        return f"the unit of 606Ch is {name}: {setting}" if name is not None else setting
+    if name is not None:
+        return f"the unit of 606Ch is probably {name}; check the drive's manual, then {setting}"
+    return (
+        f"one unit of 606Ch is about {unit:.4g} rad/s; look up the exact unit in the drive's "
+        f"manual, or {setting}"
+    )

@@ -11,9 +11,17 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoCommunicationError
 
 from drivers.can.port import REMOTE_FLAG
-from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, accessed, configure, plan
-from drivers.canopen.sdo import PumpedNode, Wire, described, translated, unfit, variable
+from drivers.canopen.sdo import (
+    ONE_AXIS,
+    Axis,
+    PumpedNode,
+    Wire,
+    described,
+    translated,
+    unfit,
+    variable,
+)
 from drivers.clock import NS
 from drivers.errors import ConfigurationError, DeviceError, LinkError, StateError
 from drivers.objects import (

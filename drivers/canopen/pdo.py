@@ -12,8 +12,7 @@ from typing import Final, Protocol
 from canopen.objectdictionary import ObjectDictionary, datatypes
 from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.canopen.axis import ONE_AXIS, Axis
-from drivers.canopen.sdo import variable
+from drivers.canopen.sdo import ONE_AXIS, Axis, variable
 from drivers.errors import ConfigurationError, ObjectAccessError
 from drivers.objects import ObjectAddress, PdoLayout, optional
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from drivers.can.port import REMOTE_FLAG
 from drivers.clock import NS
-from drivers.dbc.wiring import BoundMessage, BoundPage, Images, Order, Wiring
+from drivers.dbc.codec import BoundMessage, BoundPage, Images, Order, Wiring
 from drivers.errors import DriveFault, StateError
 from drivers.interfaces import ServoState
 

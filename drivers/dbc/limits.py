@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from drivers.dbc.wiring import BoundLimit, BoundQuantity, Images, Wiring
+from drivers.dbc.codec import BoundLimit, BoundQuantity, Images, Wiring
 from drivers.errors import ConfigurationError, LimitError
 from drivers.interfaces import Identity, LimitSteps, ServoLimits
 

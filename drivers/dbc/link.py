@@ -11,7 +11,7 @@ from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG, hexadecimal
 from drivers.canopen.link import CanopenLink
 from drivers.clock import NS
 from drivers.dbc.channel import DbcChannel, Slot
-from drivers.dbc.wiring import Wiring
+from drivers.dbc.codec import Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all

@@ -10,13 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from drivers.can.timing import ANSWER_SHARE
+from drivers.can.port import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.node import require_node
 from drivers.clock import NS, Clock
 from drivers.epos.frames import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
-from drivers.epos.node import FASTEST_1_S, EposSerialNode
-from drivers.epos.object_access import IDENTITY, Guard
+from drivers.epos.node import FASTEST_1_S, IDENTITY, EposSerialNode, Guard
 from drivers.errors import LinkError
 from drivers.interfaces import Link, RawFrame
 from drivers.port_errors import close_all, is_gone, opened, require_one_cycle, words

@@ -16,10 +16,8 @@ from typing import Final
 from drivers.clock import SimulatedClock
 from drivers.dbc.codec import crc8_j1850
 from drivers.mock.plant.machine import Reading
-from drivers.mock.resolution import encoder_resolution
-from drivers.mock.sampler import Sampler
-from drivers.mock.wires.bus import SimulatedBus
-from drivers.mock.wires.timer import Timer
+from drivers.mock.sampler import Sampler, encoder_resolution
+from drivers.mock.wires.bus import SimulatedBus, Timer
 
 DRIVE_DBC: Final = Path(__file__).with_name("dbc_drive.dbc")
 STOP, COMMAND, LIMITS = 0x010, 0x110, 0x120

@@ -9,19 +9,363 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final
 
-from drivers.clock import SimulatedClock
+from drivers.clock import NS, SimulatedClock
 from drivers.mock.canopen import dictionary as od
-from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
+from drivers.mock.canopen.dictionary import OUT_OF_RANGE, SdoAbortError, clamp_i16, key
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
-from drivers.mock.drive_homing import HM, check_method
-from drivers.mock.drive_modes import CST, CSV, PP, Mover
-from drivers.mock.plant.machine import Reading
+from drivers.mock.plant.machine import Reading, SimulatedMachine
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
-from drivers.mock.resolution import encoder_resolution
-from drivers.mock.sampler import Sampler
+from drivers.mock.sampler import Sampler, encoder_resolution
 from drivers.mock.traits import OwnObjects, Traits
-from drivers.mock.wires.bus import SimulatedBus
-from drivers.mock.wires.timer import Timer
+from drivers.mock.wires.bus import SimulatedBus, Timer
+
+HM: Final = 6
+METHODS: Final = (17, 18, 35, 37)
+"""Homing methods that object 60E3h lists."""
+REACHED: Final = 0x0400
+ATTAINED: Final = 0x1000
+ERROR: Final = 0x2000
+"""Bits of the statusword in homing mode."""
+_CONTROLWORD: Final = key(0x6040)
+_OFFSET: Final = key(0x607C)
+_METHOD: Final = key(0x6098)
+_SEARCH: Final = key(0x6099, 1)
+_ZERO: Final = key(0x6099, 2)
+_ACCELERATION: Final = key(0x609A)
+_WINDOW: Final = key(0x6065)
+_START: Final = 1 << 4
+_STEP_NS: Final = 1_000_000
+_TOO_LITTLE_A: Final = 0.2
+_BLOCKED_DEG: Final = 1.0
+"""Lag of the joint behind the target from which the joint counts as blocked, deg; half of the
+following-error limit if this is less.
+"""
+
+
+def check_method(_subindex: int, value: int) -> None:
+    """Refuse a homing method that the drive does not have.
+
+    Raises:
+        SdoAbortError: The drive does not have this method.
+    """
+    if value not in METHODS:
+        raise SdoAbortError(OUT_OF_RANGE)
+
+
+class Homing:
+    """Homing of the simulated drive: moves the machine to a switch, and sets the zero of the
+    drive's position.
+
+    The limit switches are closed where the true joint angle is beyond them.
+
+    Args:
+        sampler: Access to the machine.
+        clock: Simulated time.
+        values: The drive's dictionary.
+        counts_per_rad: Motor counts per radian of the motor.
+        speed_unit: Function that returns the unit of the drive's speeds, counts/s.
+        acceleration_unit: Function that returns the unit of its accelerations, counts/s^2.
+
+    Attributes:
+        shift: Drive position less the motor's counts.
+        switches_deg: Joint angles of the limit switches, or None for switches that never close.
+        endless: Whether a homing never ends.
+        jammed: Whether the motor has too little torque to move the joint, as with a jammed joint.
+    """
+
+    def __init__(
+        self,
+        sampler: Sampler,
+        clock: SimulatedClock,
+        values: dict[int, int],
+        counts_per_rad: float,
+        speed_unit: Callable[[], float],
+        acceleration_unit: Callable[[], float],
+    ) -> None:
+        self.shift = 0
+        self.switches_deg: tuple[float, float] | None = (-20.0, 20.0)
+        self.endless = self.jammed = False
+        self._sampler, self._clock, self._values = sampler, clock, values
+        self._counts_per_rad, self._speed_unit = counts_per_rad, speed_unit
+        self._acceleration_unit = acceleration_unit
+        self._gear = sampler.machine.constants.motor.gear_ratio
+        self._timer = Timer(clock, self._advance)
+        self._bits = REACHED
+        self._word = 0
+        self._demand = self._speed = 0.0
+        self._found = self._home = False
+
+    @property
+    def flags(self) -> int:
+        """Bits of the statusword."""
+        return self._bits
+
+    def begin(self, counts: int) -> None:
+        """Hold the position when the power is switched on in homing mode; the homing starts at a
+        rising edge of bit 4.
+        """
+        self._bits = REACHED
+        self._word = self._values[_CONTROLWORD]
+        self._demand, self._speed = float(counts), 0.0
+
+    def stop(self) -> None:
+        """End the motion, because the power is switched off or the drive brakes."""
+        self._timer.stop()
+
+    def obey(self) -> None:
+        """Start the homing at a rising edge of bit 4 of the controlword, and interrupt the homing
+        at a falling edge.
+        """
+        word = self._values[_CONTROLWORD]
+        rising, falling = word & ~self._word & _START, ~word & self._word & _START
+        self._word = word
+        if falling and not self._bits & (ATTAINED | ERROR):
+            self._halt(REACHED)
+        if not rising:
+            return
+        self._bits = 0
+        self._found = self._home = False
+        reading = self._sampler.peek(self._clock.now_ns())
+        self._demand, self._speed = float(reading.motor_counts), 0.0
+        if self.jammed:
+            self._sampler.machine.limit_current(_TOO_LITTLE_A)
+        if self._values[_METHOD] in (17, 18):
+            self._timer.start(self._clock.now_ns() + _STEP_NS)
+        elif not self.endless:
+            self._set_zero(reading.motor_counts)
+            self._bits = REACHED | ATTAINED
+
+    def _set_zero(self, counts: int) -> None:
+        self.shift = self._values[_OFFSET] - counts
+
+    def _halt(self, bits: int) -> None:
+        self._timer.stop()
+        self._bits = bits
+        self._sampler.machine.track(self._demand, _STEP_NS)
+
+    def _advance(self) -> None:
+        """Take one step: move to the switch, then slowly away from it; the edge of the switch is
+        the home position.
+        """
+        now = self._clock.now_ns()
+        self._sampler.advance(now)
+        reading = self._sampler.peek(now)
+        if abs(reading.following_error_counts) > self._blocked():
+            self._demand = float(reading.motor_counts)
+            self._halt(REACHED | ERROR)
+            return
+        side = -1 if self._values[_METHOD] == 17 else 1
+        closed = self._closed(side)
+        if closed and not self._found:
+            self._found = True
+        elif self._found and not closed and not self._home and not self.endless:
+            self._home = True
+            self._set_zero(reading.motor_counts)
+        speed = -self._values[_ZERO] if self._found else self._values[_SEARCH]
+        wanted = 0.0 if self._home else side * speed * self._speed_unit()
+        change = self._values[_ACCELERATION] * self._acceleration_unit() * _STEP_NS / NS
+        self._speed += min(max(wanted - self._speed, -change), change)
+        if self._home and self._speed == 0.0:
+            self._halt(REACHED | ATTAINED)
+            return
+        self._demand += self._speed * _STEP_NS / NS
+        self._sampler.machine.track(self._demand, _STEP_NS)
+        self._timer.start(now + _STEP_NS)
+
+    def _closed(self, side: int) -> bool:
+        if self.switches_deg is None:
+            return False
+        angle = math.degrees(self._sampler.machine.truth().angle_rad)
+        low, high = self.switches_deg
+        return angle <= low if side < 0 else angle >= high
+
+    def _blocked(self) -> float:
+        counts = math.radians(_BLOCKED_DEG) * self._gear * self._counts_per_rad
+        return min(counts, 0.5 * self._values[_WINDOW])
+
+
+PP, CSP, CSV, CST = 1, 8, 9, 10
+"""Modes of operation."""
+_MODE: Final = key(0x6060)
+
+_TARGET_TORQUE: Final = key(0x6071)
+_TARGET: Final = key(0x607A)
+_TARGET_MIN: Final = key(0x607D, 1)
+_TARGET_MAX: Final = key(0x607D, 2)
+_MAX_SPEED: Final = key(0x607F)
+_PROFILE_SPEED: Final = key(0x6081)
+_PROFILE_ACCELERATION: Final = key(0x6083)
+_PROFILE_DECELERATION: Final = key(0x6084)
+_TORQUE_OFFSET: Final = key(0x60B2)
+_TARGET_SPEED: Final = key(0x60FF)
+_NEW: Final = 1 << 4
+_PROFILE_NS: Final = 1_000_000
+_BIT_12: Final = 0x1000
+"""Bit of the statusword: the drive follows its target, or has accepted a set-point."""
+
+
+class Mover:
+    """Commands the machine according to the mode and the targets in the dictionary.
+
+    Args:
+        sampler: Access to the machine.
+        clock: Simulated time.
+        values: The drive's dictionary.
+        counts_per_rad: Motor counts per radian of the motor.
+        speed_unit: Unit of the drive's speeds, counts/s.
+        acceleration_unit: Unit of the drive's accelerations, counts/s^2.
+        current_A: Motor current of one unit of torque.
+
+    Attributes:
+        homing: Homing of the drive, and the zero that the last homing has set.
+    """
+
+    def __init__(
+        self,
+        sampler: Sampler,
+        clock: SimulatedClock,
+        values: dict[int, int],
+        counts_per_rad: float,
+        speed_unit: float,
+        acceleration_unit: float,
+        current_A: float,
+    ) -> None:
+        self.demand = 0.0
+        self.acknowledged = False
+        self._sampler = sampler
+        self._machine: SimulatedMachine = sampler.machine
+        self._clock = clock
+        self._values = values
+        self._counts_per_rad = counts_per_rad
+        self.speed_unit, self.acceleration_unit = speed_unit, acceleration_unit
+        self._current_A = current_A
+        self.homing = Homing(
+            sampler,
+            clock,
+            values,
+            counts_per_rad,
+            lambda: self.speed_unit,
+            lambda: self.acceleration_unit,
+        )
+        self._gear = self._machine.constants.motor.gear_ratio
+        self._profile = Timer(clock, self._advance_profile)
+        self._speed = 0.0
+        self._goal = 0.0
+        self._word = 0
+
+    @property
+    def positions(self) -> bool:
+        """Whether the drive closes its position loop, so that it has a following error."""
+        return self._values[_MODE] not in (CSV, CST)
+
+    @property
+    def flags(self) -> int:
+        """Bits of the statusword that depend on the mode, while the drive operates."""
+        mode = self._values[_MODE]
+        if mode == HM:
+            return self.homing.flags
+        follows = mode in (CSP, CSV, CST) or (mode == PP and self.acknowledged)
+        return _BIT_12 if follows else 0
+
+    def start(self, counts: int) -> None:
+        """Start at a position in motor counts, when the power is switched on."""
+        self.demand = self._goal = float(counts)
+        self._speed = 0.0
+        self.acknowledged = False
+        self._word = self._values[_CONTROLWORD]
+        mode = self._values[_MODE]
+        self._machine.control(position=self.positions, speed=mode != CST)
+        if mode == PP:
+            self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+        elif mode == HM:
+            self.homing.begin(counts)
+
+    def stop(self) -> None:
+        """End the profile or the homing."""
+        self._profile.stop()
+        self.homing.stop()
+
+    def follow(self, period_ns: int) -> bool:
+        """Follow the targets; return whether a limit has changed a target."""
+        move: Callable[[int], bool] | None = {
+            CSP: self._position,
+            CSV: self._spin,
+            CST: self._push,
+            PP: self._set_point,
+            HM: self._home,
+        }.get(self._values[_MODE])
+        return move is not None and move(period_ns)
+
+    def _clamped(self) -> float:
+        """Return the target within its limits, in the motor's counts."""
+        values = self._values
+        target = min(max(values[_TARGET], values[_TARGET_MIN]), values[_TARGET_MAX])
+        return float(target - self.homing.shift)
+
+    def _position(self, period_ns: int) -> bool:
+        values, target = self._values, self._clamped()
+        reach = values[_MAX_SPEED] * self.speed_unit * period_ns / NS
+        step = target - self.demand
+        if step > reach or step < -reach:
+            target = self.demand + math.copysign(reach, step)
+        self.demand = target
+        self._machine.track(target, period_ns)
+        self._machine.feed(values[_TORQUE_OFFSET] * self._current_A)
+        return target + self.homing.shift != values[_TARGET]
+
+    def _spin(self, _period_ns: int) -> bool:
+        values = self._values
+        speed = min(max(values[_TARGET_SPEED], -values[_MAX_SPEED]), values[_MAX_SPEED])
+        self._machine.spin(speed * self.speed_unit / self._counts_per_rad / self._gear)
+        return speed != values[_TARGET_SPEED]
+
+    def _push(self, _period_ns: int) -> bool:
+        values = self._values
+        torque = values[_TARGET_TORQUE]
+        motor_rad_s = self._sampler.peek(self._clock.now_ns()).motor_velocity_rad_s
+        speed = motor_rad_s * self._counts_per_rad / self.speed_unit
+        if abs(speed) > values[_MAX_SPEED] and torque * speed > 0.0:
+            torque = 0
+        self._machine.feed(torque * self._current_A)
+        return torque != values[_TARGET_TORQUE]
+
+    def _set_point(self, _period_ns: int) -> bool:
+        word = self._values[_CONTROLWORD]
+        if word & ~self._word & _NEW:
+            self._goal = self._clamped()
+            self.acknowledged = True
+        elif not word & _NEW:
+            self.acknowledged = False
+        self._word = word
+        goal = self._goal + self.homing.shift
+        return goal != self._values[_TARGET] and self.acknowledged
+
+    def _home(self, _period_ns: int) -> bool:
+        self.homing.obey()
+        return False
+
+    def _advance_profile(self) -> None:
+        """Take one step of a profile with constant accelerations to the set-point."""
+        self._sampler.advance(self._clock.now_ns())
+        values, dt = self._values, _PROFILE_NS / NS
+        acceleration = values[_PROFILE_ACCELERATION] * self.acceleration_unit
+        deceleration = values[_PROFILE_DECELERATION] * self.acceleration_unit
+        greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * self.speed_unit
+        left = self._goal - self.demand
+        # This is the speed from which whole steps of the deceleration end at the set-point.
+        half = deceleration * dt / 2.0
+        allowed = min(math.sqrt(half * half + 2.0 * deceleration * abs(left)) - half, greatest)
+        wanted = math.copysign(allowed, left) if left else 0.0
+        rising = abs(wanted) > abs(self._speed) and wanted * self._speed >= 0.0
+        change = (acceleration if rising else deceleration) * dt
+        self._speed += min(max(wanted - self._speed, -change), change)
+        if abs(left) < 0.5 and abs(self._speed) <= change:
+            self.demand, self._speed = self._goal, 0.0
+        else:
+            self.demand += self._speed * dt
+        self._machine.track(self.demand, _PROFILE_NS)
+        self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+
 
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611
@@ -31,12 +375,12 @@ _VOLTAGE: Final = key(0x2100)
 _TEMPERATURE: Final = key(0x2101)
 _ON_ABORT: Final = key(0x6007)
 _ERROR_CODE: Final = key(0x603F)
-_CONTROLWORD: Final = key(0x6040)
+
 _STATUSWORD: Final = key(0x6041)
-_MODE: Final = key(0x6060)
+
 _MODE_DISPLAY: Final = key(0x6061)
 _POSITION: Final = key(0x6064)
-_WINDOW: Final = key(0x6065)
+
 _VELOCITY: Final = key(0x606C)
 _MAX_TORQUE: Final = key(0x6072)
 _MAX_CURRENT: Final = key(0x6073)

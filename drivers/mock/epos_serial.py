@@ -24,8 +24,7 @@ from drivers.mock.canopen.dictionary import WRONG_LENGTH, SdoAbortError, key
 from drivers.mock.drive import SimulatedDrive
 from drivers.mock.power_state import POWERED, State
 from drivers.mock.traits import current_A
-from drivers.mock.wires.bus import SimulatedBus
-from drivers.mock.wires.timer import Timer
+from drivers.mock.wires.bus import SimulatedBus, Timer
 
 UNKNOWN_COMMAND: Final = 0x0F00FFBF
 WRONG_NODE: Final = 0x0F00FFB9

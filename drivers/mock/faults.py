@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from drivers.clock import SimulatedClock
+from drivers.epos.frames import DLE, ERROR, Opcode, encode
+from drivers.mock.canopen.dictionary import key
+from drivers.mock.drive import SimulatedDrive
+from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.serial_line import SimulatedLine
 
 FOR_GOOD: Final = 0
 """Value of ``count`` for a permanent fault."""
@@ -148,3 +154,194 @@ class WireFaults:
                         self._rules.remove(rule)
                 return rule.change(identifier, data, host)
         return identifier, data
+
+
+_BROKEN_STUFFING: Final = bytes([DLE, 0x01])
+_HEAD: Final = 4
+
+
+@dataclass
+class _LineRule:
+    from_host: bool | None
+    left: int | None
+    change: Callable[[bytes, bool], bytes]
+
+
+class LineFaults:
+    """Loses, corrupts, delays and repeats messages on a simulated serial line.
+
+    Several faults may be active at the same time.
+
+    ``from_host`` selects requests (True), answers (False) or both (None); ``count`` is the number
+    of affected messages, 0 for all messages from now on.
+
+    Args:
+        line: The line; its ``filters`` and ``cut`` are used.
+        clock: Simulated time.
+    """
+
+    def __init__(self, line: SimulatedLine, clock: SimulatedClock) -> None:
+        self._line = line
+        self._clock = clock
+        self._rules: list[_LineRule] = []
+        self._free_ns = {True: 0, False: 0}
+        line.filters.append(self._filter)
+
+    def lose(self, from_host: bool | None, count: int) -> None:
+        """Lose messages."""
+        self._add(from_host, count, lambda _data, _host: b"")
+
+    def drop_byte(self, from_host: bool | None, count: int, at: int) -> None:
+        """Lose byte number ``at``, counted from 0; in a shorter message, lose the last byte."""
+
+        def change(data: bytes, _host: bool) -> bytes:
+            place = min(at, len(data) - 1)
+            return data[:place] + data[place + 1 :]
+
+        self._add(from_host, count, change)
+
+    def flip(self, from_host: bool | None, count: int, bit: int) -> None:
+        """Invert bit number ``bit``, counted from the lowest bit of the first byte; in a shorter
+        message, invert a bit of the last byte.
+        """
+
+        def change(data: bytes, _host: bool) -> bytes:
+            spoiled = bytearray(data)
+            spoiled[min(bit >> 3, len(spoiled) - 1)] ^= 1 << (bit & 7)
+            return bytes(spoiled)
+
+        self._add(from_host, count, change)
+
+    def break_stuffing(self, from_host: bool | None, count: int) -> None:
+        """Insert a single byte 90h after opcode and length; the byte stuffing requires two."""
+        self._add(
+            from_host, count, lambda data, _host: data[:_HEAD] + _BROKEN_STUFFING + data[_HEAD:]
+        )
+
+    def delay(self, from_host: bool | None, count: int, by_s: float) -> None:
+        """Deliver messages with a delay of ``by_s``; later messages wait, because bytes keep their
+        order on a line.
+        """
+        self._add(
+            from_host,
+            count,
+            lambda data, host: self._hold(data, host, self._clock.now_ns() + round(by_s * 1e9)),
+        )
+
+    def repeat(self, from_host: bool | None, count: int) -> None:
+        """Deliver messages twice in direct succession."""
+        self._add(from_host, count, lambda data, _host: data + data)
+
+    def refuse(self, count: int) -> None:
+        """Answer an EPOS request with an error code as if from the drive."""
+
+        def change(_data: bytes, _host: bool) -> bytes:
+            self._line.deliver(encode(Opcode.ANSWER, ERROR.pack(GENERAL_ERROR)), False)
+            return b""
+
+        self._add(True, count, change)
+
+    def cut(self, for_s: float | None) -> None:
+        """Unplug the line, for a time (s) or permanently (None)."""
+        self._line.cut = True
+        if for_s is not None:
+            self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._mend)
+
+    def _hold(self, data: bytes, host: bool, until_ns: int) -> bytes:
+        self._free_ns[host] = due = max(until_ns, self._free_ns[host])
+        self._clock.call_at(due, lambda: self._line.deliver(data, host))
+        return b""
+
+    def _mend(self) -> None:
+        self._line.cut = False
+
+    def _add(
+        self, from_host: bool | None, count: int, change: Callable[[bytes, bool], bytes]
+    ) -> None:
+        self._rules.append(_LineRule(from_host, count or None, change))
+
+    def _filter(self, now: int, data: bytes, host: bool) -> bytes:
+        data = self._changed(data, host)
+        return self._hold(data, host, now) if data and now < self._free_ns[host] else data
+
+    def _changed(self, data: bytes, host: bool) -> bytes:
+        for rule in self._rules:
+            if data and rule.from_host in (None, host):
+                if rule.left is not None:
+                    rule.left -= 1
+                    if not rule.left:
+                        self._rules.remove(rule)
+                return rule.change(data, host)
+        return data
+
+
+_MODE_DISPLAY = key(0x6061)
+
+
+class Sensor(Protocol):
+    """A simulated encoder of any kind; ``distort`` is the function by which a fault changes the
+    counts, or None without a fault.
+    """
+
+    distort: Callable[[int], int] | None
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Counts per turn, in the units of ``distort``."""
+        ...
+
+
+def flip_bit(encoder: Sensor, bit: int, count: int) -> None:
+    """Invert one bit of the position in the next ``count`` readings, or in all readings if
+    ``count`` is 0.
+    """
+    left = count or None
+
+    def distort(counts: int) -> int:
+        nonlocal left
+        if left is not None:
+            left -= 1
+            if left <= 0:
+                encoder.distort = None
+        return counts ^ 1 << bit
+
+    encoder.distort = distort
+
+
+def jump(encoder: Sensor, by_counts: int) -> None:
+    """Shift the position permanently, as after a lost reference or a slipped coupling."""
+    encoder.distort = lambda counts: counts + by_counts
+
+
+def freeze(encoder: Sensor) -> None:
+    """Return the position of the next reading in all later readings, while time stamps advance."""
+    held: int | None = None
+
+    def distort(counts: int) -> int:
+        nonlocal held
+        held = counts if held is None else held
+        return held
+
+    encoder.distort = distort
+
+
+def reverse(encoder: Sensor) -> None:
+    """Reverse the sign of the counts, as with two wires swapped."""
+    encoder.distort = _negated
+
+
+def on_motor_shaft(encoder: Sensor, machine: SimulatedMachine) -> None:
+    """Count the motor's turns, as an encoder that is mounted on the other end of the gear."""
+    per_turn = encoder.counts_per_turn / (2.0 * math.pi) * machine.constants.motor.gear_ratio
+    encoder.distort = lambda _: math.floor(machine.truth().angle_rad * per_turn)
+
+
+def refuse_mode(drive: SimulatedDrive) -> None:
+    """Accept that 6060h is written, but without effect, so that 6061h reports no mode."""
+    drive.objects.values[_MODE_DISPLAY] = 0
+    ignored: Callable[[int, int], None] = lambda _subindex, _value: None  # noqa: E731
+    drive.objects.written[0x6060] = ignored
+
+
+def _negated(counts: int) -> int:
+    return -counts

@@ -18,9 +18,9 @@ from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen.axis import ONE_AXIS, Axis
 from drivers.canopen.device_data import identity
 from drivers.canopen.eds_file import addresses, read_eds
+from drivers.canopen.sdo import ONE_AXIS, Axis
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.traits import HM, PP, Shown, Traits, current_A, supply_V, temperature_C
 

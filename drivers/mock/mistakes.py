@@ -9,10 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from drivers.mock import sensor_faults
-from drivers.mock.bench import SimulatedBench
+from drivers.mock import faults
+from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
 from drivers.mock.canopen.dictionary import key
-from drivers.mock.dbc_bench import SimulatedDbcBench
 from drivers.mock.plant.machine import Loop
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import Command
@@ -34,7 +33,7 @@ class Mistake:
     """
 
     words: str
-    spoil: Callable[[SimulatedBench, sensor_faults.Sensor], None] | None = None
+    spoil: Callable[[SimulatedBench, faults.Sensor], None] | None = None
     change: Callable[[Machine], Machine] | None = None
     signs: tuple[Loop, ...] = ()
 
@@ -43,9 +42,7 @@ class Mistake:
         """Whether the mistake is possible with drives of every kind."""
         return self.spoil is None and self.change is None
 
-    def build_into(
-        self, bench: SimulatedBench | SimulatedDbcBench, encoder: sensor_faults.Sensor
-    ) -> None:
+    def build_into(self, bench: SimulatedBench | SimulatedDbcBench, encoder: faults.Sensor) -> None:
         """Inject the mistake into the devices of a bench, of which ``encoder`` is the used joint
         encoder.
         """
@@ -55,7 +52,7 @@ class Mistake:
             self.spoil(bench, encoder)
 
 
-def _in_rpm(bench: SimulatedBench, _: sensor_faults.Sensor) -> None:
+def _in_rpm(bench: SimulatedBench, _: faults.Sensor) -> None:
     increments = bench.machine.constants.sensing.motor_counts_per_turn or 60
     bench.drive.use_speed_unit(increments / 60.0)
 
@@ -83,12 +80,12 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
     # The joint encoder shows the true direction; the machine is the mirror image.
     "motor_encoder": Mistake(
         "the motor encoder counts the other way",
-        lambda _, encoder: sensor_faults.reverse(encoder),
+        lambda _, encoder: faults.reverse(encoder),
         signs=("phases",),
     ),
     "zero_off": Mistake(
         "the joint encoder reads 5 deg at zero",
-        lambda _, encoder: sensor_faults.jump(encoder, round(encoder.counts_per_turn / 72.0)),
+        lambda _, encoder: faults.jump(encoder, round(encoder.counts_per_turn / 72.0)),
     ),
     "limits_ignored": Mistake(
         "the drive acknowledges limits and keeps its own",
@@ -108,11 +105,11 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
         lambda bench, _: setattr(bench.drive, "current_sign", -1),
     ),
     "encoder_sign": Mistake(
-        "the joint encoder counts the other way", lambda _, encoder: sensor_faults.reverse(encoder)
+        "the joint encoder counts the other way", lambda _, encoder: faults.reverse(encoder)
     ),
     "motor_shaft": Mistake(
         "the joint encoder is on the motor's shaft",
-        lambda bench, encoder: sensor_faults.on_motor_shaft(encoder, bench.machine),
+        lambda bench, encoder: faults.on_motor_shaft(encoder, bench.machine),
     ),
     "ratio": Mistake("the gear has 2/3 of the stated ratio", change=_motor(gear_ratio=2.0 / 3.0)),
     "torque_constant": Mistake(

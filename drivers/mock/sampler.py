@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 from drivers.mock.plant.machine import Reading, SimulatedMachine
+from drivers.mock.plant.parts import constants
 
 
 class Sampler:
@@ -63,3 +66,15 @@ class Sampler:
         self._parts = self._pending_ns = 0
         self._pending_current = self._pending_voltage = 0.0
         return reading
+
+
+def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
+    """Return a number of motor encoder increments and the corresponding motor turns (608Fh).
+
+    With an exact sensor the machine counts microradians of the joint; with 100 turns this ratio is
+    exact to about 1e-9.
+    """
+    counts = machine.sensing.motor_counts_per_turn
+    if counts:
+        return counts, 1
+    return round(2e8 * math.pi / machine.motor.gear_ratio), 100

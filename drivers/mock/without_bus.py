@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.drive import Rating
+from drivers.mock.encoder import PRESSURE_UNIT_PA, transmitted
 from drivers.mock.plant.machine import SimulatedMachine
-from drivers.mock.resolution import encoder_resolution
-from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
+from drivers.mock.sampler import encoder_resolution
 
 SLOW_EVERY = 10
 """Period, in cycles, of the frames with supply voltage and temperature, as the host configures

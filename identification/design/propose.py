@@ -19,8 +19,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.design.excitation import Bounds, Frame, Part
-from identification.design.search import Design, Search, halved, planned, predicted
+from identification.design.search import (
+    Bounds,
+    Design,
+    Frame,
+    Part,
+    Search,
+    halved,
+    planned,
+    predicted,
+)
 from identification.design.simulated import (
     NAMES,
     Intervals,

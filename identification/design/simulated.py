@@ -13,11 +13,9 @@ from scipy import stats
 
 from identification.estimate.covariance import matching_means, replicate_information
 from identification.estimate.inertia import Replicate, inflation_by, instruments
-from identification.estimator_settings import DEFAULT
 from identification.filter.likelihood import Point, optimise_breakaway_times
-from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import (
     INDEX,
     LOAD_PARAMETERS,
@@ -29,6 +27,7 @@ from identification.numerics.arrays import Array
 from identification.numerics.least_squares import huber_weight
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Bench, Model, Recording
+from identification.result import DEFAULT
 from identification.simulate.drive_loop import Loop, Response, respond, usual_loop
 
 NOISE_SEED = 0

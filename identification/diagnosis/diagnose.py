@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.intervals import identifiable
-from identification.diagnosis.fit.joint import Joint, nominal_at
-from identification.diagnosis.fit.start import choose, fit_from_estimate, views_and_fit
+from identification.diagnosis.fit.joint import Joint, identifiable, nominal_at
+from identification.diagnosis.fit.within_limits import choose, fit_from_estimate, views_and_fit
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -28,15 +27,15 @@ from identification.diagnosis.result import (
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import curve
 from identification.diagnosis.score.observable import Observable, collinear_effects, observable
-from identification.diagnosis.score.single_recordings import crowded_recordings, rests_under_torque
+from identification.diagnosis.score.significance import crowded_recordings, rests_under_torque
 from identification.diagnosis.selection.held_out import (
     DROPPED,
     dropped_effects,
     validated_effects,
+    validation_rms,
+    with_indistinct_effects,
 )
-from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Options, Progress, Search, search
-from identification.diagnosis.selection.unseen import validation_rms
 from identification.diagnosis.verdict.judgement import (
     Judged,
     effects_of,

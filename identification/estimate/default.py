@@ -49,9 +49,8 @@ from identification.estimate.refinement import (
     refine_pieces,
     spread_of,
 )
-from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
-from identification.numerics.progress import Progress, silent
+from identification.numerics.arrays import Progress, silent
 from identification.prepare import (
     Prepared,
     default_bandwidth,
@@ -61,7 +60,14 @@ from identification.prepare import (
     torque_unit,
 )
 from identification.recording import Dataset, Model, Recording, RecordingError
-from identification.result import Convergence, Identification, Profile, Resampled
+from identification.result import (
+    DEFAULT,
+    Convergence,
+    EstimatorSettings,
+    Identification,
+    Profile,
+    Resampled,
+)
 
 
 def identify(

@@ -26,9 +26,8 @@ from identification.estimate.equation_error import (
 from identification.estimate.parameter_table import fit_of
 from identification.model.ladder import LADDER, bears_load
 from identification.model.parameters import LOAD_PARAMETERS
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import Design, bounded_least_squares
-from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, prepare
 from identification.recording import Dataset, Model, Recording, RecordingError

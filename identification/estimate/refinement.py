@@ -21,7 +21,6 @@ from identification.estimate.equation_error import block_sandwich
 from identification.estimate.parameter_table import typical_error
 from identification.estimate.replicates import Bias, likelihood_bias
 from identification.estimate.searches import Refined
-from identification.estimator_settings import DEFAULT, AcceptanceLimits, EstimatorSettings
 from identification.filter.likelihood import (
     ROUNDS,
     Point,
@@ -30,18 +29,23 @@ from identification.filter.likelihood import (
     reduce,
     search_breakaway_times,
 )
-from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.ladder import NOMINAL
 from identification.model.parameters import INDEX, LOGARITHMIC, STRIBECK_TERMS, pack, unpack
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import equilibrated
-from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared
 from identification.recording import Model, Recording
-from identification.result import Convergence, MeasuredNoise, Starts
+from identification.result import (
+    DEFAULT,
+    AcceptanceLimits,
+    Convergence,
+    EstimatorSettings,
+    MeasuredNoise,
+    Starts,
+)
 
 
 def try_refinements(

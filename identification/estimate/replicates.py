@@ -26,7 +26,6 @@ from itertools import islice
 import numpy as np
 
 from identification.estimate.inertia import Replicate, segment_inflation
-from identification.estimator_settings import DEFAULT, ReplicateSettings
 from identification.filter.likelihood import Point, search_breakaway_times
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import Motion, motion
@@ -37,10 +36,10 @@ from identification.model.parameters import (
     SYSTEM_PARAMETERS,
     unpack,
 )
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import both
-from identification.numerics.progress import Progress, silent
 from identification.recording import Model
+from identification.result import DEFAULT, ReplicateSettings
 from identification.simulate.drive_loop import Loop, Response, drive_loop, respond
 
 _SEEDS = 1 << 63

@@ -16,7 +16,6 @@ from identification.estimate.covariance import covariances, named_covariances
 from identification.estimate.inertia import SOLVED, equations_chi2, fit_beside_inertia, solve
 from identification.filter.experiment import Filter
 from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
-from identification.filter.noise import Noise
 from identification.filter.noise_level import (
     HUBER_THRESHOLD,
     deviance,
@@ -25,7 +24,7 @@ from identification.filter.noise_level import (
     repeating_share,
     torque_noise,
 )
-from identification.filter.segments import Motion
+from identification.filter.segments import Motion, Noise
 from identification.model.parameters import (
     INDEX,
     INERTIA,
@@ -40,10 +39,9 @@ from identification.model.parameters import (
     unpack,
 )
 from identification.numerics import least_squares as levenberg
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.compiled import each
 from identification.numerics.least_squares import huber, negative_log_likelihood
-from identification.numerics.progress import Progress, silent
 from identification.recording import Model
 from identification.result import Starts
 

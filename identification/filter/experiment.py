@@ -29,8 +29,7 @@ from identification.filter.kalman import (
     innovations,
     sensitivities,
 )
-from identification.filter.noise import Noise
-from identification.filter.segments import Motion
+from identification.filter.segments import Motion, Noise
 from identification.model.parameters import COULOMB_OF, INDEX
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import both, idle

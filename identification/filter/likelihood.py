@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from identification.filter.experiment import Experiment, Filter, Heads
 from identification.filter.kalman import DIRECTION, SEEDS, START
-from identification.filter.noise import Noise
-from identification.filter.segments import Motion
+from identification.filter.segments import Motion, Noise
 from identification.model.parameters import (
     ALPHA,
     LOAD_RISE,

@@ -11,8 +11,7 @@ from scipy import optimize
 
 from identification.filter.kalman import DIRECTION, FIRST, LAST
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
-from identification.filter.segments import Motion
+from identification.filter.segments import Motion, Noise
 from identification.numerics.arrays import Array
 
 HUBER_THRESHOLD = 4.0

@@ -8,12 +8,15 @@ that the mismatch passes, so that the filter does not cause an apparent effect.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from identification.model.parameters import LINEAR
 from identification.numerics.series import delayed_series
@@ -35,11 +38,139 @@ from identification.signals import (
     Decimator,
     central_difference,
     decimator,
+    quantum,
     resample,
     smooth,
     values_at_ends,
 )
-from identification.views import marks
+
+RISE_SAMPLES = 5
+"""Number of samples before a breakaway over which the torque's rate of rise is averaged."""
+STEADY_SHARE = 0.7
+"""Ratio of the peak-to-peak variation of the speed around a sample to the speed, from which motion
+counts as unsteady.
+"""
+HUNTING_SHARE = 0.09
+"""Ratio of the rms of the part of the speed that the filter removes to the filtered speed, from
+which motion counts as unsteady too.
+"""
+QUICK_SAMPLES = 2
+"""Number of samples before and after a sample over which the unfiltered speed is computed."""
+BEYOND_FILTER = 3.0
+"""Ratio of the bandwidth of the unfiltered speed to the cut-off of the filter, from which an
+oscillation of the drive can be distinguished from motion just above the cut-off.
+"""
+THIRD_DIFFERENCE = math.sqrt(20.0)
+"""Standard deviation of the third differences of white noise of unit variance."""
+LEAST_REST_S = 0.02
+"""Least duration of a rest, s; a shorter rest is not distinguished from slow passage through zero
+speed.
+"""
+
+
+def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
+    """Return the samples at which rests end in breakaways, shape (e,)."""
+    ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
+    # Motion against the torque at the end of a rest is not a breakaway: a reading of the encoder
+    # changes by noise, or the shaft springs back.
+    pushed = np.sign(torque)
+    kept = [
+        k
+        for k in ends
+        if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]
+    ]
+    return np.array(kept, dtype=np.int64)
+
+
+class Quick(NamedTuple):
+    """The speed, computed by differences over few samples, and the noise of this speed, rad/s."""
+
+    velocity: Array
+    noise: float
+
+
+def quick_speed(series: Array, rate: float) -> Quick:
+    """Return the speed by differences over :data:`QUICK_SAMPLES` on either side of each sample of a
+    measured position.
+    """
+    span = 2 * QUICK_SAMPLES / rate
+    padded = np.pad(series, QUICK_SAMPLES, mode="edge")
+    rough = 1.4826 * float(np.median(np.abs(np.diff(series, n=3)))) / THIRD_DIFFERENCE
+    scatter = max(rough, quantum(series) / math.sqrt(12.0))
+    return Quick(
+        (padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span,
+        math.sqrt(2.0) * scatter / span,
+    )
+
+
+def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolArray:
+    """Mark moving samples whose friction is not a function of the filtered speed.
+
+    A sample is unsteady if the speed around it varies by more than a share of the speed, because
+    the shaft slips and nearly sticks within the filter's window. A sample is also unsteady if the
+    speed varies faster than the filter resolves, as with a drive that oscillates at up to 100 Hz on
+    the falling branch of friction. In both cases the mean of friction is not the friction at the
+    mean speed.
+
+    Args:
+        velocity: Speed filtered to ``cutoff``, rad/s.
+        quick: Speed by differences over few samples.
+        rate: Sample rate, Hz.
+        cutoff: Cut-off of the filter, Hz.
+    """
+    reach = round(0.5 * rate / cutoff)
+    found = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
+    if rate >= 2 * QUICK_SAMPLES * BEYOND_FILTER * cutoff:
+        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
+        found |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
+    return np.asarray(found)
+
+
+def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
+    """Return the sign of friction: the direction of motion, or at rest the sign of the torque."""
+    here = np.where(still, np.sign(torque), np.sign(velocity))
+    known = np.maximum.accumulate(np.where(here != 0.0, np.arange(len(here)), 0))
+    return np.asarray(here[known])
+
+
+def _swing(series: Array, reach: int) -> Array:
+    """Return the difference of the greatest and the least value within ``reach`` samples of each
+    sample.
+    """
+    size = 2 * reach + 1
+    return np.asarray(
+        ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
+    )
+
+
+def reversals(sense: Array) -> BoolArray:
+    """Mark samples whose direction differs from that of the previous sample."""
+    return np.concatenate(([False], sense[1:] != sense[:-1]))
+
+
+def time_since(time: Array, marks: BoolArray) -> Array:
+    """Return the time since the last marked sample, or since the first sample if none is marked
+    before.
+    """
+    last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
+    return np.asarray(time - time[last])
+
+
+def last_rest_duration(rest: Array, still: BoolArray) -> Array:
+    """Return the duration of the last rest at each sample; the value is held until the next rest
+    begins.
+    """
+    last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
+    return np.asarray(rest[last])
+
+
+def travel(angle: Array, turned: BoolArray) -> Array:
+    """Return the distance of the angle from its value at the last reversal, or at the first
+    sample.
+    """
+    last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
+    return np.asarray(np.abs(angle - angle[last]))
+
 
 LEAST_STEADY = 0.1
 """Samples in unsteady motion are omitted only if at least this share of all samples is in steady
@@ -309,14 +440,14 @@ def _view(
     hanging = recording.known_torque(angle)
     known = hanging - recording.known_inertia * acceleration
     torque = smooth(drive, rate, cutoff) + known
-    sense = marks.sense(velocity, torque, still)
-    turned = marks.reversals(sense)
+    senses = sense(velocity, torque, still)
+    turned = reversals(senses)
     margin = round(1.5 * rate / cutoff)
     stopped = still | turned
-    hasty = marks.unsteady(velocity, quick, rate, cutoff)
+    hasty = unsteady(velocity, quick, rate, cutoff)
     late = widened(irregular(recording.time, grid), margin)
-    rest = marks.time_since(grid, ~still)
-    reversal = marks.time_since(grid, turned)
+    rest = time_since(grid, ~still)
+    reversal = time_since(grid, turned)
     motor = _motor(recording, grid, angle)
     return View(
         recording=recording,
@@ -332,11 +463,11 @@ def _view(
         known=known,
         hanging=hanging,
         moment=contact_moment(recording, grid, angle),
-        sense=sense,
+        sense=senses,
         still=still,
-        rest_time=marks.last_rest_duration(rest, still),
+        rest_time=last_rest_duration(rest, still),
         reversal_time=reversal,
-        reversal_travel=marks.travel(angle, turned),
+        reversal_travel=travel(angle, turned),
         motor=motor,
         motor_speed=_speed(recording, motor, velocity, cutoff),
         lag=_lag(recording, grid),
@@ -347,25 +478,25 @@ def _view(
         low_pass=low_pass,
         moving=without_rare(low_pass, widened(stopped | hasty, margin), late),
         unsteady=without_rare(low_pass, widened(stopped, margin), late),
-        breakaways=marks.breakaways(still, rest, drive + known, sense),
+        breakaways=breakaways(still, rest, drive + known, senses),
     )
 
 
 def _motion(
     recording: Recording, grid: Array, cutoff: float, valve_side: bool
-) -> tuple[Array, Array, marks.Quick, BoolArray]:
+) -> tuple[Array, Array, Quick, BoolArray]:
     rate = 1.0 / recording.period
     position = recording.channels.get("angle") if valve_side else joint_angle(recording)
     if position is not None:
         series = resample(recording.time, position, grid)
         still = resting(series)
         angle = smooth(series, rate, cutoff)
-        return angle, central_difference(angle, 1.0 / rate), marks.quick_speed(series, rate), still
+        return angle, central_difference(angle, 1.0 / rate), quick_speed(series, rate), still
     if "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
     velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-    return angle, velocity, marks.Quick(velocity, 0.0), np.asarray(velocity == 0.0)
+    return angle, velocity, Quick(velocity, 0.0), np.asarray(velocity == 0.0)
 
 
 def _channel(recording: Recording, name: str, grid: Array) -> Array | None:

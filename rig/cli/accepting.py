@@ -28,8 +28,8 @@ def accept_run(
         InputError: The folder is not a run folder, or a file cannot be written.
     """
     from rig.results.acceptance.accept import accept, acceptance_document, write_bytes
-    from rig.results.terminal import text
-    from rig.terminal.bar import ShareBar
+    from rig.results.document import text
+    from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
         found = accept(folder, limits, source, bar)

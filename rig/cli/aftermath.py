@@ -22,8 +22,8 @@ from rig.planning.reference import Reference
 from rig.results.run.go_on import go_on_words
 from rig.results.run.report import write_run_report
 from rig.runs.run import RunFolder, load_run
+from rig.runs.run_file import SEAL_FILE, seal_run
 from rig.runs.run_record import Ending, RunRecord
-from rig.runs.seal import SEAL_FILE, seal_run
 from rig.terminal.output import complain, reader_gone
 from rig.terminal.screen import Screen
 from rig.weighing.label_check import comparable, off_label

@@ -16,8 +16,8 @@ from click.shell_completion import CompletionItem
 
 from drivers.errors import DeviceError
 from rig.cli import crash
-from rig.common.allocation import keep_freed_memory
 from rig.common.errors import InputError, InUseError, StorageError
+from rig.common.start_up import keep_freed_memory
 from rig.terminal.output import Streams, complain
 from rig.terminal.stop_button import ignore_stops
 

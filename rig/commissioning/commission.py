@@ -9,24 +9,81 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+import yaml
+
 from drivers.errors import DeviceError
 from rig.commissioning import moving, signs, still
 from rig.commissioning.homing import announced, homing
-from rig.commissioning.interview import Interview
-from rig.commissioning.patch import patched
 from rig.commissioning.record import SkippedError, StepRecord, Verdict, WrongError
-from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
-from rig.common.errors import StorageError
+from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Interview, Setup
+from rig.common.errors import InputError, StorageError
 from rig.config.bench import Bench, bench_from_text
 from rig.config.configuration import Document
 from rig.control.cycle import TripError
-from rig.control.motion_words import Change
+from rig.control.motion_proof import Change
 from rig.runs.recorder import Recorder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
 from rig.wiring.steps import words_of
 from rig.wiring.teardown import SafeState
+
+
+def patched(text: str, changes: tuple[Change, ...]) -> str:
+    """Return the text of a bench file with these values set; a value of None removes its key.
+
+    Raises:
+        InputError: A section is not a mapping, so that no key can be set in the section.
+    """
+    for change in changes:
+        text = _set(text, change)
+    return text
+
+
+def _set(text: str, change: Change) -> str:
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
+    assert isinstance(root, yaml.MappingNode)
+    section = next((value for name, value in root.value if name.value == change.section), None)
+    if section is None:
+        if change.value is None:
+            return text
+        return f"{text.rstrip()}\n{change.section}: {{{change.key}: {_scalar(change)}}}\n"
+    if not isinstance(section, yaml.MappingNode):
+        raise InputError(
+            f"{change.section}: must consist of keys with values, so that {change} can be set in "
+            "this section; correct the section"
+        )
+    found = next(((n, v) for n, v in section.value if n.value == change.key), None)
+    if change.value is None:
+        return text if found is None else _without(text, section, *found)
+    if found is not None:
+        _, value = found
+        return text[: value.start_mark.index] + _scalar(change) + text[value.end_mark.index :]
+    line = f"{change.key}: {_scalar(change)}"
+    if section.flow_style:
+        at = section.start_mark.index + 1
+        return f"{text[:at]}{line}{', ' if section.value else ''}{text[at:]}"
+    first = section.value[0][0].start_mark
+    return f"{text[: first.index]}{line}\n{' ' * first.column}{text[first.index :]}"
+
+
+def _without(text: str, section: yaml.MappingNode, name: yaml.Node, value: yaml.Node) -> str:
+    """Return the text without a key of a section."""
+    begin, end = name.start_mark.index, value.end_mark.index
+    if section.flow_style:
+        rest = text[end:]
+        ahead = rest.lstrip(", ") if rest.lstrip().startswith(",") else rest
+        return text[:begin] + ahead
+    if len(section.value) == 1:
+        return f"{text[:begin]}{{}}{text[end:]}"
+    stop = text.find("\n", end)
+    return text[: begin - name.start_mark.column] + (text[stop + 1 :] if stop >= 0 else "")
+
+
+def _scalar(change: Change) -> str:
+    value = change.value
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
 
 MOST_CORRECTIONS: Final = 12
 HOMING: Final = "homing"

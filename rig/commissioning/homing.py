@@ -19,7 +19,7 @@ from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
 from rig.commissioning.still import ZERO_TOLERANCE_DEG
 from rig.common.sample import Sample
 from rig.control.cycle import TripError
-from rig.control.motion_words import Change
+from rig.control.motion_proof import Change
 from rig.control.readings import take_readings
 from rig.control.safety import Check, Trip
 from rig.planning.limits import Limits

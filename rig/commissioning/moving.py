@@ -13,8 +13,7 @@ from drivers.interfaces import ServoState
 from rig.commissioning.record import SkippedError, StepRecord, WrongError
 from rig.commissioning.setup import FASTEST_DEG_S, Setup
 from rig.control.cycle import TripError
-from rig.control.motion_witness import MotionWitness
-from rig.control.motion_words import RATIO_TOLERANCE
+from rig.control.motion_proof import RATIO_TOLERANCE, MotionWitness
 from rig.control.safety import Check
 from rig.wiring.braking import brake
 from rig.wiring.steps import Steps

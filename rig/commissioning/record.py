@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from rig.control.motion_words import Change
+from rig.control.motion_proof import Change
 
 
 class Verdict(Enum):

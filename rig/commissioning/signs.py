@@ -13,7 +13,7 @@ from rig.commissioning.record import SkippedError, StepRecord, WrongError
 from rig.commissioning.setup import REST_S, Setup
 from rig.config.sequence import approach
 from rig.control.cycle import TripError
-from rig.control.motion_witness import MotionWitness
+from rig.control.motion_proof import MotionWitness
 
 LEAST_SHARE: Final = 1.0 / 16.0
 """First limit of torque and current, as a share of the low limits of a commissioning."""

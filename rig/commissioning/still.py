@@ -8,8 +8,8 @@ from typing import Final
 from drivers.errors import DeviceError
 from rig.commissioning.record import StepRecord, WrongError
 from rig.commissioning.setup import Setup
-from rig.common.findings import Cause
-from rig.control.motion_words import Change
+from rig.common.errors import Cause
+from rig.control.motion_proof import Change
 from rig.control.readings import reading_findings, take_readings
 from rig.wiring.bench_text import watcher
 from rig.wiring.drive_limits import compare, show

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import Enum
 from typing import NamedTuple
 
 
@@ -52,3 +53,20 @@ class Sample(NamedTuple):
     segment: int
     fresh: bool
     pressure: float = math.nan
+
+
+class Phase(Enum):
+    """Phase of a run. The drive is energised only from ENABLE to RELEASE."""
+
+    LOAD = "load"
+    PREPARE = "prepare"
+    ENABLE = "enable"
+    FIRST_PASS = "first pass"
+    WEIGH = "weight check"
+    APPROACH = "approach"
+    SETTLE = "settle"
+    EXCITE = "excite"
+    HOLD = "hold"
+    RELEASE = "release"
+    BOUNDARY = "between stages"
+    FINISHED = "finished"

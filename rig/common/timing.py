@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
 from itertools import accumulate, pairwise
 from typing import Any, Final
 
@@ -123,3 +124,30 @@ def summary(timing: Mapping[str, Any]) -> str:
         f"{timing['lost_servo']} of the drive, {timing['lost_encoder']} of the encoder; "
         f"oldest sample {timing['oldest_sample_s'] * 1e3:.3g} ms"
     )
+
+
+def instant(text: str) -> datetime:
+    """Return the date and time that an ISO 8601 text states; a text without a zone is in UTC.
+
+    Raises:
+        ValueError: The text is not an ISO 8601 date and time, or is a date without a time.
+    """
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        found = None
+    if found is None or len(text) < len("2026-01-31T12:00"):
+        raise ValueError(
+            "not an ISO time with date and time of day; write 2026-01-31T12:00:00, or seconds"
+        )
+    return found if found.tzinfo else found.replace(tzinfo=UTC)
+
+
+def iso_time(text: str) -> str:
+    """Return the text if it is an ISO 8601 date and time.
+
+    Raises:
+        ValueError: The text is not an ISO 8601 date and time.
+    """
+    instant(text)
+    return text

@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from drivers.can.timing import ANSWER_SHARE, cycle_bits
+from drivers.can.port import ANSWER_SHARE, cycle_bits
 from drivers.canopen import cia402_objects, cia404, cia406
-from drivers.canopen.axis import Axis
+from drivers.canopen.cia404 import Cia404Transmitter
 from drivers.canopen.eds_file import read_eds
-from drivers.canopen.sdo import described
+from drivers.canopen.sdo import Axis, described
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
+from drivers.objects import ProcessChannel
+from identification.model.gas_generator import GasGenerator, ValveGeometry
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import (
     Document,
@@ -31,13 +33,149 @@ from rig.config.configuration import (
     Schema,
     load_located,
     located_text,
+    resolve,
 )
 from rig.config.dbc import DbcServoSection, cycle_frames, wire
-from rig.config.gas_section import GasGeneratorSection, PressureSection
-from rig.config.limits_section import LimitsSection
-from rig.config.packaged import resolve
 from rig.config.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
 from rig.config.simulated_machine import follow_bench, hidden_problems, require_buildable
+
+
+class LimitsSection(Schema):
+    """Limits that the program checks on every sample; a limit for which the drive has an object is
+    also checked by the drive.
+
+    Attributes:
+        angle_min_deg: Lowest joint angle, commanded or measured.
+        angle_max_deg: Highest joint angle, commanded or measured.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque of the drive, at the joint after the gear.
+        current_A: Highest motor current.
+        following_error_deg: Largest difference between commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference between joint encoder and motor encoder, at the
+            joint.
+        weight_kg: Heaviest weight that a sequence may hang.
+        contact_force_N: Highest contact force, of a weight or of the gas generator's pressure.
+        pressure_MPa: Highest chamber pressure; needed if there is a pressure transmitter.
+        temperature_C: Highest temperature that the drive may report.
+        supply_min_V: Lowest supply voltage.
+        supply_max_V: Highest supply voltage.
+        sample_age_ms: Greatest age of a sample with which a cycle may continue.
+        lateness_ms: Greatest delay of the start of a cycle; at most half of the time after which
+            the drive's watchdog acts.
+    """
+
+    angle_min_deg: float
+    angle_max_deg: float
+    speed_deg_s: Positive
+    torque_N_m: Positive
+    current_A: Positive
+    following_error_deg: Positive
+    encoder_disagreement_deg: Positive
+    weight_kg: NonNegative
+    contact_force_N: NonNegative
+    pressure_MPa: Positive | None = None
+    temperature_C: float = 80.0
+    supply_min_V: NonNegative = 0.0
+    supply_max_V: Positive = 1000.0
+    sample_age_ms: Positive = 5.0
+    lateness_ms: Annotated[float, Field(gt=0, le=50)] = 25.0
+
+    @property
+    def middle_rad(self) -> float:
+        """Middle of the joint's travel, rad."""
+        return math.radians(0.5 * (self.angle_min_deg + self.angle_max_deg))
+
+    @model_validator(mode="after")
+    def _range_is_open(self) -> Self:
+        if not self.supply_min_V < self.supply_max_V:
+            raise ValueError(
+                f"supply_min_V {self.supply_min_V:g} must be below supply_max_V "
+                f"{self.supply_max_V:g}; exchange the two values"
+            )
+        if not self.angle_min_deg < self.angle_max_deg:
+            raise ValueError(
+                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
+                f"{self.angle_max_deg:g}; exchange the two values"
+            )
+        return self
+
+
+class PressureSection(Schema):
+    """A CANopen pressure transmitter (CiA 404) on the chamber.
+
+    Attributes:
+        kind: The protocol of the transmitter.
+        node: CANopen node number.
+        unit_Pa: Pressure of one unit of the process value 9130h; checked against 6131h and 6132h
+            before a run.
+        range_MPa: Highest pressure that the transmitter measures.
+        eds: The device's own EDS file, relative to the bench file; the simulated transmitter needs
+            none.
+    """
+
+    kind: Literal["cia404"] = "cia404"
+    node: Annotated[int, Field(ge=1, le=127)] = 4
+    unit_Pa: Positive = 100.0
+    range_MPa: Positive
+    eds: str | None = None
+
+    def transmitter(self, channel: ProcessChannel) -> Cia404Transmitter:
+        """Return the device."""
+        return Cia404Transmitter(channel, self.unit_Pa)
+
+
+class GasGeneratorSection(Schema):
+    """Nominal constants of gas generator and valve (Fig. 3, eq. 2, 3, 10).
+
+    Contact force and limits need the valve and the back pressure; a flow command needs the
+    propellant, the burning law and the chamber; the other constants are for the diagnosis.
+
+    Attributes:
+        hole_diameter_m: Diameter of the hole in the valve's plate.
+        opening_diameter_m: Diameter of the opening that the plate covers.
+        plate_width_m: Width of the plate.
+        back_pressure_MPa: Pressure p_c0 downstream of the valve.
+        propellant_density_kg_m3: Density rho_b of the propellant.
+        burning_rate_mm_s: Burning rate a at 1 MPa.
+        pressure_exponent: Exponent n of the burning law.
+        chamber_diameter_m: Diameter D_P of the end-burning grain.
+        characteristic_velocity_m_s: Characteristic velocity C_r of the gas.
+        heat_ratio: Specific-heat ratio of the gas.
+        free_volume_m3: Volume of the chamber without the grain, at ignition.
+    """
+
+    hole_diameter_m: Positive
+    opening_diameter_m: Positive
+    plate_width_m: Positive
+    back_pressure_MPa: Annotated[float, Field(ge=0)]
+    propellant_density_kg_m3: Positive
+    burning_rate_mm_s: Positive
+    pressure_exponent: Annotated[float, Field(gt=0, lt=1)]
+    chamber_diameter_m: Positive
+    characteristic_velocity_m_s: Positive
+    heat_ratio: Annotated[float, Field(gt=1, lt=2)]
+    free_volume_m3: Positive
+
+    def valve(self, arm_m: float) -> ValveGeometry:
+        """Return the geometry of the valve, whose plate turns at the radius L1, ``arm_m``."""
+        return ValveGeometry(
+            self.hole_diameter_m, self.opening_diameter_m, self.plate_width_m, arm_m
+        )
+
+    def generator(self, arm_m: float) -> GasGenerator:
+        """Return the record that the numerics use."""
+        return GasGenerator(
+            rho_b=self.propellant_density_kg_m3,
+            D_P=self.chamber_diameter_m,
+            a=self.burning_rate_mm_s * 1e-3,
+            n=self.pressure_exponent,
+            C_r=self.characteristic_velocity_m_s,
+            gamma=self.heat_ratio,
+            V_0=self.free_volume_m3,
+            p_c0=self.back_pressure_MPa * 1e6,
+            valve=self.valve(arm_m),
+        )
+
 
 NOT_REPORTED = (
     "servo.inputs has no signal of this quantity, so that this limit would never be checked; if "
@@ -410,3 +548,39 @@ def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> It
             f"of the bus, limit {ANSWER_SHARE:.0%}; raise the bit rate, or lower cycle_Hz to "
             f"{1e3 / shortest_ms:g}"
         )
+
+
+def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
+    """Return the bench's calibrations for ``run.json``; a calibration is valid on its due day."""
+    return [
+        {"device": c.device, "id": c.id, "due": c.due.isoformat(), "overdue": c.due < today}
+        for c in bench.calibrations
+    ]
+
+
+def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a message for each overdue calibration."""
+    return [
+        f"calibration {c['id']} of {c['device']} was due on {c['due']}"
+        for c in records
+        if c["overdue"]
+    ]
+
+
+def overdue_problems(document: Document[Bench], today: date) -> list[str]:
+    """Return the overdue calibrations that prevent a run, each with its place in the bench file.
+
+    The list is empty if the bench file permits runs with overdue calibrations.
+    """
+    bench = document.value
+    if bench.overdue_calibration != "refuse":
+        return []
+    return [
+        document.problem(
+            ("calibrations", index, "due"),
+            f"calibration {item.id} of {item.device} is overdue, and overdue_calibration is "
+            "`refuse`; have the device calibrated",
+        )
+        for index, item in enumerate(bench.calibrations)
+        if item.due < today
+    ]

@@ -14,9 +14,8 @@ from pydantic import Field
 from identification.model.ladder import bears_load, rises
 from identification.model.parameters import LOAD_PARAMETERS
 from rig.common.errors import InputError
-from rig.common.table_tree import csv_rows, row
 from rig.common.text import stored_path
-from rig.common.yaml_tree import DocumentError, Node, read_text
+from rig.common.yaml_tree import DocumentError, Node, csv_rows, read_text, row
 from rig.config.campaign_columns import ChannelSection
 from rig.config.campaign_sections import ANGLE_TIME, BenchSection, ModelSection, RecordingSection
 from rig.config.configuration import Document, Loc, Schema, load_located

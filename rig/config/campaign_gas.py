@@ -14,8 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from identification.model.gas_generator import GasGenerator
-from identification.model.valve import PAPER, ValveGeometry
+from identification.model.gas_generator import PAPER, GasGenerator, ValveGeometry
 from rig.config.configuration import Schema
 
 

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
 from identification.effects import EFFECTS
+from identification.model.gas_generator import PAPER
 from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
-from rig.common.instants import iso_time
+from rig.common.timing import iso_time
 from rig.config.campaign_columns import ChannelSection, ReadSection
 from rig.config.campaign_gas import (
     Constant,

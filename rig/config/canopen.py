@@ -8,11 +8,10 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from drivers.canopen.axis import AXIS_OBJECTS
 from drivers.canopen.device_data import SIMULATED, DeviceData, devices, match
 from drivers.canopen.eds_file import read_eds
-from drivers.canopen.motion import ModeName
-from drivers.canopen.velocity_unit import RPM
+from drivers.canopen.motion import RPM, ModeName
+from drivers.canopen.sdo import AXIS_OBJECTS
 from drivers.errors import ConfigurationError
 from rig.config.configuration import Positive, Schema, nearest
 

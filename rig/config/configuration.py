@@ -11,12 +11,15 @@ import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
+from drivers.errors import require_plain
 from rig.common.errors import InputError
+from rig.common.places import is_file
 from rig.common.yaml_tree import DocumentError, Mark, Node, parse, read_text
 
 Loc = tuple[str | int, ...]
@@ -398,3 +401,87 @@ def _format(file: Path, mark: Mark, path: str, message: str, value: object = _AB
 def _short(value: object) -> str:
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+_HERE = Path(__file__).parent
+
+
+def names(kind: Literal["benches", "sequences"]) -> list[str]:
+    """Return the packaged names of one kind."""
+    return sorted(path.stem for path in (_HERE / kind).glob("*.yaml"))
+
+
+def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
+    """Return the path of the packaged file of this name; the file need not exist."""
+    return _HERE / kind / f"{name}.yaml"
+
+
+def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
+    """Return the file for a name: the file at this path if it exists, else the packaged file of
+    this name.
+
+    Raises:
+        InputError: Neither file exists, or the path is not a file; the message suggests the nearest
+            packaged names.
+    """
+    path = Path(name)
+    if is_file(path):
+        return path
+    shipped = packaged(str(name), kind)
+    if path.name == str(name) and is_file(shipped):
+        return shipped
+    try:
+        require_plain(path)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {error.strerror}") from error
+    raise InputError(
+        f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}"
+    )
+
+
+_KNOWN: Mapping[str, frozenset[str] | None] = {
+    "motor": frozenset(
+        {
+            "resistance_ohm",
+            "inductance_H",
+            "torque_constant_N_m_A",
+            "back_emf_constant_V_s_rad",
+            "gear_ratio",
+        }
+    ),
+    "joint": frozenset({"moment_arm_m", "lever_ratio", "gravity_m_s2"}),
+    "loops": None,
+    "sensing": frozenset({"motor_counts_per_turn", "joint_counts_per_turn", "cycle_s"}),
+    "steps_per_loop": None,
+    "supply_V": None,
+}
+"""Keys of the ``mock`` section that are kept; None for all keys of a subsection.
+
+Friction, inertia, noise, warming and effects are removed, because they are unknown on a real bench.
+"""
+# libyaml writes the text faster than PyYAML, but PyYAML may be built without libyaml.
+_DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
+_HEAD = (
+    "# The true constants of the simulated machine, which are unknown on a real "
+    "bench, were removed here.\n"
+)
+
+
+def redacted(content: bytes) -> bytes:
+    """Return a valid bench file without the true values of the simulated machine; a file without a
+    ``mock`` section is unchanged.
+    """
+    tree, _ = parse(content.decode("utf-8"))
+    bench: Any = tree.plain()
+    if not isinstance(bench.get("mock"), dict):
+        return content
+    bench["mock"] = {
+        name: value
+        if _KNOWN[name] is None
+        else {key: value[key] for key in value if key in (_KNOWN[name] or ())}
+        for name, value in bench["mock"].items()
+        if name in _KNOWN
+    }
+    return (_HEAD + yaml.dump(bench, Dumper=_DUMPER, sort_keys=False)).encode("utf-8")

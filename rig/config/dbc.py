@@ -11,7 +11,8 @@ from pydantic import Field
 
 from drivers.can.port import EXTENDED_FLAG
 from drivers.dbc.bind import bind
-from drivers.dbc.file import read_dbc
+from drivers.dbc.codec import Wiring
+from drivers.dbc.file import DbcMapError, read_dbc
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.map import (
     DbcMap,
@@ -23,8 +24,6 @@ from drivers.dbc.map import (
     Status,
     StopFrame,
 )
-from drivers.dbc.problems import DbcMapError
-from drivers.dbc.wiring import Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, ServoLimits
 from drivers.mock.can_drives.bench import CAN_DRIVE_FILES, CanDriveKind

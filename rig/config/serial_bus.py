@@ -8,8 +8,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from drivers.amt21.line import DEFAULT_ADDRESS
-from drivers.can.timing import ANSWER_SHARE
+from drivers.amt21.encoder import DEFAULT_ADDRESS
+from drivers.can.port import ANSWER_SHARE
 from drivers.epos import frames as epos_serial
 from drivers.epos import node as epos_serial_node
 from rig.config.configuration import Positive, Schema

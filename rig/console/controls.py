@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rig.console.door import MOST_PAGES, MOST_READERS
+from rig.console.gate import MOST_PAGES, MOST_READERS
 
 
 @dataclass

@@ -11,21 +11,317 @@ import json
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import numpy as np
+from mcap.opcode import Opcode
+
+from drivers.errors import require_plain
+from identification.model.friction import load_coefficient, system_friction
+from identification.recording import Array
 from rig.common.errors import InputError
-from rig.console.channels import CHANNELS, channel_records, shown
 from rig.console.decimation import Decimation
-from rig.console.event_words import event_words
-from rig.console.growing import Growing, News
-from rig.console.torque_speed import TorqueSpeed, curves
-from rig.results.run.go_on import first_words
-from rig.results.run.verdict import ACCEPTANCE_FILE, read_verdict
-from rig.runs.mcap.records import DamageError
-from rig.runs.run_file import read_record
+from rig.planning.predicted_load import friction_model
+from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict
+from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
+from rig.runs.mcap.records import HEADER, MAX_CHUNK, DamageError, chunk
+from rig.runs.mcap.stream import chunk_messages
+from rig.runs.mcap.writer import MAGIC
+from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RUN_FILE, Ending, RunRecord
+
+DEG = 180.0 / math.pi
+
+
+class Channel(NamedTuple):
+    """Channel of one chart.
+
+    Attributes:
+        name: Name of the channel in the recording, or name of a derived value.
+        label: Title.
+        unit: Unit of display.
+        scale: Factor from SI to the unit of display.
+    """
+
+    name: str
+    label: str
+    unit: str
+    scale: float = 1.0
+
+
+CHANNELS = (
+    Channel("angle", "Joint angle", "deg", DEG),
+    Channel("command", "Commanded angle", "deg", DEG),
+    Channel("error", "Tracking error", "deg", DEG),
+    Channel("velocity", "Joint speed", "deg/s", DEG),
+    Channel("torque", "Joint torque", "N m"),
+    Channel("current", "Motor current", "A"),
+    Channel("following_error", "Following error of the drive", "deg", DEG),
+    Channel("disagreement", "Encoder against drive", "deg", DEG),
+    Channel("voltage", "Motor voltage", "V"),
+    Channel("supply_voltage", "Supply voltage", "V"),
+    Channel("temperature", "Temperature of the drive", "deg C"),
+    Channel("pressure", "Chamber pressure", "MPa", 1e-6),
+)
+"""Channels in the order in which the page shows them."""
+
+
+def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
+    """Return the values of the channels in their units of display, shape (channels, n).
+
+    Args:
+        samples: Arrays of shape (n,), by field.
+        about: Description of the run, with gear ratio and torque constant.
+    """
+    derived = {
+        "error": samples["angle"] - samples["command"],
+        "torque": samples["current"] * about["torque_per_ampere"],
+        "disagreement": samples["motor_angle"] / about["gear_ratio"] - samples["angle"],
+    }
+    return np.stack([(derived | {**samples})[c.name] * c.scale for c in CHANNELS])
+
+
+def channel_records(about: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the channels with their limits in the units of display, as JSON values."""
+    limits = {row["channel"]: row for row in about["limits"]}
+    return [
+        {
+            "name": channel.name,
+            "label": channel.label,
+            "unit": channel.unit,
+            "low": _scaled(limits.get(channel.name, {}).get("low"), channel.scale),
+            "high": _scaled(limits.get(channel.name, {}).get("high"), channel.scale),
+        }
+        for channel in CHANNELS
+    ]
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else value * scale
+
+
+_WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    "prompt": lambda e: f"{e['stage']}: the operator is asked for the weight; the drive is off",
+    "answer": lambda e: f"{e['stage']}: {e['weight_kg']:g} kg confirmed",
+    "repeat": lambda e: f"{e['stage']}: the stage will be repeated",
+    "stage start": lambda e: f"{e['stage']}: the stage begins",
+    "first pass": lambda e: f"{e['stage']}: first pass at {100 * e['amplitude']:.0f} % amplitude",
+    "weight check": lambda e: f"{e['stage']}: weight check: {e['verdict']}. {e['message']}",
+    "segment": lambda e: f"{e['stage']}: excitation {e['number']} begins",
+    "stage end": lambda e: f"{e['stage']}: the stage is done; the drive is off",
+    "paused": lambda e: f"{e['stage']}: pause; the drive is off",
+    "go on": lambda e: f"{e['stage']}: the run continues",
+    "abort": lambda e: f"{e['stage']}: the operator aborted the run",
+    "ignition": lambda e: f"{e['stage']}: ignition",
+    "fault reset": lambda e: (
+        f"{e['stage']}: the fault of the drive is cleared; the drive is still off"
+    ),
+}
+
+
+def event_words(event: Mapping[str, Any]) -> str:
+    """Return an event with its time as one line of text; for an unknown event, its name and
+    details.
+    """
+    name = str(event.get("event"))
+    try:
+        words = _WORDS[name](event)
+    except (KeyError, TypeError, ValueError):
+        details = ", ".join(
+            f"{key} {value}" for key, value in event.items() if key not in ("time", "event")
+        )
+        words = f"{name}: {event['message']}" if "message" in event else f"{name} {details}".strip()
+    time = event.get("time")
+    return f"{time:.1f} s  {words}" if isinstance(time, float | int) else words
+
+
+READ_BYTES = 1 << 19
+"""Greatest number of bytes that one call reads, so that a long recording does not block the
+console.
+"""
+_SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
+_EVENTS = TOPICS.index(EVENT_TOPIC) + 1
+
+
+class News(NamedTuple):
+    """Content that was added to a recording.
+
+    Attributes:
+        samples: Arrays of shape (n,), by field of :class:`rig.common.sample.Sample`; empty without
+            samples.
+        events: Events, each with ``time`` and ``event``.
+        more: Whether more content can be read immediately.
+    """
+
+    samples: Mapping[str, Array]
+    events: tuple[Mapping[str, Any], ...]
+    more: bool
+
+
+class Growing:
+    """A recording that may still grow.
+
+    Args:
+        path: The recording.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+
+    def read(self) -> News:
+        """Read the bytes that were added since the last call, at most :data:`READ_BYTES`.
+
+        Raises:
+            OSError: The file cannot be read.
+            DamageError: The file is damaged, or another program wrote it.
+        """
+        require_plain(self._path)
+        samples: list[bytes] = []
+        events: list[Mapping[str, Any]] = []
+        with open(self._path, "rb") as stream:
+            if not self._offset:
+                if not self._begins(stream.read(len(MAGIC))):
+                    return News({}, (), False)
+                self._offset = len(MAGIC)
+            stream.seek(self._offset)
+            data = stream.read(READ_BYTES)
+            used = _records(data, samples, events)
+            length = HEADER.unpack_from(data)[1] if not used and len(data) >= HEADER.size else 0
+            if READ_BYTES < length + HEADER.size <= MAX_CHUNK:
+                # One record is larger than the block: an attachment, or a chunk of another writer.
+                data += stream.read(length + HEADER.size - len(data))
+                used = _records(data, samples, events)
+        self._offset += used
+        return News(_decoded(samples), tuple(events), used > 0 and len(data) >= READ_BYTES)
+
+    def _begins(self, magic: bytes) -> bool:
+        """Return whether the file has the complete first bytes of a recording.
+
+        Raises:
+            DamageError: The first bytes are not those of a recording.
+        """
+        if not MAGIC.startswith(magic):
+            raise DamageError(f"{self._path}: not an MCAP recording")
+        return magic == MAGIC
+
+
+def _records(data: bytes, samples: list[bytes], events: list[Mapping[str, Any]]) -> int:
+    """Sort the messages of complete records into samples and events; return the length of these
+    records, bytes.
+
+    Raises:
+        DamageError: A record is damaged.
+    """
+    samples.clear()
+    events.clear()
+    offset = 0
+    while offset + HEADER.size <= len(data):
+        opcode, length = HEADER.unpack_from(data, offset)
+        start, end = offset + HEADER.size, offset + HEADER.size + length
+        if opcode not in _OPCODES:
+            raise DamageError(f"no record begins with the byte {opcode:02X}h")
+        if end > len(data):
+            break
+        if opcode == Opcode.CHUNK:
+            found, _ = chunk_messages(chunk(data[start:end]), frozenset({_SAMPLES, _EVENTS}))
+            samples += found.get(_SAMPLES, [])
+            events += [json.loads(content) for content in found.get(_EVENTS, [])]
+        offset = end
+    return offset
+
+
+_OPCODES = frozenset(map(int, Opcode))
+
+
+def _decoded(samples: list[bytes]) -> dict[str, Array]:
+    if not samples:
+        return {}
+    size = len(samples[0])
+    if size not in SAMPLE_SIZES or any(len(sample) != size for sample in samples):
+        raise DamageError(f"a sample has {size} bytes, a size that this program does not write")
+    return decode_samples(b"".join(samples), size)
+
+
+BLOCK = 10
+"""Number of samples that are averaged for one point."""
+MOST = 3000
+"""Greatest number of points; beyond this number, every second point is dropped."""
+_SPEEDS = 121
+
+
+class TorqueSpeed:
+    """Points of torque against speed.
+
+    Attributes:
+        points: Speed, deg/s, torque, N m, and number of the excitation, shape (n, 3).
+        version: Number that increases when points are dropped, so that pages fetch all points
+            again.
+    """
+
+    def __init__(self) -> None:
+        self.points: Array = np.empty((0, 3))
+        self.version = 0
+        self._stride = 1
+        self._skipped = 0
+        self._rest: Array = np.empty((0, 3))
+
+    def add(self, samples: Mapping[str, Array], torque_per_ampere: float) -> None:
+        """Add samples; samples outside an excitation are ignored.
+
+        Args:
+            samples: Arrays of shape (n,), by field.
+            torque_per_ampere: Joint torque per motor current, N m/A.
+        """
+        moving = samples["segment"] > 0
+        if not moving.any():
+            return
+        columns = (
+            samples["velocity"][moving] * DEG,
+            samples["current"][moving] * torque_per_ampere,
+            samples["segment"][moving],
+        )
+        rows = np.concatenate([self._rest, np.stack(columns, axis=1)])
+        blocks = len(rows) // BLOCK
+        self._rest = rows[blocks * BLOCK :]
+        means = rows[: blocks * BLOCK].reshape(blocks, BLOCK, 3)
+        # A block with samples of two excitations is left out.
+        means = means[means[:, 0, 2] == means[:, -1, 2]].mean(axis=1)
+        kept = means[self._skipped % self._stride :: self._stride]
+        self._skipped = (self._skipped - len(means)) % self._stride
+        self.points = np.concatenate([self.points, kept])
+        while len(self.points) > MOST:
+            self.points = self.points[::2]
+            self._stride *= 2
+            self.version += 1
+
+
+def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
+    """Return friction against speed by the newest identification of this bench, for the contact
+    moment of each confirmed mass; None without an identification.
+
+    Args:
+        record: The run.
+        folder: The run folder; identifications are searched in the folders beside it.
+    """
+    try:
+        model = friction_model(recorded_bench(record), runs=folder.parent)
+    except InputError:
+        return None
+    if not model.measured:
+        return None
+    speeds = np.linspace(0.0, 2.0, _SPEEDS)[1:]
+    lines = []
+    masses = {s.confirmed_kg for s in record.stages if s.confirmed_kg is not None}
+    for mass in sorted(masses):
+        system = system_friction(speeds, model.values, model.alpha)
+        load = load_coefficient(speeds, model.values, model.alpha)
+        torque = np.asarray(system + mass * model.moment_per_kg * load)
+        lines.append({"mass_kg": mass, "torque": np.round(torque, 4).tolist()})
+    return {"source": model.source, "speed": np.round(speeds * DEG, 4).tolist(), "lines": lines}
+
 
 EVENTS: Final = 200
 """Greatest number of events that are shown."""

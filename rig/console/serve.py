@@ -9,8 +9,7 @@ import uvicorn
 
 from rig.common.errors import InputError
 from rig.console.app import Console
-from rig.console.door import BURST, QUEUE, bounded
-from rig.console.gate import Token
+from rig.console.gate import BURST, QUEUE, Token, bounded
 from rig.console.hub import Hub
 from rig.console.starting import Starter
 

@@ -16,7 +16,7 @@ from rig.common.errors import InputError
 from rig.common.provenance import sha256_file, utc_now
 from rig.common.text import valid
 from rig.config.bench import load_bench
-from rig.config.packaged import names, resolve
+from rig.config.configuration import names, resolve
 
 COMMAND: Final = (sys.executable, "-c", "from rig.cli.entry import main; main()")
 DRY_RUN_S: Final = 180.0

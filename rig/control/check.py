@@ -10,12 +10,10 @@ import dataclasses
 import math
 from typing import Any
 
-from rig.common.errors import InputError
-from rig.common.findings import Cause, Finding, refusals, verdict, warnings
+from rig.common.errors import Cause, Finding, InputError, refusals, verdict, warnings
 from rig.common.provenance import sha256_file, utc_now, versions
 from rig.common.tables import table
-from rig.config.bench import Bench
-from rig.config.calibration import calibration_records
+from rig.config.bench import Bench, calibration_records
 from rig.config.configuration import Document
 from rig.control.readings import Readings, reading_findings, take_readings
 from rig.control.session import DEVICES, describe_devices

@@ -14,9 +14,8 @@ from drivers.interfaces import RawFrame, ServoState
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
-from rig.control.motion_witness import MotionWitness
+from rig.control.motion_proof import MotionWitness, SpeedWitness
 from rig.control.safety import Check, Latch, Trip, check, check_stage_time
-from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
 from rig.wiring.braking import grown

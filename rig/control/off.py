@@ -21,16 +21,14 @@ from typing import Any, Final
 
 from drivers.clock import NS, Clock, RealClock
 from rig.common.errors import InputError, InUseError, StorageError
-from rig.common.lock_holder import Holder
-from rig.common.locks import Lock, hold_bench, lock_files
+from rig.common.locks import Holder, Lock, hold_bench, lock_files
 from rig.common.provenance import sha256_file, utc_now, versions
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import bench_limits
-from rig.wiring.connect import NO_BUS, bare_drive
+from rig.wiring.connect import NO_BUS, bare_drive, bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, stop
 from rig.wiring.off import OffProof
-from rig.wiring.resources import bus_resources
 from rig.wiring.teardown import SafeState
 
 SCHEMA: Final = "loadrig.off/1"

@@ -7,18 +7,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from drivers.interfaces import ServoLimits, ServoState
-from rig.common.phase import Phase
-from rig.common.sample import Sample
+from rig.common.sample import Phase, Sample
 from rig.config.sequence import approach
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import Operator, Verb
 from rig.control.phases import Event
 from rig.planning.feedforward import Compensator
-from rig.planning.flow_control import Regulator
-from rig.planning.hot_fire import hot_fire_words
+from rig.planning.hot_fire import Regulator, hot_fire_words
 from rig.planning.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage, with_mass
-from rig.runs.journal import Journal
 from rig.runs.recorder import Recorder
+from rig.runs.run_file import Journal
 from rig.runs.run_record import Verdict
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.weighing.scale import Scale, measured_level

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import Enum
 
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 
 
 class Event(Enum):

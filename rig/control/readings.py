@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rig.common.findings import Cause, Finding
+from rig.common.errors import Cause, Finding
 from rig.common.sample import Sample
 from rig.control.safety import RUNNING, check
 from rig.planning.limits import Limits

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 from drivers.errors import DeviceError, DriveFault
 from rig.common.errors import StorageError
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 from rig.control.cycle import Cycle, TripError
 from rig.control.phase_handlers import Console, PhaseHandlers, StartingPoint, WeightError
 from rig.control.phases import next_phase
 from rig.control.safety import Check, Trip
 from rig.planning.plan import Plan
-from rig.runs.journal import Journal
 from rig.runs.recorder import Recorder
+from rig.runs.run_file import Journal
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError
 from rig.weighing.scale import Scale

@@ -12,23 +12,30 @@ from pathlib import Path
 from typing import Any
 
 from drivers.clock import NS, RealClock
-from rig.common.errors import StorageError
+from identification.recording import Dataset
+from rig.common.errors import InputError, StorageError
 from rig.common.provenance import sha256, sha256_file, utc_now, versions
-from rig.config.bench import Bench
-from rig.config.calibration import calibration_records, overdue
-from rig.config.configuration import Document
-from rig.config.redact import redacted
+from rig.common.sample import Sample
+from rig.config.bench import Bench, calibration_records, overdue
+from rig.config.configuration import Document, redacted
 from rig.config.sequence import Sequence
 from rig.control.cycle import Cycle, Progress
-from rig.control.operator import Operator
+from rig.control.operator import AutomaticOperator, Operator
 from rig.control.phase_handlers import Console, StartingPoint
 from rig.control.sequencer import Outcome, Sequencer
 from rig.planning.feedforward import Feedforward
-from rig.planning.plan import Plan, stage_records
+from rig.planning.plan import Plan, make_plan, stage_records
 from rig.planning.reference import Reference
 from rig.runs.recorded_inputs import GivenFile, input_entry
 from rig.runs.recorder import GoneError, Recorder, open_recorder
-from rig.runs.run import RunFolder, bench_constants, first_unfinished, part_file
+from rig.runs.run import (
+    RunFolder,
+    bench_constants,
+    create_folder,
+    first_unfinished,
+    load_run,
+    part_file,
+)
 from rig.runs.run_record import (
     ACCEPTANCE_INPUT,
     BENCH_ATTACHMENT,
@@ -41,7 +48,7 @@ from rig.runs.run_record import (
 from rig.terminal.stop_button import StopButton
 from rig.weighing.scale import Scale
 from rig.wiring.bench_text import unprotected
-from rig.wiring.connect import device_files
+from rig.wiring.connect import connect, device_files
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import only_here
 
@@ -398,3 +405,60 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
             "value": value,
             "message": trip.message,
         }
+
+
+class _Unattended(AutomaticOperator):
+    """Operator of a simulated run, who answers every prompt with the plan and shows no messages."""
+
+    def tell(self, words: str, typed: str = "") -> None:
+        """Show nothing."""
+
+    def result(self, words: str, good: bool) -> None:
+        """Show nothing."""
+
+
+def run_simulated(
+    bench: Document[Bench],
+    sequence: Document[Sequence],
+    seed: int,
+    folder: Path,
+    feedforward: Feedforward | None = None,
+) -> Dataset:
+    """Run a sequence on a simulated bench with the planned weights, and return its recordings.
+
+    Args:
+        bench: A simulated bench.
+        sequence: The sequence to run.
+        seed: Seed of the bench's noise.
+        folder: The run folder; new or empty.
+        feedforward: Model of the feed-forward torque that the drive adds, or None for none.
+
+    Raises:
+        InputError: The bench is a real bench, or the run did not end regularly.
+        KeyboardInterrupt: The run was stopped.
+    """
+    if not bench.value.simulated:
+        raise InputError(
+            bench.problem(
+                ("bus",),
+                "this command runs without an operator, so the bench must be simulated",
+            )
+        )
+    plan = make_plan(sequence, bench, feedforward=feedforward)
+    inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)
+    with (
+        create_folder(folder, "rig"),
+        connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices,
+    ):
+        _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
+    if outcome.error is not None:
+        raise outcome.error
+    if outcome.ending is Ending.STOPPED:
+        raise KeyboardInterrupt
+    if outcome.ending is not Ending.DONE:
+        raise InputError(f"{sequence.value.name} on {bench.value.name}: {outcome.message}")
+    return load_run(folder)
+
+
+def _silent(stage: str, cycles: int, sample: Sample) -> None:
+    pass

@@ -16,13 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.clock import NS, Clock
-from drivers.mock.bench import SimulatedBench
-from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
 from drivers.mock.plant.machine import Extremes
-from drivers.mock.wires.stepped_clock import SteppedClock
+from drivers.mock.wires.bus import SteppedClock
 from rig.common.errors import InputError
-from rig.common.phase import Phase
 from rig.common.places import write_json
+from rig.common.sample import Phase
 from rig.common.tables import table
 from rig.config.bench import Bench
 from rig.config.configuration import Document, nearest
@@ -32,7 +31,6 @@ from rig.control.cycle import Progress
 from rig.control.operator import Operator, Verb
 from rig.control.sequencer import Outcome
 from rig.control.session import Inputs, execute
-from rig.fault_injection.file_limit import FileLimit
 from rig.fault_injection.scene import Scene, impossible
 from rig.planning.plan import Plan
 from rig.runs.recorder import Recorder
@@ -40,6 +38,37 @@ from rig.runs.run import RunFolder
 from rig.terminal.prompt import unanswered
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
+
+
+class FileLimit:
+    """The limit on the size of files; :meth:`restore` restores the previous limit."""
+
+    def __init__(self) -> None:
+        self._before: tuple[int, int] | None = None
+
+    def fill(self) -> None:
+        """Make every further write to a file fail, as on a full disk.
+
+        Raises:
+            InputError: This operating system cannot limit the size of files.
+        """
+        try:
+            import resource
+        except ImportError as error:
+            raise InputError(
+                "the fault disk_full needs a limit on the size of files, which this system lacks; "
+                "use Linux or macOS, or leave the fault out"
+            ) from error
+        self._before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, self._before[1]))
+
+    def restore(self) -> None:
+        """Restore the previous limit, if it was changed."""
+        if self._before is not None:
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_FSIZE, self._before)
+
 
 SCHEMA = "loadrig.faults/1"
 REPORT_FILE = "faults.json"

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from drivers.mock import dbc_drive, power_state, sensor_faults
-from drivers.mock.amt21 import SimulatedAmt21
-from drivers.mock.bench import SimulatedBench
-from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock import dbc_drive, faults, power_state
+from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
 from drivers.mock.dbc_drive import DbcDrive
 from drivers.mock.drive import SimulatedDrive
-from drivers.mock.faults import Match, WireFaults
-from drivers.mock.line_faults import LineFaults
+from drivers.mock.encoder import SimulatedAmt21
+from drivers.mock.faults import LineFaults, Match, WireFaults
 from rig.config.bench import Bench
 from rig.config.dbc import DbcServoSection
 from rig.config.faults import COUNTED_FRAMES, FaultRow, Frames
@@ -143,7 +141,7 @@ class Scene:
         return self.bench.drive
 
     @property
-    def sensor(self) -> sensor_faults.Sensor:
+    def sensor(self) -> faults.Sensor:
         """The joint encoder that the host uses."""
         if isinstance(self.bench, SimulatedBench) and "encoder" in self.bench.lines:
             station = self.bench.lines["encoder"].station
@@ -165,7 +163,7 @@ class Scene:
     def refuse_mode(self) -> None:
         """Make the drive ignore the command without which it does not follow targets."""
         if isinstance(self.bench, SimulatedBench):
-            sensor_faults.refuse_mode(self.bench.drive)
+            faults.refuse_mode(self.bench.drive)
         else:
             self.bench.drive.deaf_to = frozenset({dbc_drive.Order.RUN})
 
@@ -252,9 +250,9 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("drive", "position_sign"): lambda s, _: s.machine.reverse("position"),
     ("drive", "velocity_sign"): lambda s, _: s.machine.reverse("velocity"),
     ("drive", "phases_swapped"): lambda s, _: s.machine.reverse("phases"),
-    ("encoder", "bit"): lambda s, r: sensor_faults.flip_bit(s.sensor, _whole(r), r.count),
-    ("encoder", "jump"): lambda s, r: sensor_faults.jump(s.sensor, s.counts(r.amount or 0.0)),
-    ("encoder", "frozen"): lambda s, _: sensor_faults.freeze(s.sensor),
-    ("encoder", "reversed"): lambda s, _: sensor_faults.reverse(s.sensor),
+    ("encoder", "bit"): lambda s, r: faults.flip_bit(s.sensor, _whole(r), r.count),
+    ("encoder", "jump"): lambda s, r: faults.jump(s.sensor, s.counts(r.amount or 0.0)),
+    ("encoder", "frozen"): lambda s, _: faults.freeze(s.sensor),
+    ("encoder", "reversed"): lambda s, _: faults.reverse(s.sensor),
 }
 """Actions on a bench, by target and name of the fault."""

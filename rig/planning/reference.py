@@ -11,8 +11,8 @@ from typing import Any
 from identification.model.friction import load_coefficient, system_friction
 from identification.recording import Bench
 from rig.common.errors import InputError
-from rig.common.input_files import read_json
-from rig.common.result_files import IDENTIFY_SCHEMA
+from rig.common.places import read_json
+from rig.common.provenance import IDENTIFY_SCHEMA
 from rig.config.sequence import Array
 
 NEEDED = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2")

@@ -1,16 +1,27 @@
 """Output of a command as sections of text, tables and pictures.
 
-A command makes one :class:`Document` from its result record; :mod:`rig.results.terminal` and
-:mod:`rig.results.html` show the document. This module is independent of results, terminal and HTML.
+A command makes one :class:`Document` from its result record; the module shows it on a terminal or
+as a page of HTML, and computes nothing.
 """
 
 from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterable, Iterator
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import jinja2
+
+from identification.recording import Recording
+from rig.common.errors import InputError
+from rig.common.places import write_json, write_text
+from rig.common.provenance import Provenance
+from rig.common.tables import table
 
 if TYPE_CHECKING:
     from identification.plots.style import Figure
@@ -165,3 +176,156 @@ def _pictures(blocks: Iterable[Block]) -> Iterator[Picture]:
                 yield from _pictures(block.blocks)
             case SideBySide():
                 yield from _pictures((block.left, block.right))
+
+
+def page(document: Document) -> str:
+    """Return a document as HTML, from the template. All text is escaped, and an undefined name in
+    the template is an error.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.results"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["form"] = _form
+    return environment.get_template("page.html.j2").render(document=document)
+
+
+def _form(block: Block) -> str:
+    """Return the kind of a block for the template."""
+    return type(block).__name__
+
+
+Drawn = TypeVar("Drawn")
+_NUMBER = re.compile(r"\d[\d.e+-]*")
+
+
+def provenance_section(provenance: Provenance) -> Section:
+    """Return the last section of every page: program, time and input files."""
+    facts = (
+        (
+            "versions",
+            ", ".join(f"{name} {release}" for name, release in provenance.versions.items()),
+        ),
+        ("created", provenance.created),
+        ("seed", str(provenance.seed)),
+        ("time spent", f"{provenance.seconds:.3g} s"),
+    )
+    files = tuple(provenance.inputs.items())
+    inputs = (Table(("input file", "SHA-256"), files, ()),) if files else ()
+    return Section("Provenance", (Table(("fact", "value"), facts, ()), *inputs))
+
+
+def reading_notes(recordings: Sequence[Recording]) -> list[str]:
+    """Return notes on corrections and implausible values; only the first of several notes that
+    differ only in numbers is returned.
+    """
+    alike: dict[str, list[str]] = {}
+    for recording in recordings:
+        for note in recording.notes:
+            alike.setdefault(_NUMBER.sub("#", note), []).append(
+                f"reading: {recording.name}: {note}"
+            )
+    return [
+        lines[0] + (f" ({len(lines) - 1} similar notes: see the report)" if len(lines) > 1 else "")
+        for lines in alike.values()
+    ]
+
+
+def few_of_each_role(
+    drawn: Sequence[Drawn],
+    role: Callable[[Drawn], str],
+    most: int,
+    roles: Sequence[str] = ("fit", "validate"),
+) -> list[Drawn]:
+    """Return the first recordings of each role, in the order of the roles."""
+    return [one for each in roles for one in [one for one in drawn if role(one) == each][:most]]
+
+
+_WIDTH = 110
+_PREFIX = {"plain": "", "aside": "note: ", "warning": "warning: "}
+
+
+def text(document: Document) -> str:
+    """Return a document's summary; pictures have no text."""
+    return "\n\n".join("\n".join(_lines(section)) for section in document.summary)
+
+
+def _lines(block: Block) -> Iterator[str]:
+    match block:
+        case Table():
+            yield table(block.header, block.rows, block.right)
+        case Note():
+            yield _PREFIX[block.tone] + block.text
+        case Paragraph():
+            yield textwrap.fill(f"{block.lead} {block.text}".lstrip(), _WIDTH)
+        case Items():
+            for name, what in block.items:
+                yield f"  {name}: {what}" if name else f"  {what}"
+        case Verdict():
+            yield block.headline
+            yield textwrap.fill(block.statement, _WIDTH)
+        case Section():
+            if block.title:
+                yield block.title
+            for inner in block.blocks:
+                yield from _lines(inner)
+        case SideBySide():
+            yield from _lines(block.left)
+            yield from _lines(block.right)
+        case Picture():
+            pass
+
+
+PAGE_FILE = "report.html"
+
+
+def write_record(record: Mapping[str, Any], file: Path, json_file: Path | None) -> None:
+    """Write a result file into its folder, which is created, and a copy if requested.
+
+    Raises:
+        InputError: A path cannot be written.
+    """
+    with _writing(*filter(None, (file.parent, json_file))):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        for path in filter(None, (file, json_file)):
+            write_json(path, record)
+
+
+def write_page(document: Document, file: Path) -> None:
+    """Write a document as a page, with its pictures embedded and as files in ``figures``.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    with _writing(file.parent):
+        (file.parent / "figures").mkdir(parents=True, exist_ok=True)
+        for picture in document.pictures():
+            (file.parent / picture.file).write_bytes(picture.data)
+        write_text(file, page(document))
+
+
+def write_texts(texts: Mapping[str, str], folder: Path) -> None:
+    """Write text files into a folder, by their paths relative to the folder.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    with _writing(folder):
+        for name, text in texts.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            write_text(folder / name, text)
+
+
+@contextmanager
+def _writing(*places: Path) -> Iterator[None]:
+    """Turn a write error into an InputError that names the paths and the remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{' or '.join(map(str, places))}: cannot be written: {error.strerror}; give --out or "
+            f"--json another place"
+        ) from error

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 
 from identification.recording import Array, Dataset, Recording
+from rig.common.errors import InputError
+from rig.common.places import is_folder
+from rig.runs.catalogue.index import bench_name
+from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
 Measured = Callable[[RunRecord, Dataset | None, str], float | None]
@@ -91,3 +96,23 @@ QUANTITIES: Mapping[str, Measured] = {
 """Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES` except the
 torque error, which is a result of the identification.
 """
+
+
+def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
+    """Return names and values of the known facts of a source: of a run, these are bench, date and
+    operator; of a campaign, the file.
+    """
+    if not is_folder(source):
+        return (("campaign", source.name),)
+    try:
+        record = read_record(source)
+    except InputError:
+        return (("run", source.name),)
+    kind = "simulated" if record.simulated else "REAL BENCH"
+    operators = [part.operator for part in record.parts if part.operator]
+    return (
+        ("bench", f"{bench_name(source, record)} ({kind})"),
+        ("begun", record.created.replace("T", " ").replace("+00:00", " UTC")),
+        ("operator", ", ".join(dict.fromkeys(operators)) or record.operator or "not given"),
+        ("sequence", record.name),
+    )

@@ -9,13 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from drivers.mock.plant.parts.constants import Machine
 from rig.common.errors import InputError
-from rig.common.input_files import is_file, read_bytes
+from rig.common.places import is_file, read_bytes
 from rig.common.provenance import sha256, sha256_file
 from rig.common.text import stored_path, valid
+from rig.config.bench import load_bench
+from rig.config.configuration import packaged
 from rig.runs.mcap.records import DamageError
 from rig.runs.mcap.stream import first_attachment
-from rig.runs.run_record import ACCEPTANCE_INPUT, RunRecord
+from rig.runs.run_file import read_record
+from rig.runs.run_record import ACCEPTANCE_INPUT, BENCH_ATTACHMENT, RUN_FILE, RunRecord
 
 
 @dataclass(frozen=True)
@@ -104,3 +108,52 @@ def _is_file(path: Path, sha256: str) -> bool:
         return is_file(path) and sha256_file(path) == sha256
     except OSError:
         return False
+
+
+JOINT_FIELDS = {
+    "J": "inertia_kg_m2",
+    "Mc": "Mc_N_m",
+    "Ms": "Ms_N_m",
+    "omega_sf": "omega_sf_rad_s",
+    "sigma_2": "sigma_2_N_m_s_rad",
+    "mu_c": "mu_c",
+    "mu_s": "mu_s",
+    "omega_sL": "omega_sL_rad_s",
+    "mu_2": "mu_2_s_rad",
+}
+"""Names in the simulated joint by the parameter names of the estimators."""
+
+
+def true_parameters(machine: Machine) -> dict[str, float]:
+    """Return the nine parameters of a simulated machine under the names of the estimators, SI
+    units.
+    """
+    return {name: getattr(machine.joint, field) for name, field in JOINT_FIELDS.items()}
+
+
+def truth_of(source: Path) -> dict[str, float] | None:
+    """Return the true parameters of a run on a simulated bench, or None if they are not available.
+
+    The run folder does not contain the true parameters. They are read from the bench file of the
+    run or from a packaged file of this name, if the file has the recorded SHA-256. The result is
+    None for a bench with injected effects.
+
+    Raises:
+        InputError: ``run.json`` is damaged.
+    """
+    if not is_file(source / RUN_FILE):
+        return None
+    record = read_record(source)
+    entry = record.inputs.get(BENCH_ATTACHMENT)
+    if not record.simulated or entry is None:
+        return None
+    path = recorded_input(source, entry)
+    for candidate in (path, packaged(path.stem, "benches")):
+        if is_file(candidate) and sha256_file(candidate) == entry["sha256"]:
+            try:
+                machine = load_bench(candidate).value.mock
+            except InputError:
+                # This version cannot read the bench file, but can still identify the recording.
+                return None
+            return None if machine is None or machine.effects else true_parameters(machine)
+    return None

@@ -19,10 +19,9 @@ from rig.common.places import write_json
 from rig.runs.mcap.layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.runs.mcap.reader import Log
 from rig.runs.recorder import Recorder, open_recorder
-from rig.runs.run import RESERVE_FILE, discard, part_file
+from rig.runs.run import RESERVE_FILE, discard, part_file, read_log
 from rig.runs.run_file import read_record
 from rig.runs.run_record import DIED, RECORDING_FILE, RUN_FILE, Ending, RunRecord
-from rig.runs.run_samples import read_log
 
 _ENDINGS = {ending.value for ending in Ending}
 _MEDIA = {".json": "application/json", ".yaml": "application/yaml"}

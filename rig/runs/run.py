@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,14 +14,193 @@ from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError, StorageError
 from rig.common.locks import OWNER_FILE, Lock, hold_folder
-from rig.common.places import write_json
+from rig.common.places import is_file, write_json
 from rig.common.provenance import sha256_file
 from rig.config.bench import Bench
-from rig.runs import clocks, run_samples
 from rig.runs.alignment import aligned
+from rig.runs.mcap.reader import Log, NotARecordingError, read_run
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.stream import sample_blocks
 from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
+
+LEAST_DRIFT_PPM = 1.0
+"""Least drift that is reported, ppm; drifts of crystals are 20 to 100 ppm."""
+LATE_PERIODS = 1.0
+"""Number of periods after which an answer counts as late."""
+
+
+def drift_ppm(reference: Array, other: Array) -> float | None:
+    """Return the drift of the other clock against the reference clock, ppm, positive if the other
+    clock is faster, or None if a clock does not run forward.
+
+    The drift is computed from the medians of the first and last fifth, so that single late stamps
+    have no influence.
+
+    Args:
+        reference: Times of the reference clock, s, shape (n,).
+        other: Times of the other clock at the same samples, s, shape (n,).
+    """
+    fifth = len(reference) // 5
+    if fifth < 1 or not (np.all(np.diff(reference) > 0.0) and np.all(np.diff(other) > 0.0)):
+        return None
+    first, last = slice(None, fifth), slice(-fifth, None)
+    gone = float(
+        np.median(other[last] - reference[last]) - np.median(other[first] - reference[first])
+    )
+    return 1e6 * gone / float(np.mean(reference[last]) - np.mean(reference[first]))
+
+
+def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
+    """Return messages on gaps, late answers and drifting clocks; empty if there is nothing to
+    report.
+
+    If drive and encoder latch at one SYNC, a drift between their clocks does not affect the
+    samples; if the encoder is free-running, :mod:`rig.runs.alignment` corrects the drift.
+
+    Args:
+        time: Start of each cycle, s, shape (n,).
+        host: Time at which the answers of each cycle had been collected, s, shape (n,).
+        drive: The drive's own stamps, s, shape (n,).
+        encoder: The joint encoder's own stamps, s, shape (n,).
+    """
+    notes = []
+    steps = np.diff(time)
+    period = float(np.median(steps)) if len(steps) else 0.0
+    gaps = steps > 1.5 * period
+    if np.any(gaps):
+        lost = round(float(np.sum(steps[gaps] / period - 1.0)))
+        notes.append(
+            f"{int(gaps.sum())} gaps, {lost} samples lost, the longest gap "
+            f"{1e3 * float(steps.max()):.4g} ms"
+        )
+    late = host - time > LATE_PERIODS * period
+    if np.any(late):
+        notes.append(
+            f"{100.0 * float(np.mean(late)):.2g} % of the answers came more than one period late"
+        )
+    for ours, theirs, words in (
+        (time, drive, "drive's clock {} host's"),
+        (drive, encoder, "encoder's clock {} drive's"),
+    ):
+        drift = drift_ppm(ours, theirs)
+        if drift is not None and abs(drift) >= LEAST_DRIFT_PPM:
+            notes.append("the " + words.format(f"runs {drift:+.1f} ppm against the"))
+    return notes
+
+
+STAMPS = ("time", "host_time", "device_time", "encoder_time", "fresh")
+LEFT_OUT = ("velocity", "voltage", "supply_voltage", "temperature")
+"""Channels that an identification does not need."""
+CHANNELS = (
+    "command",
+    "motor_angle",
+    "angle",
+    "velocity",
+    "current",
+    "voltage",
+    "supply_voltage",
+    "temperature",
+)
+MOST_SAMPLES = 5_000_000
+"""Number of samples of one recording above which the channels :data:`LEFT_OUT` are not read; ten
+hours at 1 kHz fit into 4 GiB without these channels.
+"""
+_MOST_PER_BYTE = 4
+"""Greatest number of samples per byte of a recording, because LZ4 packs 255 bytes into 1; a
+``run.json`` that states more samples is wrong.
+"""
+
+Samples = dict[str, Array]
+
+
+def by_segment(
+    path: Path, segments: Sequence[SegmentRecord], *, whole: bool
+) -> tuple[dict[int, Samples], str | None]:
+    """Return the samples by index of the segment, including stale samples, and a message on damage.
+
+    Args:
+        path: The recording.
+        segments: The requested segments.
+        whole: Whether the recording was closed regularly, so that it can be streamed.
+
+    Raises:
+        InputError: The file cannot be opened or is not a recording.
+    """
+    most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
+    expected = {s.index: min(s.samples, most) for s in segments}
+    fields = {s.index: _fields(s, sum(other.samples for other in segments)) for s in segments}
+    if whole:
+        try:
+            wanted = sorted({name for names in fields.values() for name in names})
+            return _gather(sample_blocks(path, ["segment", *wanted]), fields, expected), None
+        except (DamageError, OSError):
+            pass  # read_log reports the damage in full
+    log = read_log(path)
+    return _gather([log.samples], fields, expected), log.damage
+
+
+def read_log(path: Path) -> Log:
+    """Read a recording as a whole.
+
+    Raises:
+        InputError: The file cannot be opened or is not a recording.
+    """
+    try:
+        return read_run(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except NotARecordingError as error:
+        raise InputError(str(error)) from error
+
+
+def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
+    channels = (
+        CHANNELS if total <= MOST_SAMPLES else tuple(c for c in CHANNELS if c not in LEFT_OUT)
+    )
+    return (*STAMPS, *channels, *(["pressure"] if segment.stage == "hot_fire" else []))
+
+
+class _Growing:
+    """One field of a segment, into which blocks are copied as they arrive, because joining the
+    blocks at the end would need twice the memory.
+    """
+
+    def __init__(self, expected: int) -> None:
+        self._values = np.empty(expected)
+        self._count = 0
+
+    def extend(self, values: Array) -> None:
+        """Add values; if there are more values than expected, the whole field is copied."""
+        stop = self._count + len(values)
+        if stop > len(self._values):
+            self._values = np.concatenate(
+                (self._values[: self._count], np.empty(2 * len(values) + self._count))
+            )
+        self._values[self._count : stop] = values
+        self._count = stop
+
+    def done(self) -> Array:
+        """Return all added values."""
+        return self._values[: self._count]
+
+
+def _gather(
+    blocks: Iterable[Mapping[str, Array]],
+    fields: Mapping[int, Sequence[str]],
+    expected: Mapping[int, int],
+) -> dict[int, Samples]:
+    """Return the samples of each segment from blocks of samples of all segments."""
+    held = {k: {name: _Growing(expected[k]) for name in names} for k, names in fields.items()}
+    for block in blocks:
+        for k, names in fields.items():
+            mine = block["segment"] == k
+            if mine.any():
+                for name in names:
+                    held[k][name].extend(block[name][mine])
+    return {k: {name: grown.done() for name, grown in each.items()} for k, each in held.items()}
+
 
 AVERAGED = frozenset({"current", "voltage"})
 """Channels whose samples are means over the cycle that ends at their time."""
@@ -68,7 +248,7 @@ def require_space(path: Path, cycles: float) -> None:
 
 
 class RunFolder:
-    """A run folder that is being written; a :class:`rig.runs.journal.Journal`.
+    """A run folder that is being written; a :class:`rig.runs.run_file.Journal`.
 
     Args:
         path: The folder.
@@ -265,7 +445,7 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
         part = record.parts[number - 1]
         path = folder / part.file
         mine = [segment for segment in wanted if segment.part == number]
-        samples, damage = run_samples.by_segment(path, mine, whole=part.state == "done")
+        samples, damage = by_segment(path, mine, whole=part.state == "done")
         if damage is not None and part.state == "done":
             raise InputError(
                 f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`"
@@ -290,7 +470,7 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
     """Return the error for a run without a usable recording."""
     # An unreadable recording is reported first.
-    run_samples.read_log(folder / RECORDING_FILE)
+    read_log(folder / RECORDING_FILE)
     state = f"(state {record.state}: {record.message or 'writer died'})"
     if partial:
         return InputError(
@@ -342,7 +522,7 @@ def _recording(
         notes.append(
             f"{int(np.sum(~fresh))} samples left out, because the answer of a device was missing"
         )
-    left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
+    left_out = [name for name in LEFT_OUT if name not in samples]
     if left_out:
         notes.append(
             f"{', '.join(left_out)} not read: with these channels, a run of this length would "
@@ -371,7 +551,7 @@ def _times(samples: dict[str, Array], encoder_time: Array) -> tuple[Array, list[
     from ``samples``.
     """
     time, device_time = samples.pop("time"), samples.pop("device_time")
-    notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
+    notes = describe(time, samples.pop("host_time"), device_time, encoder_time)
     # The drive's time stamps are those of its latch; the host's times have the jitter of its
     # scheduler.
     if device_time.size > 1 and np.all(np.diff(device_time) > 0):

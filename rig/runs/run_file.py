@@ -7,18 +7,20 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pydantic import TypeAdapter, ValidationError
 
-from identification.model.gas_generator import GasGenerator
-from identification.model.valve import ValveGeometry
+from identification.model.gas_generator import GasGenerator, ValveGeometry
 from identification.recording import Bench as BenchConstants
+from identification.recording import Dataset
 from rig.common.errors import InputError
-from rig.common.input_files import parse_json, read_utf8
+from rig.common.places import is_file, parse_json, read_utf8, write_text
+from rig.common.provenance import sha256_file
 from rig.common.timing import Timing
 from rig.config.configuration import Loc, explain_json, place_json
 from rig.runs.run_record import (
@@ -30,6 +32,7 @@ from rig.runs.run_record import (
     STAGE_ENDS,
     STRICT,
     RunRecord,
+    Weighing,
 )
 
 
@@ -206,3 +209,128 @@ def _lacking(item: Any, kind: str, loc: Loc) -> Iterator[tuple[Loc, str]]:
         return
     for name in sorted(_MUST_HOLD[kind] - set(item)):
         yield (*loc, name), "missing; this key is required"
+
+
+class Journal(Protocol):
+    """Object that keeps the state of the run on disk."""
+
+    def stage_started(self, index: int) -> None:
+        """Stage ``index`` begins."""
+        ...
+
+    def stage_finished(self, index: int) -> None:
+        """Stage ``index`` is complete, and the drive is de-energised."""
+        ...
+
+    def weight_confirmed(self, index: int, weight_kg: float) -> None:
+        """The operator confirmed a mass for stage ``index``."""
+        ...
+
+    def weighed(self, weighing: Weighing) -> None:
+        """The weight of a stage was checked."""
+        ...
+
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """The run has ended with this state and message; the drive was left de-energised or not.
+
+        Raises:
+            StorageError: The file cannot be written.
+        """
+        ...
+
+    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
+        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of
+        the recording.
+        """
+        ...
+
+    def segment_finished(self, segment: int, time: float) -> None:
+        """The excitation that was started last is complete."""
+        ...
+
+
+SEAL_FILE = "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
+
+
+def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept.
+
+        Args:
+            folder: The run folder.
+            names: Paths relative to the folder; missing files are left out.
+
+        Returns:
+            Digests of all sealed files, by name.
+
+    Raises:
+        OSError: A file cannot be read, or the seal cannot be written.
+    """
+    try:
+        sealed = dict(read_seal(folder))
+    except InputError:
+        # A damaged seal is replaced by the digests of the given files.
+        sealed = {}
+    sealed |= {name: sha256_file(folder / name) for name in names if is_file(folder / name)}
+    lines = (f"{digest}  {name}\n" for name, digest in sorted(sealed.items()))
+    write_text(folder / SEAL_FILE, "".join(lines))
+    return sealed
+
+
+def seal_run(folder: Path, record: RunRecord) -> dict[str, str]:
+    """Record the digests of a run's record and recordings at its end.
+
+    Raises:
+        OSError: See :func:`seal`.
+    """
+    return seal(folder, [RUN_FILE, *(part.file for part in record.parts)])
+
+
+def read_seal(folder: Path) -> Mapping[str, str]:
+    """Return the digests in the seal, by name; empty if the folder has no seal.
+
+    Raises:
+        InputError: The seal is damaged.
+    """
+    path = folder / SEAL_FILE
+    if not is_file(path):
+        return {}
+    found = {}
+    for number, line in enumerate(read_utf8(path).splitlines(), start=1):
+        match = _LINE.fullmatch(line)
+        if match is None:
+            raise InputError(f"{path}:{number}: the line must have the form `SHA-256  file`")
+        found[match[2]] = match[1]
+    return found
+
+
+def partial_names(dataset: Dataset) -> list[str]:
+    """Return the names of the recordings that were not finished."""
+    return [recording.name for recording in dataset.recordings if recording.partial]
+
+
+def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
+    """Return the warning of a result from recordings that were not finished; empty if all were
+    finished.
+    """
+    names = partial_names(dataset)
+    if not names:
+        return ()
+    were = "was" if len(names) == 1 else "were"
+    return (
+        f"partial result: the run stopped before {', '.join(names)} {were} finished; the "
+        "result does not use the motion that was not recorded, and with a shortened motion "
+        "the intervals can be too narrow; `rig resume` finishes the run",
+    )
+
+
+def without_partial(dataset: Dataset) -> str:
+    """Return the remedy of an error that an unfinished recording may cause, if finished recordings
+    exist as well.
+    """
+    finished = any(not recording.partial for recording in dataset.recordings)
+    return (
+        "; without --partial, only finished excitations are used"
+        if partial_names(dataset) and finished
+        else ""
+    )

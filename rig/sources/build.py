@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +13,15 @@ from numpy.typing import NDArray
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
+from rig.common.timing import instant
 from rig.config.campaign import Campaign
 from rig.config.campaign_sections import ANGLE_TIME, RecordingSection
 from rig.config.configuration import Document
 from rig.runs.alignment import aligned
 from rig.sources.channels import read_channels
-from rig.sources.contradictions import doubts, unit_row_doubts
+from rig.sources.columns import doubts, unit_row_doubts
 from rig.sources.formats import Table
-from rig.sources.plausible import (
-    gear_finding,
-    sign_errors,
-    unit_hints,
-    value_errors,
-)
+from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
 from rig.sources.readers import open_table
 from rig.sources.repair import (
     MIN_SAMPLES,
@@ -35,10 +33,197 @@ from rig.sources.repair import (
     examine_time,
     fill_missing,
 )
-from rig.sources.session import Read
-from rig.sources.stamps import even_stamps
+
+
+@dataclass(frozen=True)
+class Read:
+    """The recordings of one file, and the time span of the file.
+
+    Attributes:
+        recordings: One recording per piece without gaps.
+        first: First time stamp of the whole file, s.
+        last: Last time stamp of the whole file, s.
+        section: Entry of the file in the campaign.
+        index: Position of the entry in ``recordings``.
+    """
+
+    recordings: tuple[Recording, ...]
+    first: float
+    last: float
+    section: RecordingSection
+    index: int
+
+
+def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> list[Recording]:
+    """Return the recordings of all files, with start times in the session if the campaign states
+    them.
+
+    Start times in seconds are used as stated. The earliest ISO time becomes zero. Files with a
+    stated order follow one another without a pause.
+
+    Raises:
+        InputError: Several files have equal start times or orders, or recordings overlap.
+    """
+    problems: list[str] = []
+    starts = _starts(files, document, problems)
+    placed: list[tuple[Recording, int]] = []
+    for file, start in zip(files, starts, strict=True):
+        for recording in file.recordings:
+            if start is not None:
+                begin = start + float(recording.time[0]) - file.first
+                note = f"begins {begin:.6g} s into the session"
+                if file.section.order is not None:
+                    note += "; only the order is known, so that pauses count as zero"
+                recording = replace(recording, start=begin, notes=(*recording.notes, note))
+            placed.append((recording, file.index))
+    if any(start is not None for start in starts) and not problems:
+        problems += _overlaps(placed, document)
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+    return [recording for recording, _ in placed]
+
+
+def _starts(
+    files: Sequence[Read], document: Document[Campaign], problems: list[str]
+) -> list[float | None]:
+    """Return the start time of each file, s; all windows of a file have one start time."""
+    for name in ("start", "order"):
+        for index in dict.fromkeys(f.index for f in files):
+            same = [f for f in files if f.index == index]
+            if getattr(same[0].section, name) is not None and len(same) > 1:
+                problems.append(
+                    document.problem(
+                        ("recordings", index, name),
+                        f"one `{name}` for {len(same)} files; list each file in a separate entry "
+                        f"with its own `{name}`",
+                    )
+                )
+    times = [instant(s) for f in files if isinstance(s := f.section.start, str)]
+    epoch = min(times, default=None)
+    found: list[float | None] = []
+    for file in files:
+        start = file.section.start
+        if isinstance(start, str) and epoch is not None:
+            found.append((instant(start) - epoch).total_seconds())
+        else:
+            found.append(None if isinstance(start, str) else start)
+    ordered = sorted(
+        (n for n, f in enumerate(files) if f.section.order is not None),
+        key=lambda n: (files[n].section.order or 0, n),
+    )
+    clock = 0.0
+    for n in ordered:
+        found[n] = clock
+        # One period is added, so that the first sample of the next file comes after the last sample
+        # of this file.
+        clock += files[n].last - files[n].first + files[n].recordings[0].period
+    return found
+
+
+def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
+    """Return a problem for each recording that begins before the end of the preceding recording."""
+    problems = []
+    for (one, _), (other, index) in pairwise(sorted(placed, key=lambda item: item[0].span)):
+        if other.span[0] <= one.span[1]:
+            problems.append(
+                document.problem(
+                    ("recordings", index, "start"),
+                    f"{other.name} begins at {other.span[0]:.6g} s of the session, before "
+                    f"{one.name} ends at {one.span[1]:.6g} s; correct the start times (a start "
+                    "time belongs to the first row of a file, also if the file has a window)",
+                )
+            )
+    return problems
+
 
 Rows = NDArray[np.intp]
+LEAST_JITTER = 0.005
+"""Rms deviation of the stamps from an even grid, in periods, below which stamps count as even."""
+MOST_OFF = 0.25
+"""Greatest mean deviation of neighbouring stamps from the grid, in periods. A lost sample or a
+changing rate shifts all later stamps; jitter and single late stamps do not.
+"""
+WINDOW = 101
+"""Number of neighbouring stamps over which the deviation from the grid is averaged."""
+SMOOTHER = 0.8
+"""Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
+counts as right.
+
+Quantisation and noise contribute equally to both roughnesses. If quantisation and noise hide the
+jitter of the stamps, the jitter has little effect on results.
+"""
+FAST, MOST = 0.25, 0.99
+"""Share and quantile: a sample is compared only if its travel is at least this share of this
+quantile of the travels of all samples, because at rest a wrong stamp has no effect.
+"""
+NEIGHBOURS = (-2, -1, 1, 2)
+
+
+def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
+    """Return the times of evenly taken samples and the rms jitter of their stamps, s, or None if
+    the stamps are even, no grid fits them, or the samples themselves are uneven.
+
+    Args:
+        time: Time stamps, s, shape (n,), increasing.
+        angle: Angle or position, shape (n,).
+    """
+    found = _grid(time)
+    if found is None:
+        return None
+    grid, index = found
+    jitter = float(np.std(time - grid))
+    rows = _with_neighbours(index, time)
+    if jitter < LEAST_JITTER * float(np.median(np.diff(grid))) or not rows.size:
+        return None
+    travel = np.abs(angle[rows + 2] - angle[rows - 2])
+    rows = rows[travel >= FAST * np.quantile(travel, MOST)]
+    on_grid, at_stamps = (_roughness(t, angle, rows) for t in (grid, time))
+    return (grid, jitter) if on_grid < SMOOTHER * at_stamps else None
+
+
+def _grid(time: Array) -> tuple[Array, Rows] | None:
+    """Return the times on the line through the stamps, and the number of each sample, or None if
+    the mean over neighbouring stamps deviates from the line by more than :data:`MOST_OFF`.
+    """
+    steps = np.diff(time)
+    lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
+    # Jitter may look like a lost sample; therefore lost samples are assumed only if necessary.
+    for counts in (np.ones(len(steps)), lost):
+        index = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
+        period, origin = (float(v) for v in np.polyfit(index, time, 1))
+        grid: Array = np.asarray(origin + period * index, dtype=np.float64)
+        window = min(WINDOW, len(time) // 4)
+        mean = np.convolve(time - grid, np.full(window, 1.0 / window), mode="valid")
+        if float(np.max(np.abs(mean))) <= MOST_OFF * period:
+            return grid, index
+    return None
+
+
+def _with_neighbours(index: Rows, time: Array) -> Rows:
+    """Return the rows that have two neighbours on either side, each one period from the next, with
+    different stamps.
+    """
+    consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
+    runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
+    return np.flatnonzero(runs) + 2
+
+
+def _roughness(time: Array, angle: Array, rows: Rows) -> float:
+    """Return the median distance of samples from the cubic polynomial through their neighbours.
+
+    A mean is not used: nearly coinciding stamps magnify the noise of their samples without limit,
+    so that these few samples would determine a mean.
+    """
+    apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
+    predicted = np.zeros(len(rows))
+    for j, k in enumerate(NEIGHBOURS):
+        weight = np.ones(len(rows))
+        for m, other in enumerate(apart):
+            if m != j:
+                weight *= other / (other - apart[j])
+        predicted += weight * angle[rows + k]
+    return float(np.median(np.abs(angle[rows] - predicted)))
+
 
 ANGLES = ("motor_angle", "angle")
 """Channels by whose values uneven sampling is detected, the channel with finer steps first."""

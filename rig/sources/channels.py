@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.recording import Array
 from rig.common.errors import InputError
@@ -13,8 +15,265 @@ from rig.config.campaign_columns import ChannelSection
 from rig.config.campaign_sections import RecordingSection
 from rig.config.configuration import Document, Loc, nearest
 from rig.sources.formats import Table
-from rig.sources.one_base import Base, StampsError, on_one_base
-from rig.sources.wraps import unwrapped, unwrapped_counts
+from rig.sources.repair import GAP_PERIODS
+
+SLOWER, FASTER = 0.9, 1.5
+"""Ratio of the rate of a channel to the rate of the result: below the first value, a note states
+that the course between samples is a guess; above the second value, that samples are left out.
+"""
+EDGE_PERIODS = 1e-6
+"""Distance, in periods, from the first or last sample of another time base up to which a row counts
+as inside this time base, because time stamps are rounded.
+"""
+HELD = frozenset({"enabled"})
+"""Channels whose values are not interpolated, but hold until the next sample."""
+
+
+@dataclass(frozen=True)
+class Base:
+    """One time base of a file.
+
+    Attributes:
+        name: Name for messages.
+        stamps: Time stamps of the rows by the file's clock, s, shape (n,).
+    """
+
+    name: str
+    stamps: Array
+
+
+class StampsError(Exception):
+    """The time stamps of a time base cannot be used; the message states the reason."""
+
+
+def on_one_base(
+    channels: Mapping[str, Array], bases: Mapping[str, Base], wanted: Base
+) -> tuple[dict[str, Array], int, list[str]]:
+    """Interpolate the channels of other time bases at the time stamps of the wanted base.
+
+    Between samples that are more than :data:`GAP_PERIODS` median periods apart, values are missing.
+    Rows before the first or after the last sample of any channel are left out.
+
+    Args:
+        channels: Values of each channel, on its own time base.
+        bases: Time base of each channel.
+        wanted: Time base of the result.
+
+    Returns:
+        Channels of shape (m,), the number of rows of the wanted base before the first used row,
+        and notes.
+
+    Raises:
+        StampsError: The stamps of a time base run backwards or are missing, or the time bases do
+            not overlap.
+    """
+    found: dict[str, Array] = {}
+    notes: list[str] = []
+    inside = np.ones(len(wanted.stamps), dtype=np.bool_)
+    for name, values in channels.items():
+        base = bases[name]
+        if base is wanted or np.array_equal(base.stamps, wanted.stamps):
+            found[name] = values
+            continue
+        found[name], within = _interpolated(name, values, base, wanted)
+        inside &= within
+        notes.append(f"`{name}`: {_words(base, wanted, name)}")
+    rows = np.flatnonzero(inside)
+    if not rows.size:
+        others = {base.name for base in bases.values()} - {wanted.name}
+        raise StampsError(
+            f"no row of {wanted.name} is within the times of {', '.join(sorted(others))}; use "
+            f"columns of one time base"
+        )
+    first, stop = int(rows[0]), int(rows[-1]) + 1
+    left = len(inside) - (stop - first)
+    if left:
+        notes.append(f"{left} rows of {wanted.name} outside of the other time bases left out")
+    return {name: values[first:stop] for name, values in found.items()}, first, notes
+
+
+def _interpolated(
+    name: str, values: Array, base: Base, wanted: Base
+) -> tuple[Array, NDArray[np.bool_]]:
+    known = np.isfinite(values)
+    stamps, samples = base.stamps[known], values[known]
+    for one in (base, wanted):
+        steps = np.diff(one.stamps)
+        if not np.all(np.isfinite(one.stamps)) or np.any(steps < 0):
+            row = int(np.argmax(~(steps >= 0))) + 1
+            raise StampsError(
+                f"the time stamps of {one.name} run backwards or are missing at its row {row + 1}, "
+                f"so that columns cannot be interpolated between time bases; use columns of one "
+                f"time base"
+            )
+    if len(stamps) < 2:
+        raise StampsError(
+            f"`{name}` has {len(stamps)} samples in {base.name}; at least two are needed to "
+            f"interpolate it at the time stamps of {wanted.name}"
+        )
+    first = np.concatenate(([True], np.diff(stamps) > 0))
+    stamps, samples = stamps[first], samples[first]
+    at = wanted.stamps
+    after = np.clip(np.searchsorted(stamps, at, side="right"), 1, max(1, len(stamps) - 1))
+    if name in HELD:
+        result = samples[np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, None)]
+    else:
+        result = np.interp(at, stamps, samples)
+    if len(stamps) > 1:
+        wide = np.diff(stamps)
+        apart = wide[after - 1] > GAP_PERIODS * float(np.median(wide))
+        apart &= (at > stamps[after - 1]) & (at < stamps[after])
+        result = np.where(apart, np.nan, result)
+    slack = EDGE_PERIODS * (float(np.median(np.diff(at))) if len(at) > 1 else 0.0)
+    return result, (at >= stamps[0] - slack) & (at <= stamps[-1] + slack)
+
+
+def _words(base: Base, wanted: Base, name: str) -> str:
+    own, target = (_rate(one.stamps) for one in (base, wanted))
+    how = "held between its samples" if name in HELD else "interpolated"
+    words = f"of {base.name} ({own:.4g} Hz), {how} at the stamps of {wanted.name} ({target:.4g} Hz)"
+    if own < SLOWER * target:
+        words += "; its rate is lower, so that the course between samples is a guess"
+    elif own > FASTER * target:
+        words += "; its rate is higher: to use all of its samples, map `time` to its own stamps"
+    return words
+
+
+def _rate(stamps: Array) -> float:
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    return 1.0 / period if period > 0 else 0.0
+
+
+POWERS = range(8, 33)
+"""Widths of counters that are recognised, bits."""
+CONVERTED_UNITS = (1e-3, 1e-6)
+"""Units, in seconds, of a 32-bit counter of time that the logger has converted to seconds:
+milliseconds and microseconds. Overflows of shorter counters are not searched in converted time
+stamps, because successive recordings of 4096 or 65536 samples look like such overflows.
+"""
+LEVELS = 8
+"""Least number of different values of a column that is read as signed; a column with fewer values
+may be a digital output.
+"""
+DAY_S = 86400.0
+WHOLE_TOLERANCE = 1e-3
+"""Greatest distance from an integer at which a value divided by the file's scale is a count."""
+ORDINARY_SHARE = 0.125
+"""Greatest step between overflows, as a share of the modulus; the direction of larger steps would
+be uncertain.
+"""
+TIME_PERIODS = 100.0
+"""Longest time step at an overflow, in median periods."""
+POSITIONS = frozenset({"angle", "motor_angle"})
+TIMES = frozenset({"time", "angle_time"})
+
+
+def unwrapped(name: str, values: Array) -> tuple[Array, str]:
+    """Correct the overflows of a counter.
+
+    Args:
+        name: The channel of the column.
+        values: The column as stored, shape (n,).
+
+    Returns:
+        The corrected column and a note; ``values`` and an empty note if there is no overflow.
+    """
+    if name == "enabled" or len(values) < 3:
+        return values, ""
+    if name in TIMES:
+        return _time(values)
+    finite = values[np.isfinite(values)]
+    if finite.size < 3 or np.any(finite != np.rint(finite)):
+        return values, ""
+    steps = np.diff(finite)
+    for power in POWERS:
+        modulus = float(2**power)
+        jumps = np.abs(steps) > modulus / 2
+        if not jumps.any() or not _in_window(finite, modulus):
+            continue
+        turned = steps - modulus * np.sign(steps) * jumps
+        if np.max(np.abs(turned)) > ORDINARY_SHARE * modulus:
+            continue
+        count = int(jumps.sum())
+        if name in POSITIONS:
+            return _continued(values, modulus), (
+                f"a counter of {power} bits that overflows {count} times: corrected"
+            )
+        if finite.min() >= 0 and len(np.unique(finite)) >= LEVELS:
+            signed = np.where(values >= modulus / 2, values - modulus, values)
+            return signed, (
+                f"steps of 2^{power} around zero: the column holds signed numbers of {power} bits "
+                f"as unsigned numbers, and was read as signed numbers"
+            )
+    return values, ""
+
+
+def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tuple[Array, str]:
+    """Correct the overflows of a counter to which the file has applied a scale.
+
+    Args:
+        name: The channel of the column.
+        values: Values in the file's unit, shape (n,).
+        scale: Factor and offset: value = factor x count + offset.
+
+    Returns:
+        See :func:`unwrapped`.
+    """
+    factor, offset = scale
+    if name in TIMES or not np.isfinite(factor) or factor == 0.0:
+        return values, ""
+    counts = (values - offset) / factor
+    whole = np.rint(counts)
+    known = np.isfinite(counts)
+    if not known.any() or np.max(np.abs(counts - whole)[known]) > WHOLE_TOLERANCE:
+        return values, ""
+    turned, note = unwrapped(name, whole)
+    return (values + factor * (turned - whole), note) if note else (values, "")
+
+
+def _in_window(values: Array, modulus: float) -> bool:
+    """Return whether all values fit into the range of an unsigned or a signed counter with this
+    modulus.
+    """
+    low, high = float(values.min()), float(values.max())
+    return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
+
+
+def _continued(values: Array, modulus: float) -> Array:
+    """Return the values with multiples of the modulus added, so that no step exceeds half of the
+    modulus.
+    """
+    result = values.astype(np.float64)
+    known = np.isfinite(result)
+    steps = np.diff(result[known])
+    turns = np.concatenate(([0.0], np.cumsum(-np.rint(steps / modulus))))
+    result[known] += modulus * turns
+    return result
+
+
+def _time(values: Array) -> tuple[Array, str]:
+    if not np.all(np.isfinite(values)):
+        return values, ""
+    steps = np.diff(values)
+    back = steps < 0
+    if not back.any():
+        return values, ""
+    forward = steps[steps > 0]
+    if not forward.size:
+        return values, ""
+    longest = TIME_PERIODS * float(np.median(forward))
+    whole = bool(np.all(values == np.rint(values)))
+    candidates = [(2.0**power, f"2^{power}") for power in POWERS if whole]
+    candidates += [(2.0**32 * unit, f"2^32 x {unit:g}") for unit in CONVERTED_UNITS]
+    candidates += [(DAY_S * scale, "one day") for scale in (1.0, 1e3, 1e6)]
+    for modulus, words in candidates:
+        over = steps[back] + modulus
+        if values.min() >= 0 and values.max() < modulus and np.all((over > 0) & (over <= longest)):
+            turns = np.concatenate(([0.0], np.cumsum(back)))
+            return values + modulus * turns, (
+                f"starts again after {words}, {int(back.sum())} times: corrected"
+            )
+    return values, ""
 
 
 def read_channels(

@@ -13,18 +13,17 @@ from pathlib import Path
 
 from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
-from rig.common.input_files import is_file, is_folder
+from rig.common.places import is_file, is_folder
 from rig.common.provenance import sha256_file
 from rig.common.text import stored_path
 from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.runs.export import read_back
-from rig.runs.export.description import sidecar
-from rig.sources.build import build
+from rig.runs.export.tables import sidecar
+from rig.sources.build import Read, build, on_session_clock
 from rig.sources.formats import format_of
 from rig.sources.readers import FORMATS, unknown_format
-from rig.sources.session import Read, on_session_clock
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:

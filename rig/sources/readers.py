@@ -7,14 +7,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rig.config.campaign_columns import ReadSection
-from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable
+from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable, ParquetTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.hdf5 import Hdf5Table, is_hdf5
-from rig.sources.formats.json_file import JsonTable
-from rig.sources.formats.json_lines import JsonLinesTable
+from rig.sources.formats.json_file import JsonLinesTable, JsonTable
 from rig.sources.formats.mcap_log import McapTable
 from rig.sources.formats.mdf import MdfTable
-from rig.sources.formats.parquet import ParquetTable
 from rig.sources.formats.table import Table, format_of
 from rig.sources.formats.tdms import TdmsTable
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 import drivers.mock
-from drivers.amt21.link import EncoderLink
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.device_data import DeviceData
@@ -21,15 +22,23 @@ from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
-from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.bench import (
+    SimulatedBench,
+    SimulatedDbcBench,
+    simulated_bench,
+    simulated_dbc_bench,
+)
 from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
-from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.drive import Rating
+from drivers.mock.encoder import SimulatedAmt21
+from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.makes import described_drive
 from drivers.mock.plant.parts import constants
-from drivers.serial_port import PySerialPort
+from drivers.mock.wires.serial_line import SimulatedLine, Station
+from drivers.serial_port import BytePort, PySerialPort
+from drivers.units import EncoderScales
 from rig.common.errors import InputError
-from rig.common.locks import hold_bench
+from rig.common.locks import Resource, hold_bench
 from rig.config.bench import Bench
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
@@ -37,9 +46,124 @@ from rig.config.dbc import DbcServoSection, dbc_path, wire
 from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.devices import Devices, Nominal
 from rig.wiring.guard import Guard
-from rig.wiring.resources import resources
 from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
-from rig.wiring.serial_devices import amt21_encoder, epos_link
+
+_IN_PROCESS: Final = "virtual"
+"""Interface of python-can with a bus inside this process, which no other process can reach."""
+_ON_SERIAL_PORTS: Final = frozenset({"slcan", "robotell", "seeedstudio", "serial"})
+"""Interfaces of python-can whose channel is a serial port, as a path or as a URL of pyserial."""
+_WITH_RATE: Final = frozenset({"slcan", "robotell"})
+"""Interfaces of python-can whose channel may end in ``@`` and the bit rate of the port."""
+
+
+def resources(bench: Bench) -> tuple[Resource, ...]:
+    """Return the resources that a program must lock to use this bench; none for a simulated bench.
+
+    All names of a device have one key in common. The key of an interface with a channel does not
+    depend on the bench file.
+    """
+    found = [*bus_resources(bench)]
+    if not bench.simulated and bench.bus and isinstance(bench.encoder, Amt21Section):
+        found += _port(bench.encoder.port)
+    return tuple(sorted({part.key: part for part in reversed(found)}.values()))
+
+
+def bus_resources(bench: Bench) -> tuple[Resource, ...]:
+    """Return those resources of a bench through which its drive is reached."""
+    bus = bench.bus
+    if bus is None or bench.simulated:
+        return ()
+    return tuple(_port(bus.port) if isinstance(bus, SerialBus) else _channel(bus))
+
+
+def _channel(bus: Bus) -> list[Resource]:
+    """Return the channel of a CAN interface, or its serial port."""
+    channel = bus.channel or ""
+    if bus.interface == _IN_PROCESS:
+        return []
+    if bus.interface in _WITH_RATE:
+        channel = channel.partition("@")[0]
+    if "://" not in channel and (bus.interface in _ON_SERIAL_PORTS or os.sep in channel):
+        return _port(channel)
+    return [
+        Resource(f"{bus.interface}:{channel}", f"{bus.interface} channel {channel or 'by default'}")
+    ]
+
+
+def _port(path: str) -> list[Resource]:
+    """Return the device file behind a name, and the name itself if it is a symbolic link: the link
+    of an adapter that is unplugged is gone, and may later lead to another device file.
+    """
+    label = f"port {path}"
+    try:
+        real = os.path.realpath(path)
+        name = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
+    except ValueError:
+        # A text with a null character is not a path.
+        return [Resource(path, label)]
+    return [Resource(key, label) for key in dict.fromkeys((real, name))]
+
+
+def epos_link(
+    bus: SerialBus, simulated: SimulatedBench | None, clock: Clock, guard: Guard | None
+) -> EposSerialLink:
+    """Return the link of a drive on a serial line: a real port with its guard, or the simulated
+    bench's link in simulated time.
+    """
+    if simulated is None:
+        assert guard is not None
+        return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
+    station = SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive)
+    return EposSerialLink(
+        clock, _simulated(simulated, "drive", bus.baud, station), "simulated EPOS4"
+    )
+
+
+def amt21_encoder(
+    section: Amt21Section,
+    middle_rad: float,
+    simulated: SimulatedBench | None,
+    clock: Clock,
+    servo: Servo,
+    gear_ratio: float,
+) -> Amt21Encoder:
+    """Return an encoder on its line, real or simulated.
+
+    Args:
+        section: The encoder in the bench file.
+        middle_rad: Middle of the joint's travel, rad.
+        simulated: The simulated bench, if there is one.
+        clock: The host's clock.
+        servo: The drive; its position decides the number of turns after a long pause.
+        gear_ratio: Motor turns per joint turn.
+    """
+    connect: Callable[[], BytePort]
+    if simulated is None:
+        connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
+    else:
+        station = SimulatedAmt21(simulated.clock, simulated.sampler, section.address)
+        connect, name = _simulated(simulated, "encoder", section.baud, station), "simulated AMT21"
+    line = Amt21Line(clock, connect, name, section.address)
+    scales = EncoderScales(
+        COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg), middle_rad
+    )
+    gate = Gate(
+        math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2)
+    )
+
+    def elsewhere_rad() -> float | None:
+        sample = servo.sample()
+        return sample.motor_angle_rad / gear_ratio if sample.fresh else None
+
+    return Amt21Encoder(line, scales, gate, elsewhere_rad)
+
+
+def _simulated(
+    simulated: SimulatedBench, device: str, baud: int, station: Station
+) -> Callable[[], BytePort]:
+    line = simulated.lines[device] = SimulatedLine(simulated.clock, baud, station)
+    return lambda: line
+
 
 _EDS = Path(drivers.mock.__file__).parent
 DRIVE_EDS = _EDS / "drive.eds"

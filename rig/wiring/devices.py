@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from drivers.clock import Clock, Suspension
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from rig.common.locks import Lock
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 from rig.planning.limits import Limits
 from rig.wiring.guard import Guard
 from rig.wiring.off import OffProof

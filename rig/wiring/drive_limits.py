@@ -145,7 +145,7 @@ def require_within_own(
             the power on; the quick stop deceleration is a setting, not a limit.
         steps: See :func:`compare`.
         places: See :func:`compare`.
-        unheld: Limits for which the drive has no object, see :class:`drivers.lacks.Lacks`.
+        unheld: Limits for which the drive has no object, see :class:`drivers.interfaces.Lacks`.
 
     Raises:
         ConfigurationError: Limits would become looser; the message lists all of them.

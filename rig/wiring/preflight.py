@@ -7,22 +7,264 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from datetime import date
+from typing import Literal, NoReturn, Protocol
 
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import MASTER_ID, CanopenLink
+from drivers.clock import SimulatedClock
+from drivers.dbc.link import DbcLink
+from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError, DeviceError
-from drivers.interfaces import ServoLimits, ServoState
-from rig.common.errors import InputError
-from rig.common.findings import Cause, Finding, refusals, warnings
-from rig.config.bench import Bench
-from rig.config.calibration import calibration_records, overdue, overdue_problems
-from rig.config.configuration import Document
-from rig.config.simulated_loops import unstable_current_loop
-from rig.wiring.connect import NO_BUS
-from rig.wiring.device_files import device_file_findings
+from drivers.interfaces import Link, ServoLimits, ServoState
+from drivers.objects import ProcessChannel
+from rig.common.errors import Cause, Finding, InputError, refusals, warnings
+from rig.config.bench import Bench, Constants, calibration_records, overdue, overdue_problems
+from rig.config.canopen import EncoderSection, ServoSection
+from rig.config.configuration import Document, Loc
+from rig.config.dbc import DbcServoSection, wire
+from rig.config.serial_bus import SerialBus
+from rig.config.simulated_machine import unstable_current_loop
+from rig.wiring.connect import NO_BUS, eds_path, servo_data
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own
 from rig.wiring.off import BEFORE_PROMPT, energised_doubt
-from rig.wiring.plausibility import implausible
+from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
+
+
+@dataclass(frozen=True)
+class Range:
+    """Plausible range of a quantity.
+
+    Attributes:
+        usual: Range for benches of this kind; a value outside gives a warning.
+        possible: Range for any bench; a run refuses a value outside.
+        unit: Unit of both ranges; empty for a ratio.
+        hint: What the user should check.
+    """
+
+    usual: tuple[float, float]
+    possible: tuple[float, float]
+    unit: str
+    hint: str
+
+
+_NONE = ", which is impossible on a bench of this kind"
+_FEW = ", which is unusual on a bench of this kind"
+CONSTANTS = {
+    "torque_constant_N_m_A": Range(
+        (1e-3, 20.0), (1e-5, 1e3), "N m/A", "data sheets often give mN m/A"
+    ),
+    "back_emf_constant_V_s_rad": Range(
+        (1e-3, 20.0),
+        (1e-5, 1e3),
+        "V s/rad",
+        "data sheets often give the inverse in rpm/V; convert it as 9.549 divided by that value",
+    ),
+    "resistance_ohm": Range((0.01, 500.0), (1e-4, 1e5), "ohm", "check value and unit"),
+    "inductance_H": Range((1e-6, 0.5), (0.0, 10.0), "H", "data sheets often give mH"),
+    "gear_ratio": Range((1.0, 1e3), (0.01, 1e5), "", "state motor turns per joint turn"),
+    "moment_arm_m": Range((0.01, 1.0), (1e-3, 5.0), "m", "state it in metres, not in millimetres"),
+    "lever_ratio": Range((0.5, 50.0), (0.01, 1e3), "", "state contact force over weight force"),
+    "gravity_m_s2": Range((9.76, 9.84), (9.7, 9.9), "m/s^2", "state the local gravity"),
+}
+"""Ranges of the keys of the section ``machine``."""
+_EMF = Range((0.4, 2.5), (0.2, 5.0), "", "in SI units both constants of an ideal motor are equal")
+_TIME = Range((1e-5, 0.1), (1e-7, 10.0), "s", "check the units of inductance and resistance")
+_RATED = Range(
+    (0.4, 2.5), (0.05, 20.0), "", "6076h has the torque of the motor before the gear, in mN m"
+)
+_MOTOR_SPEED = Range((0.0, 20e3), (0.0, 200e3), "rpm", "check speed_deg_s and gear_ratio")
+
+
+def implausible(document: Document[Bench]) -> list[Finding]:
+    """Return the constants of a bench that are impossible, and the constants that are unusual."""
+    return [
+        Finding(Cause.CONSTANTS, document.problem(place, text), refused)
+        for place, text, refused in _unlikely(document.value)
+    ]
+
+
+def _unlikely(bench: Bench) -> Iterator[tuple[Loc, str, bool]]:
+    machine = bench.machine
+    for name, bounds in CONSTANTS.items():
+        yield from _judge(("machine", name), "", getattr(machine, name), bounds)
+    for place, words, value, bounds in (*_motor(machine), *_drive(bench)):
+        yield from _judge(place, words, value, bounds)
+
+
+_Derived = tuple[Loc, str, float, Range]
+
+
+def _motor(machine: Constants) -> Iterator[_Derived]:
+    place = "machine"
+    ratio = machine.back_emf_constant_V_s_rad / machine.torque_constant_N_m_A
+    yield (
+        (place, "back_emf_constant_V_s_rad"),
+        "its ratio to torque_constant_N_m_A of ",
+        ratio,
+        _EMF,
+    )
+    if machine.inductance_H > 0.0:
+        time_s = machine.inductance_H / machine.resistance_ohm
+        yield (
+            (place, "inductance_H"),
+            "with resistance_ohm a time constant of the current of ",
+            time_s,
+            _TIME,
+        )
+
+
+def _drive(bench: Bench) -> Iterator[_Derived]:
+    rpm = bench.limits.speed_deg_s * bench.machine.gear_ratio / 6.0
+    yield ("limits", "speed_deg_s"), "at the motor ", rpm, _MOTOR_SPEED
+    if isinstance(bench.servo, ServoSection):
+        torque = bench.machine.torque_constant_N_m_A * bench.servo.rated_current_A
+        ratio = bench.servo.rated_torque_N_m / torque
+        words = f"its ratio to rated_current_A times torque_constant_N_m_A ({torque:.4g} N m) of "
+        yield ("servo", "rated_torque_N_m"), words, ratio, _RATED
+
+
+def _judge(place: Loc, what: str, value: float, bounds: Range) -> Iterator[tuple[Loc, str, bool]]:
+    unit = f" {bounds.unit}" if bounds.unit else ""
+    found = f"{what}{value:g}{unit} is outside"
+    for (low, high), words, refused in (
+        (bounds.possible, _NONE, True),
+        (bounds.usual, _FEW, False),
+    ):
+        if not low <= value <= high:
+            yield place, f"{found} {low:g} to {high:g}{unit}{words}; {bounds.hint}", refused
+            return
+
+
+Role = Literal["servo", "encoder", "pressure"]
+_WORDS: dict[Role, str] = {
+    "servo": "servo",
+    "encoder": "encoder",
+    "pressure": "pressure transmitter",
+}
+
+
+class _Described(Protocol):
+    """Device profile that can check whether a device's description contains the objects that the
+    profile needs.
+    """
+
+    def description_refusals(self) -> Iterator[DeviceError]:
+        """Yield errors for the objects that the description lacks."""
+        ...
+
+
+def device_file_findings(document: Document[Bench]) -> list[Finding]:
+    """Return the faults in node identifiers, CAN identifiers and EDS files of a bench.
+
+    A fault of this kind prevents a connection to the bench. DBC files are checked with the bench
+    file.
+    """
+    return list(_conflicts(document)) or list(_declared(document))
+
+
+def _nodes(bench: Bench) -> Iterator[tuple[Role, int]]:
+    """Yield the devices that have a node identifier."""
+    if isinstance(bench.servo, ServoSection):
+        yield "servo", bench.servo.node
+    if isinstance(bench.encoder, EncoderSection):
+        yield "encoder", bench.encoder.node
+    if bench.pressure is not None:
+        yield "pressure", bench.pressure.node
+
+
+def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
+    bench = document.value
+    owners: dict[int, str] = (
+        {} if isinstance(bench.bus, SerialBus) else {MASTER_ID: "this program's own heartbeat"}
+    )
+    for role, node in _nodes(bench):
+        if node in owners:
+            text = (
+                f"{node} is also the node identifier of {owners[node]}; give each device another "
+                f"node identifier from 1 to {MASTER_ID - 1}"
+            )
+            yield Finding(Cause.NODES, document.problem((role, "node"), text), connectable=False)
+        owners.setdefault(node, f"the {_WORDS[role]}")
+
+
+def _declared(document: Document[Bench]) -> Iterator[Finding]:
+    """Declare every device on the link as :func:`rig.wiring.connect.connect` does; yield each
+    error.
+    """
+    bench = document.value
+    link: CanopenLink | EposSerialLink
+    if isinstance(bench.bus, SerialBus):
+        link = EposSerialLink(SimulatedClock(), _never_opened)
+    elif isinstance(bench.servo, DbcServoSection):
+        link = DbcLink(SimulatedClock(), _never_opened)
+        link.add_channel(
+            wire(bench.servo, document.path, bench.simulated, document.problem), bench.servo.name
+        )
+    else:
+        link = CanopenLink(SimulatedClock(), _never_opened)
+    for role, number in _nodes(bench):
+        try:
+            eds = eds_path(document, role)
+        except InputError as missing:
+            yield from (Finding(Cause.FILES, text, connectable=False) for text in missing.problems)
+            continue
+        refused: list[DeviceError]
+        told: tuple[str, ...] = ()
+        try:
+            if role == "servo" and isinstance(link, CanopenLink):
+                assert isinstance(bench.servo, ServoSection)
+                axis = servo_axis(bench.servo, servo_data(document))
+                node: ProcessChannel = link.add_node(number, eds, axis)
+            else:
+                node = link.add_node(number, eds)
+            profile = _profile(document, role, link, node)
+            refused = list(profile.description_refusals())
+            if not refused and isinstance(profile, Cia402Servo):
+                told = (*_maker(document), *profile.lacks(bench.cycle_s).words)
+        except ConfigurationError as error:
+            refused = [error]
+        yield from (Finding(Cause.FILES, f"servo: {text}", refused=False) for text in told)
+        for lacking in refused:
+            yield Finding(
+                Cause.FILES, document.problem((role, "eds"), str(lacking)), connectable=False
+            )
+    if isinstance(link, DbcLink):
+        for text in link.conflicts():
+            yield Finding(Cause.NODES, document.problem(("servo",), text), connectable=False)
+
+
+def _maker(document: Document[Bench]) -> Iterator[str]:
+    """Yield the known deviations of the drive's maker from CiA 402."""
+    servo, data = document.value.servo, servo_data(document)
+    if isinstance(servo, ServoSection) and servo.eds is None and servo.device is None:
+        return  # the simulated drive
+    if data is not None:
+        yield f"known of {data.name}, unless the bench file states another value: {data.words}"
+        yield from data.remarks
+
+
+def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessChannel) -> _Described:
+    bench = document.value
+    if role == "servo":
+        assert isinstance(bench.servo, ServoSection)
+        data = servo_data(document)
+        scales = servo_scales(bench.servo, bench.machine, data)
+        motion = servo_motion(bench.servo, scales, data)
+        return Cia402Servo(node, link, scales, motion=motion, stops_alone=bench.servo.stops_alone)
+    if role == "encoder":
+        assert isinstance(bench.encoder, EncoderSection)
+        return Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
+    assert bench.pressure is not None
+    return bench.pressure.transmitter(node)
+
+
+def _never_opened() -> NoReturn:
+    raise AssertionError("this bench is only checked, and its bus must not be opened")
+
 
 RESET_HINT = "; remove the cause of the fault, then clear the fault with --reset-fault"
 

@@ -7,20 +7,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from drivers.canopen.axis import Axis
 from drivers.canopen.device_data import DeviceData
 from drivers.canopen.motion import (
     CyclicPosition,
     CyclicSpeed,
     CyclicTorque,
+    LoopGains,
     Motion,
     ProfilePosition,
 )
-from drivers.canopen.position_loop import LoopGains
+from drivers.canopen.sdo import Axis
 from drivers.units import EncoderScales, ServoScales
-from rig.config.bench import Constants
+from rig.config.bench import Constants, LimitsSection
 from rig.config.canopen import EncoderSection, ServoSection
-from rig.config.limits_section import LimitsSection
 
 _OBJECTS = {
     "voltage_object": ("voltage_unit_V", "voltage_unit_V"),

@@ -27,8 +27,7 @@ from drivers.dbc.map import (
 )
 from drivers.dbc.servo import DbcServo
 from drivers.interfaces import Identity, ServoLimits
-from drivers.mock.bench import ENCODER_NODE
-from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
+from drivers.mock.bench import ENCODER_NODE, SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.dbc_drive import DRIVE_DBC
 from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.plant.parts.constants import Machine

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.dbc.bind import bind
+from drivers.dbc.codec import Wiring
 from drivers.dbc.file import Layout, read_dbc
 from drivers.dbc.map import DbcMap, Inputs, Orders, Quantity, Status, StopFrame
-from drivers.dbc.wiring import Wiring
 
 HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A B\n\n'
 MOTOR = """\

@@ -16,7 +16,7 @@ import can
 from drivers.can.port import PythonCanPort
 from drivers.clock import NS, SimulatedClock
 from drivers.interfaces import RawFrame
-from drivers.mock.wires.pty import Ports
+from drivers.mock.wires.serial_line import Ports
 from drivers.serial_port import PySerialPort
 
 ON_THE_WAY_S = 10.0

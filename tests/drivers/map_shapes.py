@@ -14,7 +14,8 @@ from random import Random
 
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel
-from drivers.dbc.file import read_dbc
+from drivers.dbc.codec import Order, Wiring
+from drivers.dbc.file import DbcMapError, read_dbc
 from drivers.dbc.map import (
     STATES,
     Assignments,
@@ -27,8 +28,6 @@ from drivers.dbc.map import (
     Status,
     StopFrame,
 )
-from drivers.dbc.problems import DbcMapError
-from drivers.dbc.wiring import Order, Wiring
 from drivers.interfaces import ServoState
 
 from .dbc_shapes import Field, Frame, drawn_frame, drawn_frames, write

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Gate
-from drivers.amt21.line import Amt21Line
-from drivers.amt21.link import EncoderLink
-from drivers.can.slcan_port import SlcanPort
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
+from drivers.can.slcan import SlcanPort
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
@@ -21,14 +19,12 @@ from drivers.clock import NS, Clock
 from drivers.epos.link import EposSerialLink
 from drivers.epos.node import FASTEST_1_S, EposSerialNode
 from drivers.interfaces import Encoder, Link
-from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.encoder import ENCODER_EDS
+from drivers.mock.encoder import ENCODER_EDS, SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine, Sensing
-from drivers.mock.wires.pty import Ports
-from drivers.mock.wires.serial_line import SimulatedLine
+from drivers.mock.wires.serial_line import Ports, SimulatedLine
 from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import BytePort
 from drivers.units import EncoderScales

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen import velocity_unit
+from drivers.canopen import motion
 from drivers.canopen.cia402_homing import settings
 from drivers.canopen.motion import ProfilePosition
 from drivers.clock import NS
@@ -89,7 +89,7 @@ def test_homing_and_profiles_use_the_unit_of_the_acceleration() -> None:
     ],
 )
 def test_the_unit_that_a_drive_states(word: int, unit: float | None) -> None:
-    found = velocity_unit.decode_acceleration(word)
+    found = motion.decode_acceleration(word)
     assert found == (None if unit is None else pytest.approx(unit))
 
 
@@ -103,8 +103,8 @@ def test_a_unit_that_is_not_the_bench_file_s_is_refused() -> None:
         def read(self, *_: int) -> int:
             return 0x00B45700
 
-    (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
     assert "unit of the acceleration, 60AAh" in str(error)
     assert str(error).endswith("set servo.acceleration_unit_rad_s2: 6.28319")
     told = dataclasses.replace(SCALES, acceleration_unit_rad_s2=2 * math.pi)
-    assert list(velocity_unit.refusals(Stating(), told)) == []  # type: ignore[arg-type]
+    assert list(motion.refusals(Stating(), told)) == []  # type: ignore[arg-type]

@@ -8,11 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, PlausibilityGate, decode, encode
-from drivers.amt21.line import Amt21Line
+from drivers.amt21.encoder import (
+    COUNTS_PER_TURN,
+    Amt21Encoder,
+    Amt21Line,
+    PlausibilityGate,
+    decode,
+    encode,
+)
 from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import ServoState
-from drivers.mock.amt21 import RESTART_S
+from drivers.mock.encoder import RESTART_S
 from drivers.units import EncoderScales
 
 from .serial_host import GATE, SerialHost, make_serial_host

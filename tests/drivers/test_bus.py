@@ -3,8 +3,7 @@ from __future__ import annotations
 import can
 import pytest
 
-from drivers.can.port import MAX_COLLECTED, PythonCanPort
-from drivers.can.timing import frame_bits
+from drivers.can.port import MAX_COLLECTED, PythonCanPort, frame_bits
 from drivers.clock import SimulatedClock
 from drivers.interfaces import RawFrame
 from drivers.mock.wires.bus import SimulatedBus

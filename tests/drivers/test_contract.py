@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.axis import Axis
+from drivers.canopen.sdo import Axis
 
 from .contract import Rig, ServoContract
 from .host import drive_eds, make_host

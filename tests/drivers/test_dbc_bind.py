@@ -5,9 +5,8 @@ from dataclasses import replace
 import pytest
 
 from drivers.dbc.bind import bind
-from drivers.dbc.file import read_dbc
+from drivers.dbc.file import DbcMapError, nearest, read_dbc
 from drivers.dbc.map import DbcMap, Protection, Quantity, Status, StopFrame
-from drivers.dbc.problems import DbcMapError, nearest
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import DRIVE_DBC
 

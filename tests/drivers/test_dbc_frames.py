@@ -18,13 +18,11 @@ import pytest
 from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG, PythonCanPort, hexadecimal
 from drivers.can.slcan import LineDecoder, encode
 from drivers.clock import NS, SimulatedClock
-from drivers.dbc.codec import Signal
-from drivers.dbc.feedback import Feedback
+from drivers.dbc.codec import BoundQuantity, Signal
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
 from drivers.dbc.map import DbcMap, LimitMap, LimitSignals, Protection, Quantity
-from drivers.dbc.servo import DbcServo
-from drivers.dbc.wiring import BoundQuantity
+from drivers.dbc.servo import DbcServo, Feedback
 from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import Identity, RawFrame, ServoLimits, ServoState
 

@@ -18,12 +18,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel
-from drivers.dbc.codec import Signal
-from drivers.dbc.file import Layout, read_dbc
+from drivers.dbc.codec import Signal, Wiring
+from drivers.dbc.file import DbcMapError, Layout, read_dbc
 from drivers.dbc.limits import _tighter_real
 from drivers.dbc.map import DbcMap, Protection, Quantity, StopFrame
-from drivers.dbc.problems import DbcMapError
-from drivers.dbc.wiring import Wiring
 from drivers.errors import DriveFault
 from drivers.interfaces import ServoState
 

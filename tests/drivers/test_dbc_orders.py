@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from drivers.dbc.channel import DbcChannel
+from drivers.dbc.file import DbcMapError
 from drivers.dbc.map import DbcMap, Protection, Quantity, StopFrame
-from drivers.dbc.problems import DbcMapError
 from drivers.errors import DriveFault
 from drivers.interfaces import ServoState
 

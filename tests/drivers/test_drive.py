@@ -15,8 +15,7 @@ from drivers.interfaces import ServoState
 from drivers.mock.plant.machine import Reading
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
-from drivers.mock.resolution import encoder_resolution
-from drivers.mock.sampler import Sampler
+from drivers.mock.sampler import Sampler, encoder_resolution
 
 from .host import SCALES, Host, enabled, make_host, prepared
 

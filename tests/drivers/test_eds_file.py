@@ -21,8 +21,7 @@ from drivers.clock import SimulatedClock
 from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.encoder import ENCODER_EDS
-from drivers.mock.transmitter import TRANSMITTER_EDS
+from drivers.mock.encoder import ENCODER_EDS, TRANSMITTER_EDS
 from drivers.units import EncoderScales
 
 from . import eds_shapes

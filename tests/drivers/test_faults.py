@@ -12,13 +12,11 @@ from drivers.clock import SimulatedClock
 from drivers.epos.frames import ERROR, FrameDecoder, Opcode, encode
 from drivers.errors import DriveFault, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import ServoState
-from drivers.mock import sensor_faults
-from drivers.mock.faults import FOR_GOOD, GENERAL_ERROR, WireFaults
-from drivers.mock.line_faults import LineFaults
+from drivers.mock import faults as sensor_faults
+from drivers.mock.faults import FOR_GOOD, GENERAL_ERROR, LineFaults, WireFaults
 from drivers.mock.power_state import POWERED, State
-from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.bus import SimulatedBus, SteppedClock
 from drivers.mock.wires.serial_line import SimulatedLine
-from drivers.mock.wires.stepped_clock import SteppedClock
 
 from .host import Host, enabled, prepared
 

@@ -15,9 +15,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from drivers.mock.plant.gas_direct import burn, impacted_area, steady_pressure, throat_area
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import SimulatedMachine, simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
-from drivers.mock.plant.true_motion import simulate
 from drivers.mock.without_bus import record
 
 Array = NDArray[np.float64]

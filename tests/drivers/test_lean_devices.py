@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen import velocity_unit
+from drivers.canopen import motion
 from drivers.canopen.cia402_objects import cyclic, inputs
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
@@ -364,7 +364,7 @@ def test_nearest_of_a_counter() -> None:
     ],
 )
 def test_the_unit_that_a_drive_states(word: int, unit: float | None) -> None:
-    found = velocity_unit.decode(word)
+    found = motion.decode(word)
     assert found == (None if unit is None else pytest.approx(unit))
 
 
@@ -378,11 +378,11 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
         def read(self, *_: int) -> int:
             return 0x00B44700
 
-    (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
     assert str(error).endswith("the unit of 606Ch is rpm: set servo.velocity_unit: rpm")
     rpm = dataclasses.replace(SCALES, velocity_unit_rad_s=2 * math.pi / 60)
-    assert list(velocity_unit.refusals(Stating(), rpm)) == []  # type: ignore[arg-type]
-    assert list(velocity_unit.refusals(host.drive, SCALES)) == []
+    assert list(motion.refusals(Stating(), rpm)) == []  # type: ignore[arg-type]
+    assert list(motion.refusals(host.drive, SCALES)) == []
 
 
 @pytest.mark.parametrize(
@@ -427,7 +427,7 @@ def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
     host: Host, unit: float, factor: float
 ) -> None:
     scales = dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
-    near = velocity_unit.nearest_factor(scales, factor, 15.0)
+    near = motion.nearest_factor(scales, factor, 15.0)
     assert not 0.5 < near < 2.0
     assert 1 / 15 <= near / factor <= 15.0
 
@@ -451,7 +451,7 @@ def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
         def read(self, *_: int) -> int:
             return word
 
-    (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
     assert str(error).endswith(f"rad/s in the bench file: {words}")
 
 

@@ -5,7 +5,7 @@ import struct
 import can
 import pytest
 
-from drivers.can.timing import cycle_bits, frame_bits
+from drivers.can.port import cycle_bits, frame_bits
 from drivers.canopen import cia402_objects, cia406
 from drivers.canopen.link import CanopenLink
 from drivers.canopen.node import CanopenNode

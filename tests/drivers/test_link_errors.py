@@ -15,9 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import serial_port
-from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder
-from drivers.amt21.line import Amt21Line
-from drivers.amt21.link import EncoderLink
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink
 from drivers.can.port import PythonCanPort
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.link import CanopenLink
@@ -30,8 +28,7 @@ from drivers.epos.frames import Opcode, encode
 from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame, Servo
-from drivers.mock.bench import DRIVE_NODE, simulated_bench
-from drivers.mock.dbc_bench import simulated_dbc_bench
+from drivers.mock.bench import DRIVE_NODE, simulated_bench, simulated_dbc_bench
 from drivers.mock.dbc_drive import DRIVE_DBC
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.epos_serial import SimulatedEposPort

@@ -11,11 +11,11 @@ from drivers.canopen.motion import (
     STALE_CYCLES,
     CyclicSpeed,
     CyclicTorque,
+    LoopGains,
     Motion,
     Observed,
     ProfilePosition,
 )
-from drivers.canopen.position_loop import LoopGains
 from drivers.errors import StateError
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key

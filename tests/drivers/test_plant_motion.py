@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import SimulatedMachine, simulate
 from drivers.mock.plant.parts.constants import Loops, Machine, Sensing
-from drivers.mock.plant.true_motion import simulate
 
 STIFF = Machine(sensing=Sensing(0, 0, 0.0))
 SOFT = replace(STIFF, loops=replace(Loops(), velocity_gain_N_m_s_rad=None, position_gain=400.0))

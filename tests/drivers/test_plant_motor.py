@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.machine import SimulatedMachine, drive_vector, friction_vector
+from drivers.mock.plant.machine import SimulatedMachine, drive_vector, friction_vector, simulate
 from drivers.mock.plant.parts import loops
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Sensing
-from drivers.mock.plant.true_motion import simulate
 
 MACHINE = Machine(sensing=Sensing(0, 0, 0.0))
 RESISTANCE, INDUCTANCE, EMF, TORQUE_PER_AMPERE = 1.56, 0.00132, 0.02588 * 100.0, 0.03 * 100.0

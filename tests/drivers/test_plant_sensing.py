@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import SimulatedMachine, simulate
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
-from drivers.mock.plant.true_motion import simulate
 
 CYCLE_NS = 1_000_000
 TORQUE_PER_AMPERE = 0.03 * 100.0

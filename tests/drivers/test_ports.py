@@ -11,7 +11,7 @@ import pytest
 
 from drivers.can import slcan
 from drivers.can.port import PythonCanPort
-from drivers.can.slcan_port import SlcanPort
+from drivers.can.slcan import SlcanPort
 from drivers.clock import NS, RealClock, SimulatedClock
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.serial_line import SimulatedLine

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.position_loop import (
+from drivers.canopen.motion import (
     AT_REST,
     LoopGains,
     LoopLimits,

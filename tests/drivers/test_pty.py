@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.mock.wires.pty import Ports
+from drivers.mock.wires.serial_line import Ports
 
 
 class Echo:

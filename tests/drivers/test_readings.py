@@ -26,8 +26,8 @@ from drivers.interfaces import Link, RawFrame, Servo, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import key
+from drivers.mock.encoder import TRANSMITTER_EDS
 from drivers.mock.plant.parts.constants import Machine
-from drivers.mock.transmitter import TRANSMITTER_EDS
 from drivers.servo_limits import OBJECTS, decode, encode, named
 from drivers.units import EncoderScales, ServoScales
 

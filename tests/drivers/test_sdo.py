@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from drivers.canopen.sdo import PumpedSdoClient
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.mock.canopen.dictionary import DeviceDictionary
-from drivers.mock.canopen.sdo_server import SdoServer
+from drivers.mock.canopen.node import SdoServer
 from drivers.mock.drive import DRIVE_EDS
 
 from .host import Host, frame

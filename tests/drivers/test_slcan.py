@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from drivers.can import slcan
 from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG
-from drivers.can.slcan_port import SlcanPort, open_slcan
+from drivers.can.slcan import SlcanPort, open_slcan
 from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, RealClock, SimulatedClock
 from drivers.errors import LinkError

@@ -13,8 +13,8 @@ from drivers.canopen.cia404 import Cia404Transmitter, status_words, unit_of
 from drivers.canopen.link import CanopenLink
 from drivers.errors import ConfigurationError
 from drivers.mock.bench import TRANSMITTER_NODE, SimulatedBench, simulated_bench
+from drivers.mock.encoder import PRESSURE_UNIT_PA, TRANSMITTER_EDS
 from drivers.mock.plant.parts.constants import GasGenerator, Machine, Transmitter
-from drivers.mock.transmitter import PRESSURE_UNIT_PA, TRANSMITTER_EDS
 
 
 def fitted(

@@ -16,7 +16,7 @@ from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.serial_line import RealTimeBench
 from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import PySerialPort
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import Machine
-from drivers.mock.plant.true_motion import simulate
 from identification.recording import Array, Bench, Recording
 
 BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)

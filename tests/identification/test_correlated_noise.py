@@ -12,7 +12,7 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.refinement import refine_recordings, refusal
-from identification.filter.noise import Noise
+from identification.filter.segments import Noise
 from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording
 from identification.simulate.drive_loop import respond, usual_loop

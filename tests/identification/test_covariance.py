@@ -19,8 +19,7 @@ from identification.estimate.covariance import (
 )
 from identification.estimate.inertia import Replicate
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Model

@@ -20,8 +20,7 @@ from identification.estimate.covariance import (
 from identification.estimate.inertia import Replicate, _smoothed, instruments
 from identification.estimate.searches import Refined, refine_stages
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.numerics.compiled import compiled
 from identification.numerics.least_squares import BlockArrow

@@ -15,13 +15,12 @@ from identification.estimate.paper_method import identify_paper
 from identification.estimate.parameter_table import typical_error
 from identification.estimate.refinement import refine_recordings, refusal
 from identification.estimate.searches import innovation_statistics, refine_stages
-from identification.estimator_settings import AcceptanceLimits
 from identification.filter.likelihood import Point
 from identification.filter.segments import motion
 from identification.numerics.compiled import both
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
-from identification.result import Identification
+from identification.result import AcceptanceLimits, Identification
 
 from .practical import beginning, logged, simulated, with_ripple
 from .synthetic import TRUTH, sine

@@ -14,12 +14,16 @@ from identification.design import propose as proposing
 from identification.design import propose as trials
 from identification.design import search, simulated
 from identification.design import search as sharing
-from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
 from identification.design.propose import attained, expected, propose
 from identification.design.search import (
+    Bounds,
     Candidate,
     Design,
     Draws,
+    Excitation,
+    Frame,
+    Part,
+    Ramps,
     Search,
     best_shares,
     halved,

@@ -12,11 +12,12 @@ from scipy.integrate import cumulative_simpson, solve_ivp
 
 from identification.model.gas_generator import (
     GasGenerator,
+    ValveGeometry,
     equilibrium_pressure,
     pressure_history,
+    throat_area,
     throat_derivatives,
 )
-from identification.model.valve import ValveGeometry, throat_area
 
 PAPER = GasGenerator()
 TIME = np.arange(0.0, 6.0, 0.005)

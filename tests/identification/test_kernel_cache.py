@@ -19,9 +19,9 @@ from typing import Any
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-import drivers.mock.plant.parts.kernel_cache
-import identification.numerics.kernel_cache
-from identification.numerics.kernel_cache import KernelCache, digest
+import drivers.mock.plant.parts.compiled
+import identification.numerics.compiled
+from identification.numerics.compiled import KernelCache, digest
 
 CALLED = """
 from identification.numerics.compiled import compiled
@@ -60,7 +60,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
     """
     names = {name: f"{name}_{tmp_path.name}" for name in ("constants", "called", "caller")}
     monkeypatch.syspath_prepend(str(tmp_path))
-    identification.numerics.kernel_cache._SAID.clear()
+    identification.numerics.compiled._SAID.clear()
 
     def load(factor: float) -> ModuleType:
         texts = {"constants": f"FACTOR = {factor}\n", "called": CALLED, "caller": CALLER}
@@ -79,8 +79,8 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
 
 def test_the_two_copies_are_one() -> None:
     first, second = (
-        identification.numerics.kernel_cache.__file__,
-        drivers.mock.plant.parts.kernel_cache.__file__,
+        identification.numerics.compiled.__file__,
+        drivers.mock.plant.parts.compiled.__file__,
     )
     assert first != second
     assert Path(first).read_text(encoding="utf-8") == Path(second).read_text(encoding="utf-8")
@@ -104,7 +104,7 @@ def test_a_person_who_waits_is_told_of_the_first_compilation(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
-    identification.numerics.kernel_cache._COMPILING.clear()
+    identification.numerics.compiled._COMPILING.clear()
     for _ in range(2):
         assert package(2.0).shifted(3.0) == 7.0
     said = [r for r in caplog.messages if "compiling" in r]

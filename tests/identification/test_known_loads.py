@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.start import views_and_fit
+from identification.diagnosis.fit.within_limits import views_and_fit
 from identification.diagnosis.verdict.unexplained import unrecorded_effects
 from identification.effects import MOTION
 from identification.effects.effect import Context

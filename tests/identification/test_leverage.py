@@ -11,8 +11,7 @@ import pytest
 from identification.estimate import inertia as instrumental
 from identification.estimate.inertia import inflation_factors
 from identification.filter.likelihood import Point, Searched
-from identification.filter.noise import Noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import MC, pack
 from identification.numerics.least_squares import BlockArrow
 from identification.recording import Array, Model, Recording

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
-from drivers.mock.plant.true_motion import simulate
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
-from rig.runs.truth import JOINT_FIELDS
+from rig.runs.recorded_inputs import JOINT_FIELDS
 
 PAPER = Joint(inertia_kg_m2=0.000204)
 # Stiff enough to hold this tiny inertia on the falling branch, where friction loses up to 340 N m

@@ -13,8 +13,7 @@ from identification.design.simulated import PlannedModel, PlannedStage, Sensors,
 from identification.estimate import searches
 from identification.estimate.searches import breakaway_starts
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, LOAD_RISE, MU_C, OMEGA_SL, pack
 from identification.recording import Array, Model
 

@@ -9,8 +9,7 @@ import pytest
 
 from identification.estimate import default
 from identification.filter.likelihood import Point, optimise_breakaway_times, reduce
-from identification.filter.noise import Noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.prepare import resting
 from identification.recording import Dataset, Model, Recording

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import pack
 from identification.recording import Model, Recording
 

@@ -11,7 +11,7 @@ import pytest
 from identification.estimate import searches
 from identification.estimate.searches import End, LoadedFit, Solved
 from identification.filter.likelihood import Point, Searched
-from identification.filter.noise import Noise
+from identification.filter.segments import Noise
 from identification.model.parameters import INERTIA, LOAD_RISE, MC, MU_2, OMEGA_SL, SIZE
 from identification.recording import Model
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.gas_direct import burn, throat_area
-from drivers.mock.plant.machine_pack import friction_vector
+from drivers.mock.plant.machine import friction_vector
 from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_generator as kernel
@@ -24,8 +24,8 @@ from identification.model.gas_generator import (
     pressure_history,
     throat_derivatives,
 )
+from identification.model.gas_generator import throat_area as believed_throat
 from identification.model.parameters import pack
-from identification.model.valve import throat_area as believed_throat
 
 from .synthetic import TRUTH
 

@@ -33,17 +33,16 @@ from identification.estimate.replicates import (
     likelihood_bias,
     logged_share,
 )
-from identification.estimator_settings import ReplicateSettings
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.kalman import DIRECTION
 from identification.filter.likelihood import Point
-from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
-from identification.filter.segments import motion
+from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
 from identification.numerics.spread import Spread
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
+from identification.result import ReplicateSettings
 
 from .practical import beginning, command, logged, simulated
 from .synthetic import TRUTH

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identification.recording import Bench, Recording
-from identification.tracking import track, tracking_error
+from identification.signals import track, tracking_error
 
 TIME = 1e-3 * np.arange(4000)
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.model.valve import PAPER, ValveGeometry, impacted_area, throat_area
+from identification.model.gas_generator import PAPER, ValveGeometry, impacted_area, throat_area
 
 
 def integrated(angle: float, g: ValveGeometry, strips: int = 400) -> float:

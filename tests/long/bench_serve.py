@@ -35,14 +35,17 @@ from typing import Any
 from drivers.clock import NS
 from drivers.interfaces import RawFrame
 from drivers.mock import dbc_drive, power_state
-from drivers.mock.amt21 import SimulatedAmt21
-from drivers.mock.bench import SimulatedBench, simulated_bench
-from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
+from drivers.mock.bench import (
+    SimulatedBench,
+    SimulatedDbcBench,
+    simulated_bench,
+    simulated_dbc_bench,
+)
+from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.wires.pty import Ports
-from drivers.mock.wires.serial_line import Station
+from drivers.mock.wires.bus import Timer
+from drivers.mock.wires.serial_line import Ports, Station
 from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
-from drivers.mock.wires.timer import Timer
 from rig.config.bench import load_bench
 
 from .benches import TRANSPORTS

@@ -19,7 +19,7 @@ import yaml
 import drivers.mock
 from drivers.clock import NS
 from drivers.mock import dbc_drive
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 
 TRANSPORTS: Mapping[str, str] = {
     "serial": "practical_serial",

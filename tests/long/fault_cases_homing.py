@@ -18,10 +18,9 @@ from unittest.mock import patch
 
 from drivers.clock import NS
 from drivers.homing import IN_PLACE
-from drivers.mock import sensor_faults
+from drivers.mock import faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.faults import WireFaults
-from drivers.mock.line_faults import LineFaults
+from drivers.mock.faults import LineFaults, WireFaults
 from drivers.mock.mistakes import MISTAKES, Mistake
 from drivers.mock.power_state import POWERED, State
 from rig.cli.entry import status
@@ -44,7 +43,7 @@ WATCH_S: Final = 0.25
 BUS_ONLY: Final = ("EMCY", "drive restarts", "host's frames lost", "control loop hangs 0.5 s")
 """Faults that a serial line does not have, or that show there in another way."""
 
-Spoil = Callable[[SimulatedBench, sensor_faults.Sensor], None]
+Spoil = Callable[[SimulatedBench, faults.Sensor], None]
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class HomingCase:
     needs_watchdog: bool = False
 
 
-def _cable(bench: SimulatedBench, _: sensor_faults.Sensor) -> None:
+def _cable(bench: SimulatedBench, _: faults.Sensor) -> None:
     if "drive" in bench.lines:
         LineFaults(bench.lines["drive"], bench.clock).cut(None)
     else:
@@ -119,7 +118,7 @@ CASES: Final[Mapping[str, HomingCase]] = {
         needs_watchdog=True,
     ),
     "encoder frozen": HomingCase(
-        lambda _, sensor: sensor_faults.freeze(sensor),
+        lambda _, sensor: faults.freeze(sensor),
         "encoder against drive .*check the joint encoder", within_s=0.5, methods=(17,),
     ),
 }  # fmt: skip
@@ -162,7 +161,7 @@ def run(case: HomingCase, method: int, bench: str, folder: Path, act: Any = None
     seen, calls = Seen(), [0]
     attend, steps_of = Cycle.attend, commission.steps_of
 
-    def spoil(mock: SimulatedBench, sensor: sensor_faults.Sensor) -> None:
+    def spoil(mock: SimulatedBench, sensor: faults.Sensor) -> None:
         def entered(state: State) -> None:
             if seen.powered and state not in POWERED:
                 seen.off_s = mock.clock.now_ns() / NS

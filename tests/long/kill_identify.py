@@ -27,8 +27,8 @@ from typing import Any
 from rig.cli.entry import status
 from rig.common.tables import table
 from rig.config.bench import load_bench
+from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run import read_record
-from rig.runs.truth import true_parameters
 
 MISSES = 0.05
 _CONTROLLER = "import sys; from rig.cli.entry import status; sys.exit(status(sys.argv[1:]))"

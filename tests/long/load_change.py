@@ -17,8 +17,7 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.without_bus import record
 from identification.recording import Bench, Dataset, Recording
 from rig.config.bench import load_bench
-from rig.results.prove.draw import Kind, Rig, draw
-from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
+from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, draw
 from rig.weighing.load_change import Change, changed_loads
 
 Array = NDArray[np.float64]

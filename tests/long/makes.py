@@ -28,9 +28,9 @@ from drivers.mock.makes import MAKES, description
 from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
-from rig.config.packaged import names, resolve
+from rig.config.configuration import names, resolve
 from rig.control.cycle import Cycle
-from rig.runs.truth import true_parameters
+from rig.runs.recorded_inputs import true_parameters
 
 from . import fault_matrix
 from .fault_cases import PHASES, STATES, Transport

@@ -29,8 +29,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "rig.wiring.guard": ("tests/rig/test_guard.py",),
     "rig.wiring.guardian": ("tests/rig/test_guardian_process.py", "tests/rig/test_guardian.py"),
     "drivers.canopen.cia402": ("tests/drivers/test_cia402.py",),
-    "drivers.canopen.cia402_servo": ("tests/drivers/test_cia402_servo.py",),
-    "drivers.canopen.cia402_checks": (
+    "drivers.canopen.cia402_servo": (
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_eds_file.py",
         "tests/drivers/test_readings.py",
@@ -39,18 +38,12 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_lean_devices.py",
     ),
-    "drivers.canopen.cia402_mode": ("tests/drivers/test_cia402_servo.py",),
-    "drivers.canopen.cia402_values": (
-        "tests/drivers/test_cia402_servo.py",
-        "tests/drivers/test_lean_devices.py",
-    ),
-    "rig.control.speed_witness": ("tests/rig/test_speed_witness.py",),
+    "rig.control.motion_proof": ("tests/rig/test_speed_witness.py",),
     "drivers.transitions": (
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo_steps.py",
     ),
-    "drivers.dbc.servo": ("tests/drivers/test_dbc_servo_steps.py",),
-    "drivers.dbc.feedback": (
+    "drivers.dbc.servo": (
         "tests/drivers/test_dbc_servo_steps.py",
         "tests/drivers/test_dbc_servo.py",
         "tests/drivers/test_readings.py",
@@ -73,7 +66,7 @@ ARGUED: Mapping[tuple[str, str], str] = {
     },
     **{
         (
-            "drivers.canopen.cia402_values",
+            "drivers.canopen.cia402_objects",
             f"CyclicValues.sample: {value} * scales.sign -> {value} / scales.sign",
         ): _SIGN
         for value in (

@@ -29,9 +29,9 @@ from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.common.timing import summary
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
+from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run_file import read_record
-from rig.runs.truth import true_parameters
 
 from .benches import Bench, bench_process
 from .kill import ended, start

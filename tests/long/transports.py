@@ -25,19 +25,19 @@ from unittest.mock import patch
 
 import can
 
-from drivers.can.slcan_port import SlcanPort
+from drivers.can.slcan import SlcanPort
 from drivers.canopen.link import CanopenLink
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.wires.pty import Ports
-from drivers.mock.wires.serial_line import Station
+from drivers.mock.wires.serial_line import Ports, Station
 from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import BytePort
 from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
-from rig.runs.truth import true_parameters
-from rig.wiring import connect, serial_devices
+from rig.config.configuration import resolve
+from rig.runs.recorded_inputs import true_parameters
+from rig.wiring import connect
+from rig.wiring import connect as serial_devices
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
 from lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from drivers.clock import Clock
-from drivers.mock import sensor_faults
+from drivers.mock import faults
 from drivers.mock.bench import SimulatedBench
 from drivers.mock.makes import MAKES, description
 from drivers.mock.plant.parts.constants import Joint
@@ -203,7 +203,7 @@ def _mistake(
 
 
 def _on_motor_shaft(mock: SimulatedBench) -> None:
-    sensor_faults.on_motor_shaft(Scene(mock).sensor, mock.machine)
+    faults.on_motor_shaft(Scene(mock).sensor, mock.machine)
 
 
 def judged(drawn: Drawn, outcome: Outcome, folder: RunFolder) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 
 
 def variant(folder: Path, *changes: tuple[str, str], source: str = "practical") -> Path:

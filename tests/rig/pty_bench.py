@@ -16,13 +16,13 @@ from pathlib import Path
 import yaml
 
 import drivers.mock
-from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import simulated_bench
+from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.serial_line import RealTimeBench
 from drivers.mock.wires.slcan import LawicelAdapter
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 
 PACKAGED = {"serial": "practical_serial", "slcan": "practical"}
 

@@ -21,8 +21,7 @@ from rig.config.sequence import Sequence, load_acceptance
 from rig.control.session import Inputs
 from rig.planning.plan import make_plan
 from rig.results.acceptance.accept import accept
-from rig.results.acceptance.evidence import Evidence, gather
-from rig.results.acceptance.judge import Check, accepted, judge
+from rig.results.acceptance.evidence import Check, Evidence, accepted, gather, judge
 from rig.results.acceptance.pdf import certificate_pdf
 from rig.results.acceptance.record import junit
 from rig.runs.catalogue.entry import Constant

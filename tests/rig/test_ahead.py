@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.common.ahead import imported_ahead
+from rig.common.start_up import imported_ahead
 
 
 def test_the_module_is_there_at_the_end_of_the_block(

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import Machine
-from drivers.mock.plant.true_motion import simulate
 from identification.estimate.default import identify, solve_stages
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording

@@ -10,7 +10,7 @@ import pytest
 COUNT_FAULTS = """
 import resource
 import numpy as np
-from rig.common.allocation import keep_freed_memory
+from rig.common.start_up import keep_freed_memory
 
 if {keep}:
     keep_freed_memory()

@@ -20,7 +20,7 @@ import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import BAD_INPUT, BAD_VERDICT, DEVICE_FAILED, DONE, status
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.wiring.connect import DRIVE_EDS
 
 from .ordinary import ordinary_user

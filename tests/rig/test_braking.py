@@ -15,8 +15,7 @@ from drivers.errors import DriveFault, LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE
 from drivers.mock.dbc_drive import COMMAND, STOP
-from drivers.mock.faults import WireFaults
-from drivers.mock.line_faults import LineFaults
+from drivers.mock.faults import LineFaults, WireFaults
 from drivers.mock.power_state import Command
 from drivers.mock.power_state import State as State402
 from rig.wiring.braking import (

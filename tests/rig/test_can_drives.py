@@ -21,7 +21,7 @@ from drivers.interfaces import RawFrame
 from drivers.mock.can_drives import mit_motor, odrive
 from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
 from rig.cli.entry import status
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.operator import AutomaticOperator

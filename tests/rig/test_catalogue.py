@@ -16,10 +16,9 @@ from rig.config.configuration import load_located
 from rig.config.sequence import Sequence
 from rig.control.session import Inputs
 from rig.planning.plan import make_plan
-from rig.runs.catalogue.entry import Entry
+from rig.runs.catalogue.entry import Entry, Wanted, chosen, state_of, time_of, verdicts
 from rig.runs.catalogue.index import INDEX_FILE, detailed, list_runs
-from rig.runs.catalogue.select import Wanted, chosen, state_of, time_of, verdicts
-from rig.runs.seal import seal_run
+from rig.runs.run_file import seal_run
 
 from .conftest import SHORT, FakeBench, Runner
 

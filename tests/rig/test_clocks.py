@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.runs.clocks import describe, drift_ppm
+from rig.runs.run import describe, drift_ppm
 
 TIME = 1e-3 * np.arange(20_000)
 

@@ -19,8 +19,8 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import run
 from rig.results.prove.engines import Processes, cluster
-from rig.results.prove.engines.bundle import bundle, without_place
-from rig.results.prove.interchange.proof import begin_from, diagnose_all, score_all
+from rig.results.prove.engines.engine import bundle, without_place
+from rig.results.prove.interchange import begin_from, diagnose_all, score_all
 from tests.rig import proof_parts
 
 distributed = pytest.importorskip("distributed")

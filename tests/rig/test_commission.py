@@ -20,14 +20,13 @@ from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.mistakes import MISTAKES
 from rig.cli.entry import status
-from rig.commissioning.commission import STEPS
+from rig.commissioning.commission import STEPS, patched
 from rig.commissioning.moving import SMALL_DEG
-from rig.commissioning.patch import patched
 from rig.commissioning.setup import FASTEST_DEG_S, Setup
 from rig.common.errors import StorageError
 from rig.config.bench import load_bench
 from rig.control.cycle import Cycle
-from rig.control.motion_words import Change
+from rig.control.motion_proof import Change
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder
 

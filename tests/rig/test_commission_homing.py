@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.errors import LinkError
-from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.drive_homing import Homing
+from drivers.mock.drive import DRIVE_EDS, Homing
 from drivers.mock.mistakes import MISTAKES
 from drivers.mock.plant.machine import SimulatedMachine
 from rig.cli.entry import status

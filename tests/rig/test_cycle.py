@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import SimulatedClock, Suspension
-from drivers.interfaces import EncoderSample, PressureSample, RawFrame, ServoSample
-from drivers.lacks import Lacks
+from drivers.interfaces import EncoderSample, Lacks, PressureSample, RawFrame, ServoSample
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.control.cycle import Cycle, TripError

@@ -12,11 +12,11 @@ from drivers.mock.dbc_drive import DRIVE_DBC, SERIAL_NUMBER
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
+from rig.config.configuration import resolve
 from rig.config.dbc import DbcServoSection
-from rig.config.packaged import resolve
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
-from rig.runs.truth import truth_of
+from rig.runs.recorded_inputs import truth_of
 from rig.wiring.connect import connect
 
 SHORT = """\

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-import drivers.mock.dbc_bench
+import drivers.mock.bench
 from drivers.mock.dbc_drive import COMMAND, DRIVE_DBC, DbcDrive
 from rig.cli.commands.jog import _agreed
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
 from rig.planning.plan import bench_limits, make_plan
 from rig.runs.mcap.layout import decode_frames
@@ -89,7 +89,7 @@ def faulty(monkeypatch: pytest.MonkeyPatch, code: int) -> None:
             self.fault_code = code
             super().boot()
 
-    monkeypatch.setattr(drivers.mock.dbc_bench, "DbcDrive", Faulty)
+    monkeypatch.setattr(drivers.mock.bench, "DbcDrive", Faulty)
 
 
 def test_a_message_that_only_reset_names_is_not_in_a_run(written: Callable[..., str]) -> None:

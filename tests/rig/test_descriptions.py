@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.config.descriptions import Meaning, meanings, summary, unit_of
+from rig.cli.authoring.schema import Meaning, meanings, summary, unit_of
 
 
 class Parent:

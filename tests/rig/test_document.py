@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from rig.common.errors import InputError
-from rig.results import files
+from rig.results import document as files
 from rig.results.document import (
     Block,
     Document,
@@ -21,10 +21,12 @@ from rig.results.document import (
     SideBySide,
     Table,
     Verdict,
+    page,
+    text,
+    write_page,
+    write_record,
+    write_texts,
 )
-from rig.results.files import write_page, write_record, write_texts
-from rig.results.html import page
-from rig.results.terminal import text
 
 LONG = "word " * 40
 EVERY: dict[str, Block] = {

@@ -15,8 +15,8 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.planning.friction_model import friction_model, of_another_bench
 from rig.planning.plan import make_plan
+from rig.planning.predicted_load import friction_model, of_another_bench
 from rig.results.run.dry_run import PROMPT_S, dry_run
 from rig.runs.run import bench_constants
 

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.design import propose, search
-from identification.design.excitation import Excitation, Ramps
 from identification.design.propose import Proposal
+from identification.design.search import Excitation, Ramps
 from identification.design.simulated import Intervals
 from rig.cli.entry import status
 from rig.config.sequence import StageSection, Tone, excitation

@@ -15,8 +15,8 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
+from rig.config.configuration import resolve
 from rig.config.faults import FAULTS, FaultRow, load_faults
-from rig.config.packaged import resolve
 from rig.fault_injection.inject import ACTIONS
 from rig.fault_injection.scene import ACTIONS as BENCH_ACTIONS
 from rig.fault_injection.scene import impossible

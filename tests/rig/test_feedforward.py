@@ -16,13 +16,13 @@ from drivers.interfaces import Servo
 from drivers.mock.plant.machine import SimulatedMachine
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Recording
-from identification.tracking import track
+from identification.signals import track
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.sample import Sample
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
-from rig.control.progress import RunProgress
+from rig.config.configuration import resolve
+from rig.control.remote import RunProgress
 from rig.planning.feedforward import (
     Compensator,
     Feedforward,

@@ -15,8 +15,7 @@ from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
 from rig.config.sequence import Sequence, load_sequence
-from rig.planning.plan import Plan, make_plan
-from rig.planning.plan_text import describe
+from rig.planning.plan import Plan, describe, make_plan
 from rig.runs.mcap.reader import read_run
 from rig.runs.run_record import Ending
 

@@ -11,11 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.model.gas_generator import GasGenerator, equilibrium_pressure
-from identification.model.valve import throat_area
+from identification.model.gas_generator import GasGenerator, equilibrium_pressure, throat_area
 from rig.common.sample import Sample
-from rig.config.flow import FlowController, FlowSection, FlowStep
-from rig.planning.flow_control import (
+from rig.config.sequence import FlowController, FlowSection, FlowStep
+from rig.planning.hot_fire import (
     LawState,
     Regulator,
     angle_for,

@@ -19,10 +19,9 @@ from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
 from rig.sources import load_source
-from rig.sources.formats.arrays import MatTable
+from rig.sources.formats.arrays import MatTable, ParquetTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.mcap_log import McapTable
-from rig.sources.formats.parquet import ParquetTable
 
 PLAIN = ReadSection()
 N = 300

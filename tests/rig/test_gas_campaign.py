@@ -15,8 +15,7 @@ import yaml
 from drivers.mock.plant.gas_direct import burn
 from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.gas.burns import CONSTANTS
-from identification.model.gas_generator import GasGenerator
-from identification.model.valve import ValveGeometry
+from identification.model.gas_generator import GasGenerator, ValveGeometry
 from identification.recording import Dataset, RecordingError
 from rig.cli.entry import status
 from rig.common.errors import InputError

@@ -18,7 +18,7 @@ import pytest
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from drivers.interfaces import Measuring, ServoMotion, ServoReadings, ServoState
-from drivers.mock.line_faults import LineFaults
+from drivers.mock.faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
     ALIVE,

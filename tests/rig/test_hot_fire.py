@@ -14,21 +14,19 @@ import numpy as np
 import pytest
 
 from drivers.clock import Clock
-from identification.model.gas_generator import GasGenerator, equilibrium_pressure
+from identification.model.gas_generator import GasGenerator, equilibrium_pressure, throat_area
 from identification.model.parameters import NOMINAL
-from identification.model.valve import throat_area
 from identification.prepare import contact_force
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
 from rig.control.operator import AutomaticOperator
-from rig.control.progress import RunProgress
+from rig.control.remote import RunProgress
 from rig.control.safety import Check
 from rig.control.session import Inputs, execute
-from rig.planning.plan import make_plan
-from rig.planning.plan_text import describe
+from rig.planning.plan import describe, make_plan
 from rig.planning.reference import Reference
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record

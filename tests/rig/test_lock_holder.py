@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.common.lock_holder import Holder
+from rig.common.locks import Holder
 
 NOW = datetime(2026, 11, 20, 12, 37, 56, tzinfo=UTC)
 NAMES = st.sampled_from(["pid", "command", "what", "user", "host", "since"])

@@ -24,10 +24,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.common import lock_holder, locks
+from rig.common import locks
+from rig.common import locks as lock_holder
 from rig.common.errors import InputError, InUseError, StorageError
-from rig.common.lock_holder import Holder
-from rig.common.locks import OWNER_FILE, Lock, Resource, file_name, hold_bench, hold_folder
+from rig.common.locks import OWNER_FILE, Holder, Lock, Resource, file_name, hold_bench, hold_folder
 
 from .lock_child import PART
 

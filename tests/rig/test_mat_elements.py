@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csc_array
 
 from rig.common.errors import InputError
-from rig.sources.formats.arrays import MatTable
-from rig.sources.formats.mat_elements import HEADER_BYTES, DamagedElementError, check_elements
+from rig.sources.formats.arrays import HEADER_BYTES, DamagedElementError, MatTable, check_elements
 
 CONTENT = {
     "t": np.arange(9.0),

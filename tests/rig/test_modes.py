@@ -10,7 +10,7 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.planning.feedforward import require_torque_offset
 
 from ..long import fault_matrix, makes

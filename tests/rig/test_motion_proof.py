@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.control.motion_factors import Motion, travels
-from rig.control.motion_proof import hint, prove, surer
-from rig.control.motion_words import Change
+from rig.control.motion_proof import Change, Motion, hint, prove, surer, travels
 from rig.wiring.devices import Nominal
 
 GEAR, KM, RESISTANCE = 50.0, 0.04, 0.8

@@ -14,7 +14,7 @@ from rig.cli.options import Number
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
-from rig.config.packaged import names, packaged
+from rig.config.configuration import names, packaged
 from rig.config.sequence import load_sequence
 
 NOT_NUMBERS = ("nan", "inf", "-inf", "NaN", "Infinity", "1e999")

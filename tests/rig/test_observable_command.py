@@ -9,7 +9,7 @@ import pytest
 
 from identification.diagnosis.score.observable import Observable
 from rig.cli.entry import status
-from rig.results.diagnose import observable
+from rig.results.diagnose import document
 
 SHOWN = Observable("cogging", 0.9, {"torque_Nm": 0.011, "per_motor_turn": 7.0}, {})
 CONFUSED = Observable("torque_ripple", 0.8, {"fraction": 0.02}, {"cogging": 0.98})
@@ -18,7 +18,7 @@ HIDDEN = Observable("backlash", 0.0, {}, {})
 
 @pytest.fixture
 def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(observable, "observable_effects", lambda *_: (SHOWN, CONFUSED, HIDDEN))
+    monkeypatch.setattr(document, "observable_effects", lambda *_: (SHOWN, CONFUSED, HIDDEN))
     rows = [f"{0.001 * k:.3f},{0.01 * k:.2f},1" for k in range(400)]
     (tmp_path / "log.csv").write_text("\n".join(["t,q,tau", *rows]) + "\n")
     file = tmp_path / "bench.yaml"

@@ -23,7 +23,7 @@ from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import State
-from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.serial_line import RealTimeBench
 from rig.cli.entry import DEVICE_FAILED, DONE, status
 from rig.common import locks
 from rig.common.errors import InUseError
@@ -32,8 +32,8 @@ from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.control import off
 from rig.control.off import HANDOVER_S, PATIENCE_S, RELEASE_S, Processes, make_off
+from rig.wiring.connect import bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, Deed, Ward, drive_on, stop
-from rig.wiring.resources import bus_resources
 
 from ..drivers.host import DRIVE_EDS, DRIVE_NODE, SCALES
 from .pty_bench import PtyBench, pty_bench

@@ -27,8 +27,7 @@ from rig.runs.recover import recover
 from rig.runs.run import create_folder
 from rig.runs.run_file import read_record
 from rig.wiring import connect as connect_module
-from rig.wiring.connect import connect
-from rig.wiring.resources import resources
+from rig.wiring.connect import connect, resources
 
 from .pty_bench import PtyBench, pty_bench
 

@@ -15,7 +15,7 @@ import pytest
 from drivers.port_errors import words
 from drivers.serial_port import PySerialPort
 from rig.common.errors import InputError
-from rig.fault_injection.file_limit import FileLimit
+from rig.fault_injection.inject import FileLimit
 
 COMMANDS = """\
 look a.csv

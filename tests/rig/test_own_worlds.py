@@ -24,10 +24,9 @@ from benchmarks.worlds.seal import log_of, seal_worlds, strength_of
 from benchmarks.worlds.sizes import SIZES
 from rig.cli.entry import status
 from rig.results.prove.engines import Processes
-from rig.results.prove.interchange.folder import sealed_rigs
-from rig.results.prove.seal import repeated_salt
-from rig.results.prove.sums import SUMS_FILE
-from rig.results.prove.truth import load_truth
+from rig.results.prove.interchange import sealed_rigs
+from rig.results.prove.run import SUMS_FILE
+from rig.results.prove.truth import load_truth, repeated_salt
 
 PLANT = OwnPlant()
 CHANNELS = ("current", "voltage", "motor_angle", "angle")

@@ -8,10 +8,10 @@ import pytest
 
 from identification.recording import Dataset
 from rig.cli.entry import status
-from rig.results.paper import parameters as paper
 from rig.results.paper import study as paper_study
+from rig.results.paper import tables as paper
 from rig.results.paper import valve
-from rig.results.paper.parameters import TABLE_1, TABLE_2
+from rig.results.paper.tables import TABLE_1, TABLE_2
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from identification.model.parameters import NOMINAL
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
-from rig.results.files import write_texts
-from rig.results.paper import chosen, loop, ramp, sine, sweep, uniform, valve
+from rig.results.document import write_texts
+from rig.results.paper import loop, ramp, sine, sweep, tables, uniform, valve
 from rig.results.paper.exhibit import Exhibit, columns, data_files, files_of
 
 
@@ -169,7 +169,7 @@ def test_fig_4_falls_with_pressure_and_area() -> None:
 
 
 def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
-    text = "\n".join(chosen.chosen())
+    text = "\n".join(tables.chosen())
     for words in (
         "C_r = 1000 m/s",
         "(0.658 C_r)^2",

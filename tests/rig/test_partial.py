@@ -17,8 +17,8 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.identify import identify
 from rig.runs.mcap.reader import read_run
-from rig.runs.partial import partial_names, partial_warnings, without_partial
 from rig.runs.run import LEAST_SAMPLES, RunFolder, discard, load_run
+from rig.runs.run_file import partial_names, partial_warnings, without_partial
 
 FIRST, SECOND = 600, 1200
 """A cycle well inside the first excitation of the short sequence, and one inside the second."""

@@ -8,7 +8,7 @@ import itertools
 
 import pytest
 
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 from rig.control.phases import TRANSITIONS, Event, next_phase
 
 TABLE = {

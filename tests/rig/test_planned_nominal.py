@@ -9,8 +9,8 @@ import pytest
 from identification.design.simulated import NAMES
 from identification.model.parameters import NOMINAL
 from rig.common.errors import InputError
-from rig.common.result_files import IDENTIFY_SCHEMA
-from rig.results.design.planned_nominal import nominal_values
+from rig.common.provenance import IDENTIFY_SCHEMA
+from rig.results.design.experiment import nominal_values
 
 
 def result(folder: Path) -> Path:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from rig.cli.entry import status
-from rig.common.findings import Cause
+from rig.common.errors import Cause
 from rig.config.bench import load_bench
-from rig.config.packaged import names
-from rig.wiring.plausibility import CONSTANTS, implausible
+from rig.config.configuration import names
+from rig.wiring.preflight import CONSTANTS, implausible
 
 from .benches import variant
 

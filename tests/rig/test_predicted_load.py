@@ -17,11 +17,12 @@ from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
 from rig.config.sequence import Array, Sequence, load_sequence
-from rig.planning.friction_model import FrictionModel, friction_model
 from rig.planning.plan import Plan, make_plan
 from rig.planning.predicted_load import (
     LOOP_S,
+    FrictionModel,
     PredictedPeak,
+    friction_model,
     moves_to_start,
     peak_torque,
     predicted_peaks,

@@ -17,10 +17,10 @@ from drivers.interfaces import RawFrame, ServoLimits, ServoState
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen.dictionary import key
 from rig.cli.entry import status
-from rig.common.findings import Cause, Finding, refusals, verdict, warnings
+from rig.common.errors import Cause, Finding, refusals, verdict, warnings
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
-from rig.config.packaged import names
+from rig.config.configuration import names
 from rig.control.operator import AutomaticOperator, StopButton
 from rig.control.session import execute
 from rig.runs.run_record import Ending

@@ -12,14 +12,13 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
+from rig.results.prove import interchange as judging
 from rig.results.prove.engines import Processes
-from rig.results.prove.interchange import proof as judging
-from rig.results.prove.interchange.folder import sealed_rigs
+from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.judge import Judgement
+from rig.results.prove.run import SUMS_FILE, write_sums
 from rig.results.prove.scoring.score import score
-from rig.results.prove.seal import unseal
-from rig.results.prove.sums import SUMS_FILE, write_sums
-from rig.results.prove.truth import Truth, load_truth
+from rig.results.prove.truth import Truth, load_truth, unseal
 
 ENGINE = Processes(1)
 CAMPAIGN = """campaign: 1
@@ -239,14 +238,16 @@ def test_own_trials_are_sealed_as_others_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Short recordings, as only the files are looked at."""
-    from rig.results.prove.interchange import own
+    from rig.results.prove import interchange
 
     def short(gravity: bool) -> Any:
         return tuple(e._replace(command=e.command[:400]) for e in plan(gravity))
 
-    plan = own.experiments
-    monkeypatch.setattr(own, "experiments", short)
-    monkeypatch.setattr(own, "assignment", lambda rigs, seed: [("one", ("cogging",))] * rigs)
+    plan = interchange.experiments
+    monkeypatch.setattr(interchange, "experiments", short)
+    monkeypatch.setattr(
+        interchange, "assignment", lambda rigs, seed: [("one", ("cogging",))] * rigs
+    )
     home = tmp_path / "sealed-here"
     assert status(["prove", "--seal", str(home), "--rigs", "1", "--seed", "4"]) == 0
     (sealed,) = sealed_rigs(home)

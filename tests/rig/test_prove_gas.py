@@ -18,10 +18,16 @@ from identification.effects import EFFECTS
 from rig.cli.entry import status
 from rig.results.prove import gas_simulate
 from rig.results.prove.excitation import CYCLE_S
-from rig.results.prove.gas_draw import GAS_OUTSIDE_SIZES, GAS_SIZES, draw_gas, gas_assignment
-from rig.results.prove.gas_excitation import GasExperiment, gas_experiments
+from rig.results.prove.gas_simulate import (
+    GAS_OUTSIDE_SIZES,
+    GAS_SIZES,
+    GasExperiment,
+    draw_gas,
+    gas_assignment,
+    gas_experiments,
+)
 from rig.results.prove.judge import Judgement
-from rig.results.prove.seal import unseal
+from rig.results.prove.truth import unseal
 from rig.sources.load import load_source
 
 ONE = ("one", ("leakage",))

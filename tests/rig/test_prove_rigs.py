@@ -14,16 +14,21 @@ from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.effects.pack import effect_vector, problems
 from drivers.mock.plant.effects.table import CATALOGUE
 from rig.common.errors import InputError
-from rig.results.prove.absorbed import floors, left_over
-from rig.results.prove.draw import Kind, Rig, apportion, assignment, draw
+from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, apportion, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
-from rig.results.prove.folder import write
 from rig.results.prove.generate import as_recorded
 from rig.results.prove.scoring.score import STRONG
-from rig.results.prove.seal import seal, unseal
-from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
-from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
-from rig.runs.truth import true_parameters
+from rig.results.prove.simulate import (
+    SETTLE_S,
+    campaign,
+    floors,
+    left_over,
+    reference_of,
+    strength,
+    write,
+)
+from rig.results.prove.truth import seal, unseal
+from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
 HIDES = ("backlash", "asymmetric_coulomb")

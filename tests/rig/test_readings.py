@@ -15,7 +15,7 @@ import pytest
 import rig.wiring.connect
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from rig.cli.entry import status
-from rig.common.findings import Cause
+from rig.common.errors import Cause
 from rig.config.bench import load_bench
 from rig.config.serial_bus import UNWATCHED_SHARE
 from rig.control.readings import NOT_AVAILABLE, Readings, reading_findings

@@ -18,7 +18,7 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.canopen import ServoSection
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.serial_bus import NO_WATCHDOG
 from rig.control.check import describe, examine
 from rig.results.run.page.limits import read_attachments

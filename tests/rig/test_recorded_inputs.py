@@ -11,10 +11,9 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.provenance import sha256
-from rig.control.progress import RunProgress
-from rig.runs.recorded_inputs import input_entry, recorded_input
+from rig.control.remote import RunProgress
+from rig.runs.recorded_inputs import input_entry, recorded_input, truth_of
 from rig.runs.run import read_record
-from rig.runs.truth import truth_of
 
 STAGES = """\
 sequence: 1

@@ -10,8 +10,8 @@ import pytest
 from identification.estimate.paper_method import identify_paper
 from identification.recording import Bench, Dataset, Recording
 from identification.result import Identification
-from rig.common.result_files import Provenance
-from rig.results.files import write_page
+from rig.common.provenance import Provenance
+from rig.results.document import write_page
 from rig.results.identify.document import identify_document
 from rig.results.identify.identify import Outcome
 

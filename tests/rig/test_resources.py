@@ -10,7 +10,7 @@ from rig.common.locks import Resource
 from rig.config.bench import Bench, load_bench
 from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
-from rig.wiring.resources import resources
+from rig.wiring.connect import resources
 
 
 def can_bench(interface: str, channel: str | None) -> Bench:

@@ -9,7 +9,7 @@ import pytest
 from identification.recording import Bench, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.places import write_json
-from rig.common.result_files import Provenance, finite
+from rig.common.provenance import Provenance, finite
 from rig.results.identify.record import identification_record
 
 

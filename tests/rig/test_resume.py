@@ -16,8 +16,8 @@ import pytest
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import status
 from rig.common.errors import StorageError
-from rig.config.packaged import resolve
-from rig.control.progress import RunProgress
+from rig.config.configuration import resolve
+from rig.control.remote import RunProgress
 from rig.results.acceptance import pdf
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder

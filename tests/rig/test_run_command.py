@@ -21,9 +21,9 @@ from drivers.clock import SimulatedClock
 from drivers.interfaces import RawFrame, ServoState
 from drivers.mock.wires.bus import SimulatedBus
 from rig.cli.entry import COMMANDS, status
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.control.operator import AutomaticOperator
-from rig.control.progress import RunProgress
+from rig.control.remote import RunProgress
 from rig.control.session import execute
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run

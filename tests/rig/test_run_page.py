@@ -31,12 +31,12 @@ from rig.control.operator import AutomaticOperator, OperatorStopError
 from rig.control.safety import Check
 from rig.planning.limits import Limits
 from rig.planning.plan import make_plan
+from rig.results.run.go_on import ACCEPTANCE_FILE, CERTIFICATE_PAGE
 from rig.results.run.page import panels, sections
 from rig.results.run.page.channels import NAMES
 from rig.results.run.page.limits import limit_steps, read_attachments
 from rig.results.run.page.sections import NEVER_MOVED, Recorded
 from rig.results.run.report import REPORT_FILE, write_run_report, write_verdict
-from rig.results.run.verdict import ACCEPTANCE_FILE, CERTIFICATE_PAGE
 from rig.runs.run import RunFolder
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, RunRecord

@@ -19,11 +19,22 @@ from identification.recording import Array, Bench
 from rig.common.sample import Sample
 from rig.control.safety import Check
 from rig.results.run.page.channels import ENABLED, NAMES, STATES, Deriver
-from rig.results.run.page.chart import Bound, Chart, Curve, Mark, Shade, draw
-from rig.results.run.page.envelope import Bins, Envelope, Flags, in_columns, of_samples
+from rig.results.run.page.chart import (
+    Bins,
+    Bound,
+    Chart,
+    Curve,
+    Envelope,
+    Flags,
+    Mark,
+    Shade,
+    TimeAxis,
+    draw,
+    in_columns,
+    of_samples,
+)
 from rig.results.run.page.panels import PANELS, Panel, Tripped, chart
 from rig.results.run.page.phases import BRAKING, MOVING, Moment, Span, spans, with_braking
-from rig.results.run.page.time_axis import TimeAxis
 from rig.runs.run_record import SegmentRecord
 
 

@@ -13,7 +13,7 @@ import pytest
 from drivers.interfaces import RawFrame
 from rig.common.errors import InputError
 from rig.common.sample import Sample
-from rig.runs import run_samples
+from rig.runs import run
 from rig.runs.mcap import stream as mcap_stream
 from rig.runs.mcap.reader import read_run
 from rig.runs.mcap.records import DamageError
@@ -67,8 +67,8 @@ def test_blocks_are_the_whole(recording: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_segments_are_cut_out(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 10_000)
     wanted = [segment(1, 1000), segment(2, 1500, "hot_fire")]
-    streamed, damage = run_samples.by_segment(recording, wanted, whole=True)
-    at_once, _ = run_samples.by_segment(recording, wanted, whole=False)
+    streamed, damage = run.by_segment(recording, wanted, whole=True)
+    at_once, _ = run.by_segment(recording, wanted, whole=False)
     assert damage is None
     assert [len(streamed[k]["time"]) for k in (1, 2)] == [1000, 1500]
     for k in (1, 2):
@@ -82,11 +82,9 @@ def test_segments_are_cut_out(recording: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_a_very_long_run_leaves_out_what_identification_does_without(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_samples, "MOST_SAMPLES", 2000)
-    streamed, _ = run_samples.by_segment(
-        recording, [segment(1, 1000), segment(2, 1500)], whole=True
-    )
-    assert not set(run_samples.LEFT_OUT) & streamed[1].keys()
+    monkeypatch.setattr(run, "MOST_SAMPLES", 2000)
+    streamed, _ = run.by_segment(recording, [segment(1, 1000), segment(2, 1500)], whole=True)
+    assert not set(run.LEFT_OUT) & streamed[1].keys()
     assert {"command", "motor_angle", "angle", "current", "time"} <= streamed[1].keys()
 
 
@@ -96,7 +94,7 @@ def test_a_file_cut_short_is_damage_and_read_at_once(recording: Path, cut: float
     recording.write_bytes(data[: int(cut * len(data))])
     with pytest.raises(DamageError):
         list(sample_blocks(recording, ["time"]))
-    found, damage = run_samples.by_segment(recording, [segment(1, 1000)], whole=True)
+    found, damage = run.by_segment(recording, [segment(1, 1000)], whole=True)
     assert damage is not None
     assert len(found[1]["time"]) == min(
         1000, np.count_nonzero(read_run(recording).samples["segment"] == 1)
@@ -107,21 +105,21 @@ def test_a_flipped_byte_is_damage(recording: Path) -> None:
     data = bytearray(recording.read_bytes())
     data[len(data) // 3] ^= 0xFF
     recording.write_bytes(data)
-    assert run_samples.by_segment(recording, [segment(1, 1000)], whole=True)[1] is not None
+    assert run.by_segment(recording, [segment(1, 1000)], whole=True)[1] is not None
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "recording.mcap"
     path.write_bytes(b"something else entirely")
     with pytest.raises(InputError, match="not an MCAP recording"):
-        run_samples.by_segment(path, [segment(1, 10)], whole=True)
+        run.by_segment(path, [segment(1, 10)], whole=True)
     with pytest.raises(InputError, match="cannot be read"):
-        run_samples.by_segment(tmp_path / "missing.mcap", [segment(1, 10)], whole=True)
+        run.by_segment(tmp_path / "missing.mcap", [segment(1, 10)], whole=True)
 
 
 @pytest.mark.parametrize("said", [0, 400, 10**15])
 def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said: int) -> None:
-    found, damage = run_samples.by_segment(recording, [segment(1, said)], whole=True)
+    found, damage = run.by_segment(recording, [segment(1, said)], whole=True)
     assert damage is None
     assert np.array_equal(found[1]["time"], 1e-3 * np.arange(1000))
 
@@ -134,7 +132,7 @@ def test_a_stream_holds_little_beside_what_it_returns(
     peaks = {}
     for whole in (True, False):
         tracemalloc.start()
-        found, _ = run_samples.by_segment(recording, wanted, whole=whole)
+        found, _ = run.by_segment(recording, wanted, whole=whole)
         peaks[whole] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     size = sum(values.nbytes for samples in found.values() for values in samples.values())

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from drivers.mock.plant.parts import constants
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import names, resolve
+from rig.config.configuration import names, resolve
 from rig.config.sequence import Ramp, StageSection, Tone, approach, excitation, load_sequence
 from rig.planning.plan import Plan, make_plan
 

@@ -14,7 +14,7 @@ import pytest
 from drivers.clock import NS
 from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
-from rig.control.motion_witness import MotionWitness
+from rig.control.motion_proof import MotionWitness
 from rig.control.operator import AutomaticOperator
 from rig.runs.mcap.reader import read_run
 from rig.runs.mcap.writer import McapWriter

@@ -7,7 +7,7 @@ import pytest
 from rig.cli import entry as cli
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.serial_bus import UNWATCHED_SHARE, SerialBus
 from rig.runs.run import read_record
 from rig.wiring.connect import connect

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from rig.terminal.bar import ShareBar
+from rig.terminal.output import ShareBar
 
 
 class Terminal(io.StringIO):

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Loops, Machine, Motor, Sensing
-from rig.config.simulated_loops import unstable_current_loop
+from rig.config.simulated_machine import unstable_current_loop
 
 SMALL = Motor(
     resistance_ohm=0.6,

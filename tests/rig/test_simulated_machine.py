@@ -14,9 +14,8 @@ from drivers.mock.plant.parts.constants import Loops, Machine, Motor
 from rig.common.errors import InputError
 from rig.common.yaml_tree import parse
 from rig.config.bench import Bench, load_bench
-from rig.config.packaged import names, resolve
-from rig.config.simulated_loops import unstable_current_loop
-from rig.config.simulated_machine import derived
+from rig.config.configuration import names, resolve
+from rig.config.simulated_machine import derived, unstable_current_loop
 from rig.wiring.connect import connect
 
 SMALL = """\

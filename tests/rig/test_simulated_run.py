@@ -8,10 +8,10 @@ import pytest
 
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.control import simulated_run
-from rig.control.simulated_run import run_simulated
+from rig.control import session
+from rig.control.session import run_simulated
 
 SHORT = """\
 sequence: 1
@@ -60,6 +60,6 @@ def test_ctrl_c_goes_on_outward(
     def press(stage: str, cycles: int, sample: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulated_run, "_silent", press)
+    monkeypatch.setattr(session, "_silent", press)
     with pytest.raises(KeyboardInterrupt):
         run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")

@@ -12,7 +12,7 @@ from identification.estimate.default import identify
 from identification.model.parameters import NOMINAL
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.simulated_run import run_simulated
+from rig.control.session import run_simulated
 
 SINE = """\
 sequence: 1

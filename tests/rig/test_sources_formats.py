@@ -19,10 +19,9 @@ from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 from rig.config.campaign_columns import ReadSection
 from rig.sources.formats import format_of
-from rig.sources.formats.arrays import MatTable, NpzTable
+from rig.sources.formats.arrays import MatTable, NpzTable, ParquetTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.mcap_log import McapTable
-from rig.sources.formats.parquet import ParquetTable
 from rig.sources.readers import open_table
 
 PLAIN = ReadSection()
@@ -303,7 +302,7 @@ def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def refuse(name: str) -> object:
         raise ImportError(name)
 
-    monkeypatch.setattr("rig.sources.formats.parquet.importlib.import_module", refuse)
+    monkeypatch.setattr("rig.sources.formats.arrays.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"pip install loadrig\[parquet\]"):
         ParquetTable(tmp_path / "a.parquet")
 

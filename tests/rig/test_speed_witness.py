@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError
-from drivers.lacks import Lacks
+from drivers.interfaces import Lacks
 from rig.control.cycle import Cycle
+from rig.control.motion_proof import LONGEST_S, STEP_RAD, STEPS, SpeedWitness
 from rig.control.readings import at_rest
 from rig.control.session import Ending
-from rig.control.speed_witness import LONGEST_S, STEP_RAD, STEPS, SpeedWitness
 
 from .test_safety import LIMITS
 

@@ -9,7 +9,7 @@ import pytest
 
 from identification.recording import Array
 from rig.sources import load_source
-from rig.sources.stamps import even_stamps
+from rig.sources.build import even_stamps
 
 PERIOD, COUNT = 0.005, 4000
 CAMPAIGN = """\

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from identification.result import Fit, Identification, Parameter
 from rig.common.sample import Sample
 from rig.common.tables import interval, number, percent, table
-from rig.control.progress import RunProgress
 from rig.control.readings import Readings
-from rig.results.identify.parameters import note, parameter_notes, parameter_table
+from rig.control.remote import RunProgress
+from rig.results.identify.document import note, parameter_notes, parameter_table
 
 CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
 

@@ -19,12 +19,16 @@ from rig.results.catalogue.compare import (
     differences,
     require_comparable,
 )
-from rig.results.catalogue.figures import courses as drawn
-from rig.results.catalogue.trend import FALSE_ALARMS, alarms, courses, histories
-from rig.results.catalogue.trend_document import trend_document, trend_record
-from rig.results.document import Table
-from rig.results.html import page
-from rig.results.terminal import text
+from rig.results.catalogue.listing import courses as drawn
+from rig.results.catalogue.trend import (
+    FALSE_ALARMS,
+    alarms,
+    courses,
+    histories,
+    trend_document,
+    trend_record,
+)
+from rig.results.document import Table, page, text
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
 
 TRUE = {"Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "J": 0.2}

@@ -10,10 +10,9 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
-from rig.config.redact import redacted
+from rig.config.configuration import redacted, resolve
 from rig.runs.mcap.reader import read_run
-from rig.runs.truth import truth_of
+from rig.runs.recorded_inputs import truth_of
 from rig.sources import load_source
 
 SEQUENCE = """\

@@ -11,10 +11,8 @@ from typing import ClassVar, Final
 
 from drivers.clock import SimulatedClock
 from drivers.mock.plant.machine import Reading
-from drivers.mock.resolution import encoder_resolution
-from drivers.mock.sampler import Sampler
-from drivers.mock.wires.bus import SimulatedBus
-from drivers.mock.wires.timer import Timer
+from drivers.mock.sampler import Sampler, encoder_resolution
+from drivers.mock.wires.bus import SimulatedBus, Timer
 
 WATCHDOG_NS: Final = 100_000_000
 """Time without a target after which a drive with power on goes into fault."""

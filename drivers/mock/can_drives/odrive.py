@@ -16,8 +16,7 @@ from drivers.can.port import REMOTE_FLAG
 from drivers.clock import SimulatedClock
 from drivers.mock.can_drives.base import CanDrive
 from drivers.mock.sampler import Sampler
-from drivers.mock.wires.bus import SimulatedBus
-from drivers.mock.wires.timer import Timer
+from drivers.mock.wires.bus import SimulatedBus, Timer
 
 ODRIVE_DBC: Final = Path(__file__).with_name("odrive.dbc")
 _NODE: Final = 3 << 5

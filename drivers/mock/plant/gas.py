@@ -16,7 +16,7 @@ import math
 
 from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.parts.compiled import Vector, inlined
-from drivers.mock.plant.parts.valve import throat_area
+from drivers.mock.plant.parts.friction import throat_area
 
 # State vector.
 (

@@ -12,7 +12,7 @@ from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.effects.pack import GAS_KNOWN
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.compiled import compiled
-from drivers.mock.plant.parts.valve import throat_area
+from drivers.mock.plant.parts.friction import throat_area
 
 Array = NDArray[np.float64]
 HEAT_RATIO = 1.25

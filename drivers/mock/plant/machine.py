@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -16,24 +17,174 @@ from drivers.mock.plant.burning import advance_loaded, felt_force
 from drivers.mock.plant.effects import state as extra
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.pack import bare_vector, effect_vector
+from drivers.mock.plant.effects.sensing import Histories
+from drivers.mock.plant.effects.state import RUN, SEEN, SUPPLY
+from drivers.mock.plant.gas import PRESSURE
 from drivers.mock.plant.gas_pack import gas_vector, lit, unlit
-from drivers.mock.plant.loop_modes import close_loops, spin, take_over
-from drivers.mock.plant.machine_pack import drive_vector, friction_vector
 from drivers.mock.plant.parts import constants, friction, loops
-from drivers.mock.plant.record import (
-    CHAMBER_PRESSURE,
-    FOLLOWING,
+from drivers.mock.plant.parts.compiled import Vector, compiled
+from drivers.mock.plant.parts.constants import Loops
+from drivers.mock.plant.parts.loops import (
+    LOOP_S,
+    MEASURED,
+    SUM_CURRENT,
+    SUM_LOOPS,
+    SUM_NOISE,
+    SUM_VOLTAGE,
+    TARGET,
+    TARGET_LEFT,
+    TARGET_STEP,
+    THETA,
+    VELOCITY_ESTIMATE,
+)
+
+
+def close_loops(d: Vector, cascade: Loops, position: bool, speed: bool) -> None:
+    """Close position and speed loop, or open them."""
+    d[loops.POSITION_GAIN] = cascade.position_gain if position else 0.0
+    d[loops.VELOCITY_GAIN] = (cascade.velocity_gain_N_m_s_rad or 0.0) if speed else 0.0
+    d[loops.FEEDFORWARD] = cascade.velocity_feedforward if position else 1.0
+
+
+def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
+    """Command a joint speed until the next command; the position loop stays open."""
+    if s[loops.MODE] != loops.OFF:
+        s[loops.MODE] = loops.TRACK
+        s[loops.TARGET_LEFT] = math.inf
+        s[loops.TARGET_STEP] = speed_rad_s * d[loops.LOOP_S]
+
+
+def take_over(s: Vector, d: Vector, cascade: Loops) -> bool:
+    """Close all loops of a drive in motion, at its present position and speed; return whether a
+    loop was open.
+    """
+    if d[loops.POSITION_GAIN] == cascade.position_gain:
+        return False
+    s[loops.TARGET] = s[loops.MEASURED]
+    if d[loops.VELOCITY_GAIN] == 0.0:
+        s[loops.TARGET_STEP] = s[loops.VELOCITY_ESTIMATE] * d[loops.LOOP_S]
+        s[loops.VELOCITY_INTEGRAL] = 0.0
+    close_loops(d, cascade, position=True, speed=True)
+    return True
+
+
+def friction_vector(joint: constants.Joint, contact_force_N: float) -> NDArray[np.float64]:
+    """Pack the joint's constants for compiled code; ``contact_force_N`` is F_P of eq. 13."""
+    p = np.zeros(friction.FRICTION_SIZE)
+    p[friction.MC] = joint.Mc_N_m
+    p[friction.DM] = joint.Ms_N_m - joint.Mc_N_m
+    p[friction.OMEGA_SF] = joint.omega_sf_rad_s
+    p[friction.SIGMA_2] = joint.sigma_2_N_m_s_rad
+    p[friction.MU_C] = joint.mu_c
+    p[friction.DMU] = joint.mu_s - joint.mu_c
+    p[friction.OMEGA_SL] = joint.omega_sL_rad_s
+    p[friction.MU_2] = joint.mu_2_s_rad
+    p[friction.ALPHA] = joint.alpha
+    p[friction.MOMENT] = contact_force_N * joint.moment_arm_m
+    p[friction.INERTIA] = joint.inertia_kg_m2
+    return p
+
+
+def drive_vector(machine: constants.Machine) -> NDArray[np.float64]:
+    """Pack motor and loop constants for compiled code, all referred to the joint."""
+    motor, cascade, sensing = machine.motor, machine.loops, machine.sensing
+    loop_s = 1.0 / cascade.rate_Hz
+    counts = sensing.motor_counts_per_turn * motor.gear_ratio
+    d = np.zeros(loops.DRIVE_SIZE)
+    d[loops.RESISTANCE] = motor.resistance_ohm
+    d[loops.INDUCTANCE] = motor.inductance_H
+    d[loops.TORQUE_PER_AMPERE] = motor.torque_constant_N_m_A * motor.gear_ratio
+    d[loops.EMF_PER_SPEED] = motor.back_emf_constant_V_s_rad * motor.gear_ratio
+    d[loops.LOOP_S] = loop_s
+    d[loops.STEPS] = machine.steps_per_loop
+    d[loops.POSITION_GAIN] = cascade.position_gain
+    d[loops.VELOCITY_GAIN] = cascade.velocity_gain_N_m_s_rad or 0.0
+    d[loops.VELOCITY_INTEGRAL_GAIN] = cascade.velocity_integral_1_s
+    d[loops.VELOCITY_FILTER] = 1.0 - math.exp(-2.0 * math.pi * cascade.velocity_filter_Hz * loop_s)
+    d[loops.FEEDFORWARD] = cascade.velocity_feedforward
+    d[loops.CURRENT_GAIN] = cascade.current_gain_V_A
+    d[loops.CURRENT_INTEGRAL_GAIN] = cascade.current_integral_1_s
+    d[loops.VOLTAGE_LIMIT] = min(cascade.voltage_limit_V, machine.supply_V)
+    d[loops.CURRENT_LIMIT] = cascade.current_limit_A
+    d[loops.COUNT] = 2.0 * math.pi / counts if counts else 0.0
+    d[loops.NOISE] = sensing.current_noise_A * math.sqrt(sensing.cycle_s * cascade.rate_Hz)
+    return d
+
+
+# Columns of the latched values.
+(
+    ROTOR,
     JOINT_SEEN,
-    LATCHED,
-    LINK_VOLTAGE,
+    SPEED,
     MEAN_CURRENT,
     MEAN_VOLTAGE,
-    ROTOR,
+    LINK_VOLTAGE,
+    FOLLOWING,
     RUN_TIME,
-    SPEED,
-    Latches,
-    record_cycles,
-)
+    CHAMBER_PRESSURE,
+    LATCHED,
+) = range(10)
+
+
+class Latches(NamedTuple):
+    """Values of drive and joint encoder at each SYNC before conversion to device units; arrays of
+    shape (n,).
+
+    ``current_A`` and ``voltage_V`` are means over the cycle that ends at the SYNC; ``run_s`` is the
+    running time of the machine. ``pressure_Pa`` is exact; while no gas generator burns, it is the
+    pressure downstream of the valve.
+    """
+
+    motor_counts: NDArray[np.float64]
+    joint_counts: NDArray[np.float64]
+    joint_velocity_rad_s: NDArray[np.float64]
+    current_A: NDArray[np.float64]
+    voltage_V: NDArray[np.float64]
+    supply_V: NDArray[np.float64]
+    following_rad: NDArray[np.float64]
+    run_s: NDArray[np.float64]
+    pressure_Pa: NDArray[np.float64]
+
+
+@compiled
+def record_cycles(
+    loops_per_cycle: int,
+    s: Vector,
+    x: Vector,
+    histories: Histories,
+    d: Vector,
+    p: Vector,
+    e: Vector,
+    y: Vector,
+    g: Vector,
+    noise: Vector,
+    targets: Vector,
+    no_path: Vector,
+    out: Histories,
+) -> None:
+    """Run one cycle for each joint angle of ``targets``: advance, sample, set the target.
+
+    As with a bus, the target that is sent with a SYNC is reached by interpolation one cycle later.
+    """
+    for k in range(len(targets)):
+        part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]
+        advance_loaded(loops_per_cycle, s, x, histories, d, p, e, y, g, part, no_path)
+        n = s[SUM_LOOPS]
+        seconds = n * d[LOOP_S]
+        row = out[k]
+        row[ROTOR] = s[THETA]
+        row[JOINT_SEEN] = x[SEEN]
+        row[SPEED] = s[VELOCITY_ESTIMATE]
+        row[MEAN_CURRENT] = s[SUM_CURRENT] / seconds + s[SUM_NOISE] / n
+        row[MEAN_VOLTAGE] = s[SUM_VOLTAGE] / seconds
+        row[LINK_VOLTAGE] = x[SUPPLY]
+        row[FOLLOWING] = s[TARGET] - s[MEASURED]
+        row[RUN_TIME] = x[RUN]
+        row[CHAMBER_PRESSURE] = y[PRESSURE]
+        s[SUM_CURRENT] = s[SUM_VOLTAGE] = s[SUM_NOISE] = s[SUM_LOOPS] = 0.0
+        s[TARGET_LEFT] = loops_per_cycle
+        s[TARGET_STEP] = (targets[k] - s[TARGET]) / loops_per_cycle
+
 
 Loop = Literal["position", "velocity", "phases"]
 LOOPS: Final[tuple[Loop, ...]] = get_args(Loop)
@@ -452,3 +603,79 @@ class SimulatedMachine:
         return Truth(
             *motion, float(y[gas.PRESSURE]), float(self._p[friction.MOMENT] / self._g[gas.ARM])
         )
+
+
+def simulate(
+    machine: constants.Machine,
+    command: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    duration_s: float,
+    rate_Hz: float,
+    weight_kg: float = 0.0,
+    contact_force_N: float | None = None,
+    burning: bool = False,
+    rng: np.random.Generator | None = None,
+) -> dict[str, NDArray[np.float64]]:
+    """Follow ``command`` (joint angle in rad of time in s) from rest and sample the exact state.
+
+    Args:
+        machine: The simulated machine.
+        command: Vectorised function of time that returns the joint angle; 0 at time 0.
+        duration_s: Length of the simulation, s.
+        rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
+        weight_kg: Mass on the lever.
+        contact_force_N: Contact force F_P in place of that of a weight, N.
+        burning: Whether the load is a gas generator, steady at the first angle, not a weight.
+        rng: Random generator; needed only if the machine has current noise.
+
+    Returns:
+        ``time``, ``command``, ``angle``, ``velocity`` (of the joint), ``current`` (at the sample),
+        ``mean_current`` (over the period that ends at the sample), ``voltage``, ``pressure`` and
+        ``contact_force``; each of shape (n,), SI units.
+
+    Raises:
+        ValueError: The loop rate is not a multiple of the sample rate.
+    """
+    plant = SimulatedMachine(machine, rng or np.random.default_rng(0))
+    _load(plant, weight_kg, contact_force_N, burning)
+    loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
+    if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
+        raise ValueError(
+            f"loop rate {machine.loops.rate_Hz:g} Hz: not a multiple of sample rate {rate_Hz:g} Hz"
+        )
+    n = round(duration_s * rate_Hz) + 1
+    time = np.arange(n) / rate_Hz
+    path = command(np.arange(1, (n - 1) * loops_per_sample + 1) / machine.loops.rate_Hz)
+    plant.power(True)
+    out = np.zeros((7, n))
+    out[5, 0], out[6, 0] = plant.truth().pressure_Pa, plant.truth().contact_force_N
+    for k in range(1, n):
+        plant.follow(path[(k - 1) * loops_per_sample : k * loops_per_sample])
+        state, reading = plant.truth(), plant.latch()
+        out[:3, k] = state.angle_rad, state.velocity_rad_s, state.current_A
+        out[3:5, k] = reading.current_A, reading.voltage_V
+        out[5:, k] = state.pressure_Pa, state.contact_force_N
+    return {
+        "time": time,
+        "command": command(time),
+        "angle": out[0],
+        "velocity": out[1],
+        "current": out[2],
+        "mean_current": out[3],
+        "voltage": out[4],
+        "pressure": out[5],
+        "contact_force": out[6],
+    }
+
+
+def _load(
+    plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
+) -> None:
+    """Load the valve with a burning gas generator, with a contact force if it is given, or with a
+    weight.
+    """
+    if burning:
+        plant.ignite()
+    elif contact_force_N is None:
+        plant.hang(weight_kg)
+    else:
+        plant.press(contact_force_N)

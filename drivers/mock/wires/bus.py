@@ -9,9 +9,8 @@ from contextlib import contextmanager
 
 import can
 
-from drivers.can.port import ERROR_FLAG, REMOTE_FLAG, raw_frame
-from drivers.can.timing import frame_bits
-from drivers.clock import NS, SimulatedClock
+from drivers.can.port import ERROR_FLAG, REMOTE_FLAG, frame_bits, raw_frame
+from drivers.clock import NS, Clock, SimulatedClock
 from drivers.interfaces import RawFrame
 
 Handler = Callable[[bytes], None]
@@ -248,3 +247,51 @@ class SimulatedBus(can.BusABC):
         raise NotImplementedError(
             "the simulated bus has no threads for periodic frames: send them from the control loop"
         )
+
+
+class Timer:
+    """Runs ``action`` once, at the time of the last :meth:`start`."""
+
+    def __init__(self, clock: SimulatedClock, action: Callable[[], None]) -> None:
+        self._clock = clock
+        self._action = action
+        self._generation = 0
+
+    def start(self, when_ns: int) -> None:
+        """Run the action at ``when_ns``; an earlier call of this method has no effect any more."""
+        self._generation += 1
+        generation = self._generation
+
+        def fire() -> None:
+            if generation == self._generation:
+                self._action()
+
+        self._clock.call_at(when_ns, fire)
+
+    def stop(self) -> None:
+        """Cancel the timer."""
+        self._generation += 1
+
+
+class SteppedClock:
+    """The clock of a host whose time can jump; bus and devices keep the time of ``base``.
+
+    A monotonic clock does not jump by itself, but a suspended virtual machine or a defective driver
+    can cause a jump.
+    """
+
+    def __init__(self, base: Clock) -> None:
+        self._base = base
+        self._ahead_ns = 0
+
+    def step(self, by_s: float) -> None:
+        """Let the host's time jump forward by ``by_s`` s, or back if ``by_s`` is negative."""
+        self._ahead_ns += round(by_s * NS)
+
+    def now_ns(self) -> int:
+        """Return the host's time in nanoseconds."""
+        return self._base.now_ns() + self._ahead_ns
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Wait for the time that, at the call of this method, remains to the deadline."""
+        self._base.sleep_until_ns(deadline_ns - self._ahead_ns)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final
 
-from drivers.frame_flags import REMOTE_FLAG
-from drivers.interfaces import RawFrame
+from drivers.interfaces import REMOTE_FLAG, RawFrame
 from drivers.mock.wires.bus import SimulatedBus
 
 _OK: Final = b"\r"

@@ -10,8 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.model.gas_generator import GasGenerator, throat_derivatives
-from identification.model.valve import ValveGeometry, throat_area
+from identification.model.gas_generator import (
+    GasGenerator,
+    ValveGeometry,
+    throat_area,
+    throat_derivatives,
+)
 from identification.recording import Array, Recording, RecordingError
 
 # Lists the nominal constants of the gas generator with their tolerances.

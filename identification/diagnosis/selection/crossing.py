@@ -25,9 +25,8 @@ from identification.diagnosis.selection.comparison import Contender, Round, adva
 from identification.effects.effect import Clearance, Effect
 from identification.effects.transmission import ROTOR_SHARE, count_of_twist, lead
 from identification.recording import Array
-from identification.views.marks import QUICK_SAMPLES
 from identification.views.nominal import Nominal
-from identification.views.view import View
+from identification.views.view import QUICK_SAMPLES, View
 
 INNER = 0.6
 """Central share of a crossing that is used, because near its ends a gap transmits torque too."""

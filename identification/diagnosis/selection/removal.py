@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from scipy import stats
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.rows import AT_INSTANTS
 from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.fit.start import feasible_or_first
-from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.fit.within_limits import feasible_or_first, infeasible
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.equations import AT_INSTANTS
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import (
     Contender,

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.intervals import estimates
-from identification.diagnosis.fit.joint import Joint, contribution, without_effect
+from identification.diagnosis.fit.joint import Joint, contribution, estimates, without_effect
+from identification.diagnosis.fit.rows import Equation, between_samples
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.result import (
     Estimate,
@@ -19,7 +19,6 @@ from identification.diagnosis.result import (
     Rival,
     Verdict,
 )
-from identification.diagnosis.rows.equations import Equation, between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
 from identification.diagnosis.score.significance import greatest, over_own_noise

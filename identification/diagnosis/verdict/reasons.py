@@ -11,9 +11,8 @@ from enum import Enum
 import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.rows import AT_INSTANTS, families
 from identification.diagnosis.fit.within_limits import infeasible
-from identification.diagnosis.rows.equations import AT_INSTANTS
-from identification.diagnosis.rows.families import families
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import greatest_mean_square, level
 from identification.diagnosis.selection.search import Search

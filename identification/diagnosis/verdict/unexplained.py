@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from identification.diagnosis.fit.rows import AT_INSTANTS, Equation, between_samples
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.rows.equations import AT_INSTANTS, Equation, between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.held_out import DROPPED
 from identification.diagnosis.selection.search import Search

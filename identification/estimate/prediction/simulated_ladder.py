@@ -30,8 +30,7 @@ from identification.estimate.prediction.loop_fit import (
 )
 from identification.model.ladder import DIRECTIONAL, SIMULATED, bears_load
 from identification.model.parameters import DRIVE_SHARE
-from identification.numerics.arrays import Array
-from identification.numerics.progress import Progress, silent
+from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, joint_angle, prepare
 from identification.recording import Dataset, Recording

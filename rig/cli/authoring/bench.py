@@ -13,10 +13,9 @@ from drivers.mock.plant.parts.constants import Joint, Machine, Motor
 from rig.cli.authoring.questions import Answers, Number, Numbers, Question
 from rig.cli.authoring.yaml_text import Block, Raw, render
 from rig.common.yaml_tree import parse
-from rig.config.bench import Bench, Constants
+from rig.config.bench import Bench, Constants, LimitsSection
 from rig.config.canopen import Bus, EncoderSection, ServoSection
-from rig.config.limits_section import LimitsSection
-from rig.config.packaged import packaged
+from rig.config.configuration import packaged
 from rig.config.serial_bus import Amt21Section, SerialBus, overload
 from rig.config.simulated_machine import derived
 

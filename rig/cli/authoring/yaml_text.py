@@ -13,8 +13,7 @@ from typing import Any, Final
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from rig.cli.authoring.schema import describe
-from rig.config.descriptions import meanings
+from rig.cli.authoring.schema import describe, meanings
 
 _COLUMNS: Final = 100
 _PLAIN: Final = re.compile(r"[A-Za-z_][\w./+-]*")

@@ -8,7 +8,7 @@ import click
 
 from rig.cli import options as shared
 from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED, DONE
-from rig.common.findings import Cause
+from rig.common.errors import Cause
 from rig.common.places import require_file, write_asked
 from rig.config.bench import load_bench
 from rig.control.check import describe, examine, require_connectable

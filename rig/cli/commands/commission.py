@@ -12,29 +12,32 @@ from typing import Any
 import click
 
 from drivers.clock import Clock
-from drivers.mock.bench import SimulatedBench
-from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
 from drivers.mock.mistakes import MISTAKES
 from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
 from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED
 from rig.commissioning.commission import Commissioning, commission
-from rig.commissioning.interview import AutomaticInterview, Interview, TypedInterview
-from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest
+from rig.commissioning.setup import (
+    FASTEST_DEG_S,
+    AutomaticInterview,
+    HomeRequest,
+    Interview,
+    TypedInterview,
+)
 from rig.common.errors import InputError
 from rig.common.places import require_file, require_folder, write_asked, write_text
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
-from rig.config.configuration import Document
-from rig.config.packaged import packaged
+from rig.config.configuration import Document, packaged
 from rig.control.attendance import connected
 from rig.control.remote import stoppable
 from rig.fault_injection.scene import Scene
 from rig.results.commission import commission_document, commission_record, difference
-from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
-from rig.results.terminal import text as shown
-from rig.runs.catalogue.walk import COMMISSION_JSON
+from rig.results.document import PAGE_FILE, write_page, write_record, write_texts
+from rig.results.document import text as shown
+from rig.runs.catalogue.index import COMMISSION_JSON
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
 from rig.runs.run_record import Ending

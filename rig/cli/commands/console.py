@@ -10,7 +10,7 @@ import click
 from rig.cli.entry import DONE
 from rig.common.places import require_folder
 from rig.config.bench import load_bench
-from rig.config.packaged import names
+from rig.config.configuration import names
 from rig.console.starting import Starter
 
 PORT = 8736

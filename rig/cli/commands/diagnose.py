@@ -76,15 +76,13 @@ def command(
         _no_search(gas)
         return _print_observable(source, seed, bandwidth, json_file)
     # Imported late: --help must not wait for the numerics.
-    from rig.common.input_files import is_folder, source_name
-    from rig.common.places import require_file, require_folder
+    from rig.common.places import is_folder, require_file, require_folder, source_name
     from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
     from rig.results.diagnose.document import diagnose_document
     from rig.results.diagnose.exports import exports
-    from rig.results.facts import facts_of
-    from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
-    from rig.results.terminal import text
-    from rig.terminal.bar import ShareBar
+    from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
+    from rig.results.measured import facts_of
+    from rig.terminal.output import ShareBar
 
     folder = out or (
         source / "diagnosis" if is_folder(source) else Path(f"{source.stem}-diagnosed")
@@ -136,8 +134,8 @@ def _print_observable(
 ) -> None:
     """Print which effects a source can show, and write the record if requested."""
     from rig.common.places import require_file, write_json
-    from rig.results.diagnose.observable import observable_document, observe_source
-    from rig.results.terminal import text
+    from rig.results.diagnose.document import observable_document, observe_source
+    from rig.results.document import text
 
     require_file(json_file, "--json")
     seen = observe_source(source, seed, bandwidth)

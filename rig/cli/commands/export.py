@@ -10,9 +10,8 @@ import click
 from rig.cli import options as shared
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
-from rig.common.input_files import is_file, source_name
-from rig.common.places import replacing, require_file
-from rig.results.sections import reading_notes
+from rig.common.places import is_file, replacing, require_file, source_name
+from rig.results.document import reading_notes
 from rig.runs.export import (
     FORMATS,
     TRAFFIC,

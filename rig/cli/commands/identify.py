@@ -165,17 +165,15 @@ def _identify(options: _Options) -> None:
 def _identify_source(options: _Options, source: Path) -> None:
     """Identify a run or a campaign, write the report and print the tables."""
     # Imported late: --help must not wait for the numerics.
-    from rig.common.ahead import imported_ahead
-    from rig.common.input_files import is_folder, source_name
-    from rig.common.places import require_file, require_folder
-    from rig.common.result_files import RESULT_FILE
-    from rig.results.facts import facts_of
-    from rig.results.files import PAGE_FILE, write_page, write_record
+    from rig.common.places import is_folder, require_file, require_folder, source_name
+    from rig.common.provenance import RESULT_FILE
+    from rig.common.start_up import imported_ahead
+    from rig.results.document import PAGE_FILE, text, write_page, write_record
     from rig.results.identify.identify import Request, compare_methods, identify_source
     from rig.results.identify.record import outcome_record
-    from rig.results.terminal import text
-    from rig.runs.truth import truth_of
-    from rig.terminal.bar import ShareBar
+    from rig.results.measured import facts_of
+    from rig.runs.recorded_inputs import truth_of
+    from rig.terminal.output import ShareBar
 
     folder = options.out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
@@ -211,13 +209,16 @@ def _plan(options: _Options, sequence: str) -> None:
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
-    from rig.results.design.document import plan_document
+    from rig.results.design.document import (
+        PROPOSAL_FILE,
+        RESULT_FILE,
+        plan_document,
+        plan_record,
+        proposal_text,
+    )
     from rig.results.design.experiment import plan_experiment
-    from rig.results.design.proposal import PROPOSAL_FILE, proposal_text
-    from rig.results.design.record import RESULT_FILE, plan_record
-    from rig.results.files import write_record, write_texts
-    from rig.results.terminal import text
-    from rig.terminal.bar import ShareBar
+    from rig.results.document import text, write_record, write_texts
+    from rig.terminal.output import ShareBar
 
     folder = options.out or Path(f"{Path(sequence).stem}-planned")
     require_folder(folder, "--out")

@@ -19,8 +19,7 @@ from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.control.attendance import connected
 from rig.control.jog import Jog, held_only_here, move, plan_jog
-from rig.control.progress import RunProgress
-from rig.control.remote import stoppable
+from rig.control.remote import RunProgress, stoppable
 from rig.control.sequencer import Outcome
 from rig.planning.plan import bench_limits
 from rig.runs.run_record import Ending

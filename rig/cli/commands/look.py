@@ -107,7 +107,7 @@ def _beside(campaign: Path, read: dict[str, Any]) -> dict[str, Any]:
 def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
     from pydantic import ValidationError
 
-    from rig.common.input_files import is_folder
+    from rig.common.places import is_folder
     from rig.config.campaign_columns import ReadSection
     from rig.sources import load_source
     from rig.sources.look import look_at_file, look_at_recording
@@ -132,8 +132,7 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
     Raises:
         InputError: The source is not one log, or the guesses give no valid file.
     """
-    from rig.cli.authoring.campaign import answer, campaign_text
-    from rig.cli.authoring.campaign_questions import ASKED, NONE, DataFile
+    from rig.cli.authoring.campaign import ASKED, NONE, DataFile, answer, campaign_text
     from rig.cli.authoring.writing import RefusedError, require_new, write_new
     from rig.config.campaign import load_campaign
     from rig.sources.columns import guess_mass

@@ -12,7 +12,7 @@ import click
 from rig.cli.authoring import bench as benches
 from rig.cli.authoring import campaign as campaigns
 from rig.cli.authoring import sequence as sequences
-from rig.cli.authoring.campaign_questions import OPTIONS as CAMPAIGN_OPTIONS
+from rig.cli.authoring.campaign import OPTIONS as CAMPAIGN_OPTIONS
 from rig.cli.authoring.questions import Answers, ask_all, assumed, options
 from rig.cli.authoring.writing import RefusedError, require_new, write_new
 from rig.config.bench import load_bench

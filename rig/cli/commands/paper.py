@@ -44,16 +44,13 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder
-    from rig.common.result_files import Provenance
-    from rig.results.files import write_page, write_record, write_texts
+    from rig.common.provenance import Provenance
+    from rig.results.document import text, write_page, write_record, write_texts
     from rig.results.paper.document import PAGE_FILE, paper_document
     from rig.results.paper.exhibit import data_files
-    from rig.results.paper.parameters import reproduce
-    from rig.results.paper.record import RESULT_FILE, paper_record
     from rig.results.paper.study import study
-    from rig.results.paper.tables import exhibits
-    from rig.results.terminal import text
-    from rig.terminal.bar import ShareBar
+    from rig.results.paper.tables import RESULT_FILE, exhibits, paper_record, reproduce
+    from rig.terminal.output import ShareBar
 
     require_folder(out, "--out")
     require_file(json_file, "--json")

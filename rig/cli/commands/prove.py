@@ -90,7 +90,7 @@ def command(
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder
-    from rig.results.prove.engines.choice import engine
+    from rig.results.prove.engines.engine import engine
 
     _require_one_task(home, source, gas)
     require_folder(out, "--out")
@@ -118,12 +118,11 @@ def _show(
     rows: list[dict[str, Any]], out: Path, seed: int, started: float, json_file: Path | None
 ) -> None:
     """Write the result and the report of a proof, and print the result."""
-    from rig.common.result_files import Provenance
-    from rig.results.files import PAGE_FILE, write_page, write_record
+    from rig.common.provenance import Provenance
+    from rig.results.document import PAGE_FILE, text, write_page, write_record
     from rig.results.prove.run import PROOF_FILE
     from rig.results.prove.scoring.document import prove_document
     from rig.results.prove.scoring.score import RESULT_FILE, proof_record
-    from rig.results.terminal import text
 
     provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     result = proof_record(rows, provenance)
@@ -152,10 +151,9 @@ def _prove(
     out: Path, rigs: int, seed: int, gas: bool, engine: Engine, keep: bool
 ) -> list[dict[str, Any]]:
     """Draw, seal, diagnose and score trials; return their rows."""
-    from rig.results.prove.family import GAS, MOTION
     from rig.results.prove.judge import judge
-    from rig.results.prove.run import begin, work
-    from rig.terminal.bar import ShareBar
+    from rig.results.prove.run import GAS, MOTION, begin, work
+    from rig.terminal.output import ShareBar
 
     proof = begin(out, rigs, seed, GAS if gas else MOTION)
     for sealed in proof.seals:
@@ -166,8 +164,8 @@ def _prove(
 
 def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
     """Draw trials, seal them into a folder, and print their digests."""
-    from rig.results.prove.interchange.own import seal_own
-    from rig.terminal.bar import ShareBar
+    from rig.results.prove.interchange import seal_own
+    from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
         sealed = seal_own(home, rigs, seed, engine, bar)
@@ -177,10 +175,10 @@ def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:
     """Diagnose and score rigs that other programs have sealed; return their rows."""
-    from rig.results.prove.absorbed import floors_of
-    from rig.results.prove.interchange.proof import begin_from, diagnose_all, score_all
+    from rig.results.prove.interchange import begin_from, diagnose_all, score_all
     from rig.results.prove.judge import judge, oracle_of
-    from rig.terminal.bar import ShareBar
+    from rig.results.prove.simulate import floors_of
+    from rig.terminal.output import ShareBar
 
     proof = begin_from(out, rigs, seed, source)
     for rig in proof.rigs:

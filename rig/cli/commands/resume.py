@@ -20,8 +20,7 @@ from rig.common.places import require_file
 from rig.common.provenance import utc_now
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
-from rig.control.progress import RunProgress
-from rig.control.remote import observed, reachable
+from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import Feedforward, load_feedforward
 from rig.planning.plan import Plan, make_plan

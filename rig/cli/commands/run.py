@@ -21,14 +21,13 @@ from rig.config.bench import Bench, load_bench
 from rig.config.sequence import load_sequence
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
-from rig.control.progress import RunProgress
-from rig.control.remote import observed, reachable
+from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
 from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
 from rig.planning.feedforward import load_feedforward
-from rig.planning.friction_model import FrictionModel, friction_model, of_another_bench
 from rig.planning.plan import Plan, make_plan
+from rig.planning.predicted_load import FrictionModel, friction_model, of_another_bench
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run

@@ -13,7 +13,7 @@ import click
 from rig.cli import options as shared
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
-from rig.runs.catalogue.select import VERDICTS
+from rig.runs.catalogue.entry import VERDICTS
 
 if TYPE_CHECKING:
     from rig.results.document import Document
@@ -121,7 +121,7 @@ def list_(
       rig runs list archive --operator Ada --json runs.json
     """
     from rig.results.catalogue.listing import listing_document, listing_record
-    from rig.runs.catalogue.select import latest
+    from rig.runs.catalogue.entry import latest
 
     entries, wanted = _chosen(folder, given, details=False)
     shown = latest(wanted, last)
@@ -170,9 +170,9 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
         Compared,
         compare_document,
         compare_record,
+        figures_of,
         require_comparable,
     )
-    from rig.results.catalogue.measured_figures import figures_of
 
     if len(runs) < 2:
         raise click.UsageError("give two or more runs, which are compared with each other")
@@ -216,9 +216,8 @@ def trend(
       rig runs trend --bench practical --since 2026-10-01 --out trend
       rig runs trend --constant Mc --last 30
     """
-    from rig.results.catalogue.trend import histories
-    from rig.results.catalogue.trend_document import trend_document, trend_record
-    from rig.runs.catalogue.select import latest
+    from rig.results.catalogue.trend import histories, trend_document, trend_record
+    from rig.runs.catalogue.entry import latest
 
     _, wanted = _chosen(folder, given, details=True)
     found = histories(folder, latest(wanted, last), seed, constant)
@@ -247,9 +246,9 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
       rig runs verify runs/demo
       rig runs verify runs
     """
-    from rig.results.catalogue.verification import verification_document, verification_record
+    from rig.results.catalogue.show import verification_document, verification_record
+    from rig.runs.catalogue.index import find_runs
     from rig.runs.catalogue.verify import verify as verified
-    from rig.runs.catalogue.walk import find_runs
 
     found = []
     for run in runs:
@@ -309,9 +308,9 @@ def _chosen(
     folder: Path, given: Mapping[str, Any], *, details: bool
 ) -> tuple[list[Entry], list[Entry]]:
     """Return all runs of a folder, and the runs that the options choose."""
+    from rig.runs.catalogue.entry import Wanted, chosen
     from rig.runs.catalogue.index import list_runs
-    from rig.runs.catalogue.select import Wanted, chosen
-    from rig.terminal.bar import ShareBar
+    from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
         listing = list_runs(
@@ -329,8 +328,7 @@ def _one(run: Path) -> Entry:
     Raises:
         InputError: The folder is not a run folder.
     """
-    from rig.runs.catalogue.index import list_runs
-    from rig.runs.catalogue.walk import signature_of
+    from rig.runs.catalogue.index import list_runs, signature_of
 
     if signature_of(str(run)) is None:
         raise InputError(
@@ -351,13 +349,13 @@ def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> Non
 
 def _show(document: Document, out: Path | None) -> None:
     """Print a document, and write its page if requested."""
-    from rig.results.terminal import text
+    from rig.results.document import text
 
     click.echo(text(document))
     if out is None:
         return
     from rig.common.places import require_folder
-    from rig.results.files import PAGE_FILE, write_page
+    from rig.results.document import PAGE_FILE, write_page
 
     require_folder(out, "--out")
     write_page(document, out / PAGE_FILE)

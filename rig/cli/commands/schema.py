@@ -32,8 +32,8 @@ def command(kind: str | None, out: Path | None) -> None:
       sed -i '1i # yaml-language-server: $schema=schemas/bench.schema.json' bench.yaml
     """
     # Imported late: --help must not wait for the records of the files.
-    from rig.cli.authoring.beside import write_schema
     from rig.cli.authoring.schema import json_schema
+    from rig.cli.authoring.writing import write_schema
 
     if out is None:
         if kind is None:

@@ -47,15 +47,11 @@ def command(
       rig simulate later.yaml --result found.json
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.input_files import source_name
-    from rig.common.places import require_file, require_folder
-    from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
-    from rig.results.simulate.bench import as_bench
-    from rig.results.simulate.document import simulate_document
-    from rig.results.simulate.record import simulation_record
-    from rig.results.simulate.simulate import RESULT_FILE, simulate_source
-    from rig.results.terminal import text
-    from rig.terminal.bar import ShareBar
+    from rig.common.places import require_file, require_folder, source_name
+    from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
+    from rig.results.simulate.document import simulate_document, simulation_record
+    from rig.results.simulate.simulate import RESULT_FILE, as_bench, simulate_source
+    from rig.terminal.output import ShareBar
 
     folder = out or Path(f"{source_name(source)}-simulated")
     require_folder(folder, "--out")

@@ -11,22 +11,27 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.places import replacing
+from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
 from rig.common.provenance import sha256_file
-from rig.common.result_files import RESULT_FILE as IDENTIFY_FILE
 from rig.config.acceptance import Limit
 from rig.results.acceptance.certificate import certificate_html, make_certificate
-from rig.results.acceptance.evidence import DIAGNOSIS_FOLDER, Progress, gather
-from rig.results.acceptance.judge import Check, accepted, judge
+from rig.results.acceptance.evidence import (
+    DIAGNOSIS_FOLDER,
+    Check,
+    Progress,
+    accepted,
+    gather,
+    judge,
+)
 from rig.results.acceptance.pdf import certificate_pdf
 from rig.results.acceptance.record import RESULT_FILE, acceptance_record, junit
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
-from rig.results.document import Document, Note, Section, Table, Verdict
-from rig.results.files import write_record, write_texts
+from rig.results.document import Document, Note, Section, Table, Verdict, write_record, write_texts
+from rig.results.run.go_on import CERTIFICATE_PAGE, CERTIFICATE_PDF
 from rig.results.run.report import REPORT_FILE, write_verdict
-from rig.results.run.verdict import CERTIFICATE_PAGE, CERTIFICATE_PDF
-from rig.runs.catalogue.read import bench_name
+from rig.runs.catalogue.index import bench_name
+from rig.runs.run_file import seal, seal_run
 from rig.runs.run_record import RUN_FILE
-from rig.runs.seal import seal, seal_run
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from pathlib import Path
 import jinja2
 
 from rig.common.tables import interval, number
-from rig.results.acceptance.evidence import Evidence
+from rig.results.acceptance.evidence import Check, Evidence, accepted
 from rig.results.acceptance.figure import overview
-from rig.results.acceptance.judge import Check, accepted
 from rig.results.document import Picture, Table
 from rig.runs.run_record import Ending, RunRecord
 

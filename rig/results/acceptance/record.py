@@ -9,7 +9,7 @@ from typing import Any
 
 from rig.common.provenance import utc_now, versions
 from rig.common.text import valid
-from rig.results.acceptance.judge import Check, accepted
+from rig.results.acceptance.evidence import Check, accepted
 from rig.runs.run_record import RunRecord
 
 ACCEPTANCE_SCHEMA = "loadrig.acceptance/1"

@@ -4,13 +4,50 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
+
+import yaml
 
 from identification.design.simulated import Intervals
+from rig.common.provenance import finite, utc_now, versions
 from rig.common.tables import number, percent
-from rig.config.sequence import StageSection
+from rig.config.sequence import Sequence, StageSection
 from rig.results.design.experiment import Experiment
-from rig.results.design.proposal import intervals_words
 from rig.results.document import Document, Note, Section, Table
+
+PROPOSAL_FILE = "proposal.yaml"
+
+
+def proposal_text(experiment: Experiment, bench: str) -> str:
+    """Return the sequence file of a proposal; a comment states its purpose."""
+    determined = intervals_words(experiment.proposal.proposed)
+    head = (
+        f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
+        f"{bench}, seed {experiment.seed}.\n"
+        f"# Nominal: {experiment.nominal_source}.\n# {determined}.\n"
+    )
+    return head + yaml.safe_dump(
+        plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
+    )
+
+
+def plain_sequence(sequence: Sequence) -> dict[str, Any]:
+    """Return a sequence as the mapping of its file; most keys with default values are omitted."""
+    given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
+    return {"sequence": sequence.sequence, **given}
+
+
+def intervals_words(found: Intervals) -> str:
+    """Return a message on the number of determined parameters and on the least accurate
+    parameter.
+    """
+    open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
+    if open_names:
+        return f"does not determine {', '.join(open_names)}"
+    return (
+        f"determines all {len(found.half_widths)}; the weakest is {found.weakest}, to "
+        f"{percent(100.0 * found.worst)}"
+    )
 
 
 def plan_document(experiment: Experiment) -> Document:
@@ -111,3 +148,39 @@ def excitation_words(stage: StageSection) -> str:
             f"{ramp.times} times {ramp.travel_deg:g} deg out and back at {ramp.speed_deg_s:g} deg/s"
         )
     return ", ".join(f"{t.amplitude_deg:g} deg at {t.frequency_Hz:g} Hz" for t in stage.tones)
+
+
+PLAN_SCHEMA = "loadrig.plan/1"
+RESULT_FILE = "plan.json"
+
+
+def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
+    """Return the record of ``rig identify --plan --json``."""
+    used = versions()
+    return {
+        "schema": PLAN_SCHEMA,
+        "version": used["loadrig"],
+        "versions": dict(used),
+        "created": utc_now().isoformat(timespec="seconds"),
+        "seconds": experiment.seconds,
+        "seed": experiment.seed,
+        "bench": bench,
+        "nominal": {"source": experiment.nominal_source, "values": dict(experiment.nominal.values)},
+        "current_noise_A": experiment.current_noise_A,
+        "aimed_at": experiment.proposal.weakest,
+        "present": _intervals_record(experiment.sequence, experiment.proposal.present),
+        "proposed": _intervals_record(experiment.proposed, experiment.proposal.proposed),
+        "fisher_half_widths": {
+            n: finite(w) for n, w in experiment.proposal.predicted.half_widths.items()
+        },
+        "judged": experiment.proposal.judged,
+        "rehearsed": experiment.proposal.identified,
+    }
+
+
+def _intervals_record(sequence: Sequence, found: Intervals) -> dict[str, Any]:
+    return {
+        "sequence": plain_sequence(sequence),
+        "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},
+        "weakest": found.weakest,
+    }

@@ -22,11 +22,10 @@ from identification.estimate.default import identify_any_length
 from identification.export.model import refit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
-from rig.common.input_files import is_folder
-from rig.common.result_files import Provenance
-from rig.results.diagnose.model_file import model_of
-from rig.results.diagnose.record import diagnosis_record, effects_record
-from rig.runs.partial import partial_warnings, without_partial
+from rig.common.places import is_folder
+from rig.common.provenance import Provenance
+from rig.results.diagnose.model_file import diagnosis_record, effects_record, model_of
+from rig.runs.run_file import partial_warnings, without_partial
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 

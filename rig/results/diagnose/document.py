@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
-from identification.diagnosis.result import Diagnosis, Fit, IdentifiedEffect, ResidualTrace
+from identification.diagnosis.diagnose import observable_effects
+from identification.diagnosis.result import (
+    Diagnosis,
+    Fit,
+    IdentifiedEffect,
+    Location,
+    ResidualTrace,
+)
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.observable import Observable
+from identification.diagnosis.verdict.statement import readable
+from identification.effects import EFFECTS
 from identification.export.model import COORDINATES
+from identification.model.parameters import parameter_title, parameter_unit
 from identification.plots import mismatch
+from identification.prepare import torque_unit
+from identification.recording import Dataset, RecordingError
+from rig.common.errors import InputError
+from rig.common.places import is_folder, source_name
+from rig.common.provenance import Provenance, finite
+from rig.common.tables import number, percent
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.exports import Exports
-from rig.results.diagnose.tables import (
-    effect_table,
-    fit_table,
-    rival_table,
-    shift_table,
-    step_table,
-    where_table,
-)
 from rig.results.document import (
     Block,
     Document,
@@ -28,8 +42,176 @@ from rig.results.document import (
     Section,
     Table,
     Verdict,
+    few_of_each_role,
+    provenance_section,
+    reading_notes,
 )
-from rig.results.sections import few_of_each_role, provenance_section, reading_notes
+from rig.runs.run_record import RUN_FILE
+from rig.sources import load_source
+
+READABLE = {
+    "rad": "deg",
+    "N m/rad": "N m/deg",
+    "1/rad": "%/deg",
+    "A/s": "mA/min",
+    "N m/s": "N m/h",
+    "N/s": "N/h",
+    "m/s": "mm/min",
+    "m^2": "mm^2",
+    "1/m": "%/m",
+    "s/m": "%/(m/s)",
+    "W": "kW",
+}
+"""Units that are shown, by the units of the records."""
+_SHORT_S = 0.5
+_DEG = math.degrees(1.0)
+
+
+def effect_table(found: Diagnosis, motion: str) -> Table:
+    """Return one row for each parameter of each effect; the names of the parameters are those for
+    the motion of the bench.
+
+    Args:
+        found: The diagnosis.
+        motion: ``rotary`` or ``linear``.
+    """
+    rows = []
+    for effect in found.effects:
+        lead = (effect.name, number(effect.confidence, 3))
+        for name, estimate in effect.parameters.items():
+            unit = READABLE.get(estimate.unit, "")
+            if estimate.unit == "s" and abs(estimate.value) < _SHORT_S:
+                unit = "ms"
+            rows.append((*lead, parameter_title(motion, name), readable(estimate, unit)))
+            lead = ("", "")
+    return Table(("effect", "confidence", "parameter", "value (90 % interval)"), tuple(rows), (1,))
+
+
+def rival_table(found: Diagnosis) -> Table:
+    """Return the rivals of each effect, and the reason why each rival was rejected."""
+    rows = tuple(
+        (
+            effect.name,
+            rival.name,
+            number(rival.confidence, 2),
+            rival.why_not or "these recordings cannot reject it",
+        )
+        for effect in found.effects
+        for rival in effect.rivals
+    )
+    return Table(("effect", "rival", "confidence", "why not"), rows, (2,))
+
+
+def fit_table(found: Diagnosis) -> Table:
+    """Return the errors of the nominal and of the corrected model, one row per equation and role;
+    all errors of one equation are at one bandwidth.
+    """
+    fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
+    rows = tuple(row for fit in fits for row in _fit_rows(fit))
+    header = (
+        "equation",
+        "recordings",
+        "rms before",
+        "rms after",
+        "noise floor",
+        "unit",
+        "bandwidth",
+    )
+    return Table(header, rows, (2, 3, 4, 6))
+
+
+def shift_table(found: Diagnosis) -> Table:
+    """Return the nominal parameters in the nominal and in the corrected model; no rows if no
+    parameter changed.
+    """
+    if all(s.before == s.after for s in found.parameter_shift.values()):
+        return Table((), (), ())
+    rows = tuple(
+        (
+            name,
+            number(s.before),
+            number(s.after),
+            _change(s.before, s.after),
+            "" if s.unit == "1" else s.unit,
+        )
+        for name, s in found.parameter_shift.items()
+    )
+    return Table(("parameter", "before", "after", "change", "unit"), rows, (1, 2, 3))
+
+
+def where_table(found: Diagnosis) -> Table:
+    """Return the location of the mismatch of each effect or, without an effect, of the whole
+    mismatch.
+    """
+    places = [(e.name, e.where) for e in found.effects]
+    if not places and found.location is not None:
+        places = [("the mismatch", found.location)]
+    rows = tuple(
+        (
+            name,
+            where.coordinate,
+            _ranges(where),
+            percent(100.0 * where.share_of_mismatch),
+            _names(where.recordings),
+        )
+        for name, where in places
+    )
+    return Table(("what", "against", "where", "share of the mismatch", "recordings"), rows, (3,))
+
+
+def step_table(found: Diagnosis) -> Table:
+    """Return the steps of the search in their order."""
+    rows = tuple(
+        (
+            str(k),
+            s.action,
+            s.name,
+            "-" if s.p_value is None else f"{s.p_value:.2g}",
+            number(s.gain, 3),
+            s.note,
+        )
+        for k, s in enumerate(found.steps, 1)
+    )
+    return Table(("step", "what was done", "with", "p", "gain", "note"), rows, (0, 3, 4))
+
+
+def _fit_rows(fit: Fit) -> list[tuple[str, ...]]:
+    factor, unit = (_DEG, "deg") if fit.unit == "rad" else (1.0, fit.unit)
+    pairs = [("fitted", fit.baseline_rms, fit.final_rms)]
+    if fit.validate_baseline_rms is not None and fit.validate_final_rms is not None:
+        pairs.append(("set aside", fit.validate_baseline_rms, fit.validate_final_rms))
+    return [
+        (
+            fit.equation,
+            role,
+            *(number(factor * rms, 3) for rms in (before, after, fit.noise_floor_rms)),
+            unit,
+            f"{number(fit.bandwidth_Hz, 3)} Hz",
+        )
+        for role, before, after in pairs
+    ]
+
+
+def _change(before: float | None, after: float | None) -> str:
+    if before is None or after is None or before == 0.0:
+        return "-"
+    return f"{100.0 * (after / before - 1.0):+.2f} %"
+
+
+def _ranges(where: Location) -> str:
+    if not where.ranges:
+        return "-"
+    shown, factor = ("deg", _DEG) if where.unit == "rad" else (where.unit, 1.0)
+    unit = "" if shown in ("", "1") else f" {shown}"
+    return (
+        ", ".join(f"{low * factor:.3g} to {high * factor:.3g}" for low, high in where.ranges) + unit
+    )
+
+
+def _names(recordings: tuple[str, ...], shown: int = 4) -> str:
+    rest = len(recordings) - shown
+    return ", ".join(recordings[:shown]) + (f" and {rest} more" if rest > 0 else "")
+
 
 _VERDICTS = {
     "nothing_missing": "nothing missing",
@@ -228,3 +410,113 @@ def _trace(trace: ResidualTrace, found: Diagnosis) -> Picture:
         f"{trace.recording} ({role}): mismatch of the {trace.equation} equation before and after",
         mismatch.trace(trace, None if fit is None else fit.noise_floor_rms),
     )
+
+
+OBSERVABLE_SCHEMA = "loadrig.observable/1"
+HIDDEN = 0.01
+"""Share of a regressor beyond the nominal parameters below which the effect counts as collinear
+with the nominal model.
+"""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Result of ``rig diagnose --observable``.
+
+    Attributes:
+        dataset: The recordings.
+        effects: Observability of each effect in the recordings.
+        provenance: Seed, inputs, time.
+    """
+
+    dataset: Dataset
+    effects: tuple[Observable, ...]
+    provenance: Provenance
+
+    def unit(self, effect: str, parameter: str) -> str:
+        """Return the unit of an effect's parameter on this bench."""
+        first = self.dataset.recordings[0]
+        known = next((q.unit for q in EFFECTS[effect].parameters if q.name == parameter), "")
+        return parameter_unit(first.bench.motion, parameter, known, torque_unit(first) == "A")
+
+    def record(self) -> dict[str, Any]:
+        """Return the record of ``rig diagnose --observable --json``."""
+        return {
+            **self.provenance.record(OBSERVABLE_SCHEMA),
+            "effects": [
+                {
+                    "name": e.name,
+                    "shown": bool(e.sizes),
+                    "left": finite(e.left),
+                    "least": {
+                        name: {"value": finite(value), "unit": self.unit(e.name, name)}
+                        for name, value in e.sizes.items()
+                    },
+                    "alike": {name: finite(share) for name, share in e.alike.items()},
+                    "separating_experiment": EFFECTS[e.name].experiment,
+                }
+                for e in self.effects
+            ],
+        }
+
+
+def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -> Seen:
+    """Return which effects the recordings of a run folder or campaign file can show.
+
+    Raises:
+        InputError: The source cannot be read, or its recordings do not determine the nominal model.
+    """
+    started = time.perf_counter()
+    dataset = load_source(source)
+    described_by = source / RUN_FILE if is_folder(source) else source
+    try:
+        effects = observable_effects(dataset, bandwidth_Hz)
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    seconds = time.perf_counter() - started
+    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    return Seen(dataset, effects, provenance)
+
+
+def observable_document(source: Path, seen: Seen) -> Document:
+    """Return the effects that recordings can show as a document."""
+    shown = [e for e in seen.effects if e.sizes]
+    alike = [e for e in shown if e.alike]
+    text = (
+        f"These recordings can show {len(shown)} of {len(seen.effects)} effects; "
+        f"{len(alike)} of these effects cannot be distinguished from others."
+    )
+    blocks: list[Block] = [Paragraph(text), _table(seen, shown)]
+    hidden = [e.name for e in seen.effects if not e.sizes]
+    if hidden:
+        blocks.append(Paragraph(", ".join(hidden) + ".", "Not shown by these recordings."))
+    sections = [Section("What these recordings can show", tuple(blocks))]
+    if alike:
+        asked = tuple((e.name, EFFECTS[e.name].experiment) for e in alike)
+        sections.append(Section("What would distinguish them", (Items(asked),)))
+    return Document(f"Observable effects of {source_name(source)}", text, tuple(sections))
+
+
+def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
+    rows = tuple(
+        (
+            e.name,
+            _least(seen, e),
+            f"{100.0 * e.left:.0f} %" if e.left >= HIDDEN else f"{100.0 * e.left:.2g} %",
+            ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in e.alike.items()),
+        )
+        for e in shown
+    )
+    header = (
+        "effect",
+        "least size shown",
+        "beyond the nominal model",
+        f"explained to {100.0 * RULES.alike:.0f} % by",
+    )
+    return Table(header, rows, (1, 2))
+
+
+def _least(seen: Seen, effect: Observable) -> str:
+    name, value = next(iter(effect.sizes.items()))
+    unit = seen.unit(effect.name, name)
+    return f"{name} {value:.3g} {unit}".rstrip()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from identification.diagnosis.result import Diagnosis, Verdict
 from rig.common.errors import InputError
-from rig.common.input_files import source_name
+from rig.common.places import source_name
 from rig.config.bench import Bench
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.gas_model_file import GAS_FILE, gas_text, of_gas

@@ -17,13 +17,13 @@ from drivers.mock.plant.effects.pack import problems
 from identification.export.model import CorrectedModel
 from identification.recording import Bench as Constants
 from rig.common.errors import InputError
-from rig.common.input_files import is_file
+from rig.common.places import is_file
 from rig.common.yaml_tree import parse
 from rig.config.bench import Bench, load_bench
 from rig.config.serial_bus import MOCK
 from rig.runs.mcap.reader import read_run
+from rig.runs.recorded_inputs import JOINT_FIELDS
 from rig.runs.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
-from rig.runs.truth import JOINT_FIELDS
 
 BENCH_FILE = "bench.yaml"
 _LOAD = ("mu_c", "mu_s", "mu_2")

@@ -2,37 +2,465 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from identification.estimate.ladder import Interval, Rung, Transfer
+from identification.estimate.paper_method import Contender
+from identification.estimate.prediction.loop_fit import PER_VOLT, Constant
+from identification.estimate.prediction.simulated_ladder import SimulatedRung
+from identification.model.ladder import LADDER, SIMULATED
+from identification.model.parameters import LINEAR
 from identification.plots import fit as fit_plots
 from identification.plots import result as opening
 from identification.plots import signals
 from identification.recording import Recording
-from identification.result import Identification, Trace
-from rig.common.tables import number, percent
-from rig.results.document import Document, Note, Picture, Section, Table
-from rig.results.identify.identify import Outcome
-from rig.results.identify.parameters import parameter_notes, parameter_table, pinned_notes
-from rig.results.identify.simulated_tables import simulated_notes, simulated_table
-from rig.results.identify.tables import (
-    COMPARISON_NOTE,
-    comparison_table,
-    fit_table,
-    ladder_notes,
-    ladder_table,
-    recording_fit_table,
-    recording_table,
-    stage_table,
-    transfer_notes,
-    transfer_table,
+from identification.result import Fit, Identification, Parameter, Trace
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number, percent
+from rig.results.document import (
+    Document,
+    Note,
+    Picture,
+    Section,
+    Table,
+    few_of_each_role,
+    provenance_section,
+    reading_notes,
 )
+from rig.results.identify.identify import Outcome
 from rig.results.identify.uncertainty import (
     uncertainty_notes,
     uncertainty_pictures,
     uncertainty_tables,
 )
-from rig.results.sections import few_of_each_role, provenance_section, reading_notes
+
+COMPARISON_NOTE = (
+    "All searches minimise the paper's equation error, stage by stage, within common bounds; the "
+    "default method then minimises the prediction errors. Failed: searches that ended more than "
+    "0.1 % above the least cost found. Errors: of the worst parameter, in the median run."
+)
+_FIT_HEADER = ("bandwidth", "error, rms", "relative")
+
+
+def fit_table(results: Sequence[Identification]) -> Table:
+    """Return one row for each fit: the error of the fit, and the error on the recordings with role
+    validate.
+    """
+    rows = []
+    for result in results:
+        fit = result.fit
+        rows.append(
+            (result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative))
+        )
+        if fit.validate_rms is not None:
+            rows.append(
+                (
+                    result.method,
+                    "all",
+                    "validate",
+                    *_fit_cells(fit, fit.validate_rms, fit.validate_relative),
+                )
+            )
+    return Table(("method", "recordings", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+
+
+def recording_fit_table(results: Sequence[Identification]) -> Table:
+    """Return the error of each method on each recording."""
+    rows = []
+    for result in results:
+        roles = {trace.recording: trace.role for trace in result.traces}
+        rows += [
+            (result.method, name, roles[name], *_fit_cells(fit, fit.train_rms, fit.train_relative))
+            for name, fit in result.fits_by_recording.items()
+        ]
+    return Table(("method", "recording", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+
+
+def stage_table(results: Sequence[Identification]) -> Table:
+    """Return the number of evaluations and the final state of each stage of each method."""
+    rows = tuple(
+        (
+            result.method,
+            stage.stage,
+            stage.method,
+            str(stage.evaluations),
+            str(stage.generations),
+            f"{number(stage.cost, 4)} {stage.cost_unit}",
+            "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}",
+            {None: "-", True: "yes", False: "no"}[stage.reached],
+        )
+        for result in results
+        for stage in result.stages
+    )
+    header = (
+        "method",
+        "stage",
+        "optimiser",
+        "evaluations",
+        "generations",
+        "cost",
+        "target",
+        "reached",
+    )
+    return Table(header, rows, (3, 4, 5, 6))
+
+
+def recording_table(recordings: Sequence[Recording]) -> Table:
+    """Return the identified recordings, and the corrections that were made on reading."""
+    rows = tuple(
+        (
+            r.name,
+            r.role,
+            r.stage,
+            "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg",
+            str(len(r.time)),
+            f"{number(1.0 / r.period, 4)} Hz",
+            "; ".join(r.notes) or "none",
+        )
+        for r in recordings
+    )
+    return Table(
+        ("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5)
+    )
+
+
+def comparison_table(contenders: Sequence[Contender]) -> Table:
+    """Return one row for each estimator; the error column is omitted if the true values are
+    unknown.
+    """
+    known = any(c.true_error is not None for c in contenders)
+    header = (
+        "estimator",
+        "runs",
+        "failed",
+        "evaluations",
+        "s",
+        "cost above least",
+        "error against default",
+    )
+    rows = [
+        (
+            c.name,
+            str(c.runs),
+            str(c.failures),
+            str(c.evaluations),
+            number(c.seconds, 2),
+            "-" if c.excess is None else percent(100.0 * c.excess),
+            "reference" if c.excess is None else f"{percent(100.0 * c.error)} ({c.worst})",
+            *([_true(c)] if known else []),
+        )
+        for c in contenders
+    ]
+    return Table(
+        (*header, *(["error against truth"] if known else [])), tuple(rows), (1, 2, 3, 4, 5)
+    )
+
+
+def ladder_table(rungs: Sequence[Rung]) -> Table:
+    """Return one row for each rung of the ladder: the error of the fit, the error on the recordings
+    with role validate, and the error of the simulated angle on the recordings with role validate.
+    """
+    first = rungs[0].result
+    unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
+    scale = 1e3 if first.motion == "rotary" else 1e6
+    header = (
+        "friction",
+        "terms",
+        f"fit ({unit})",
+        "90 %",
+        f"validate ({unit})",
+        "90 %",
+        f"angle ({small})",
+        "90 %",
+        f"angle, MAE ({small})",
+        "90 %",
+        "best in",
+    )
+    rows = [
+        (
+            rung.friction,
+            ", ".join(LADDER[rung.friction]),
+            *_cells(rung.train, 1.0),
+            *_cells(rung.scored, 1.0),
+            *_cells(rung.angle, scale),
+            *_cells(rung.angle_mae, scale),
+            percent(100.0 * rung.best),
+        )
+        for rung in rungs
+    ]
+    return Table(header, tuple(rows), (2, 4, 6, 8, 10))
+
+
+def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
+    """Return explanations of the table's columns."""
+    first = rungs[0]
+    where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
+    lines = [
+        f"Torque errors are at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are from "
+        "bootstrap draws of the recordings to fit and of the recordings to score.",
+        f"Best in: share of the draws in which a rung has the least torque error on {where}.",
+    ]
+    if first.angle is not None:
+        lines.append(
+            f"Angle: rms and mean absolute error of the closed loop simulated from its command and "
+            f"first sample, on {where}."
+        )
+    return lines
+
+
+def transfer_table(found: Transfer) -> Table:
+    """Return one row for each parameter: its value from either source, the difference, and whether
+    the difference exceeds the joint interval.
+    """
+    rows = tuple(
+        (
+            m.name,
+            number(m.first.value),
+            number(m.second.value),
+            number(m.difference, 3),
+            "-" if m.joint is None else f"+- {number(m.joint, 3)}",
+            m.unit,
+            {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}[m.moved],
+        )
+        for m in found.parameters
+    )
+    return Table(
+        ("parameter", "here", "there", "difference", "90 %", "unit", "finding"), rows, (1, 2, 3, 4)
+    )
+
+
+def transfer_notes(found: Transfer) -> list[str]:
+    """Return the errors of the transfer as text."""
+    fit, own = found.fit, found.own
+    line = (
+        "on the other source, the error of the model with the parameters of this source is "
+        f"{number(fit.train_rms, 3)} {fit.unit} rms "
+        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; with "
+        "parameters identified on the other source it is "
+        f"{number(own.train_rms, 3)} {own.unit}"
+    )
+    floor = found.floor
+    if floor is None:
+        return [
+            line,
+            "the noise floor of the other source is unknown: no motion is repeated under the "
+            "same command",
+        ]
+    ways = [
+        f"{count} {what}"
+        for count, what in ((floor.periods, "periodic"), (floor.repeats, "repeated"))
+        if count
+    ]
+    return [
+        line,
+        f"the noise floor of the other source is {number(floor.rms, 3)} {fit.unit}, from "
+        f"{floor.samples} pairs of samples of {' and '.join(ways)} recordings: the error is "
+        f"{number(fit.train_rms / floor.rms, 3)} times this floor",
+    ]
+
+
+def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str, str, str]:
+    return (
+        f"{number(fit.bandwidth_Hz, 4)} Hz",
+        "-" if rms is None else f"{number(rms, 4)} {fit.unit}",
+        percent(None if relative is None else 100.0 * relative),
+    )
+
+
+def _true(c: Contender) -> str:
+    return "-" if c.true_error is None else f"{percent(100.0 * c.true_error)} ({c.true_worst})"
+
+
+def _cells(found: Interval | None, scale: float) -> tuple[str, str]:
+    if found is None:
+        return "-", "-"
+    return number(scale * found.value, 3), interval(scale * found.low, scale * found.high)
+
+
+def parameter_table(
+    results: Sequence[Identification], truth: Mapping[str, float] | None = None
+) -> Table:
+    """Return one row per parameter, with value and 90 % interval by each method; columns without
+    content are left out.
+
+    The column ``floor`` is the least half width of the interval by the Cramer-Rao bound.
+
+    Args:
+        results: One per method; the first names the rows.
+        truth: True values of a simulated bench, if known; adds the columns ``true`` and ``error``.
+    """
+    header = ["parameter"]
+    for result in results:
+        prefix = "" if len(results) == 1 else f"{result.method}: "
+        header += [
+            f"{prefix}value",
+            f"{prefix}90 % interval",
+            f"{prefix}floor",
+            *([f"{prefix}error"] if truth else []),
+        ]
+    header += ["unit", *(["true"] if truth else []), "note"]
+    names = dict.fromkeys(name for result in results for name in result.parameters)
+    rows = [_row(name, results, truth) for name in names]
+    kept = [i for i in range(len(header)) if any(row[i] not in ("", "-") for row in rows)]
+    numbers = [k for k, i in enumerate(kept) if header[i] not in ("parameter", "unit", "note")]
+    return Table(
+        tuple(header[i] for i in kept),
+        tuple(tuple(row[i] for i in kept) for row in rows),
+        tuple(numbers),
+    )
+
+
+def parameter_notes(results: Sequence[Identification]) -> list[str]:
+    """Return the reasons for the remarks in :func:`parameter_table`, one line per parameter."""
+    return [
+        f"{r.method}: {p.name}: {p.reason}"
+        for r in results
+        for p in r.parameters.values()
+        if p.reason
+    ]
+
+
+def pinned_notes(results: Sequence[Identification]) -> list[str]:
+    """Return for each method with intervals the number of determined parameters, and the least
+    accurate parameter.
+    """
+    lines = []
+    for result in results:
+        widths = {
+            n: 0.5 * (p.high - p.low) / abs(p.value)
+            for n, p in result.parameters.items()
+            if p.value and p.low is not None and p.high is not None and p.high > p.low
+        }
+        if widths:
+            weakest = max(widths, key=lambda n: widths[n])
+            count = f"{len(widths)} of {len(result.parameters)} parameters"
+            lines.append(
+                f"{result.method}: determines {count}; the weakest is {weakest}, to "
+                f"{percent(100.0 * widths[weakest])}"
+            )
+    return lines
+
+
+def note(parameter: Parameter) -> str:
+    """Return a remark on an estimate in addition to its numbers."""
+    if not parameter.identifiable:
+        return "not identifiable"
+    return "at the bound of the search" if parameter.at_bound else ""
+
+
+def _floor(parameter: Parameter) -> str:
+    return "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}"
+
+
+def _error(value: float | None, true: float | None) -> str:
+    return percent(None if value is None or not true else 100.0 * (value / true - 1.0))
+
+
+def _row(
+    name: str, results: Sequence[Identification], truth: Mapping[str, float] | None
+) -> tuple[str, ...]:
+    cells = [name]
+    notes: list[str] = []
+    unit = ""
+    true = (truth or {}).get(name)
+    for result in results:
+        parameter = result.parameters.get(name)
+        if parameter is None:
+            cells += ["-"] * (4 if truth else 3)
+            continue
+        unit = parameter.unit
+        cells += [
+            number(parameter.value),
+            interval(parameter.low, parameter.high),
+            _floor(parameter),
+        ]
+        if truth:
+            cells.append(_error(parameter.value, true))
+        if said := note(parameter):
+            notes.append(said if len(results) == 1 else f"{result.method}: {said}")
+    return (*cells, unit, *([number(true)] if truth else []), "; ".join(notes))
+
+
+_WORDS = {
+    "torque_constant": "torque constant (and back-EMF constant)",
+    "resistance": "resistance",
+    PER_VOLT: "torque per volt at rest",
+}
+
+
+def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
+    """Return one row for each fit: errors of the simulated angle, and the change of each
+    constant.
+    """
+    small, scale = ("um", 1e6) if motion == LINEAR else ("mrad", 1e3)
+    names = [c.name for c in next((r.constants for r in rungs if r.constants), ())]
+    header = (
+        "friction",
+        "terms",
+        "motor constants",
+        f"fit, MAE ({small})",
+        "90 %",
+        "cross-validated",
+        "validate",
+        "90 %",
+        "best in",
+        *names,
+        "by cross-validation",
+    )
+    rows = [
+        (
+            rung.friction,
+            ", ".join(SIMULATED[rung.friction]),
+            "free" if rung.free else "declared",
+            *_cells(rung.train, scale),
+            "-" if math.isnan(rung.crossed) else number(scale * rung.crossed, 3),
+            *_cells(rung.scored, scale),
+            f"{100.0 * rung.best:.3g} %",
+            *(_changes(rung.constants, names)),
+            "least" if rung.chosen else "tied" if rung.tied else "",
+        )
+        for rung in rungs
+    ]
+    numbers = (3, 5, 6, 8, *range(9, 9 + len(names)))
+    return Table(header, tuple(rows), numbers)
+
+
+def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
+    """Return explanations of the table, and the change of each constant in the fits that
+    cross-validation does not reject.
+    """
+    longest = max(rung.horizon_s for rung in rungs)
+    lines = [
+        f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
+        f"MAE: mean absolute error of that angle. Cross-validated: error on each third of the "
+        f"recordings, predicted by a fit to the other two thirds; tied: not distinguished from "
+        f"the least cross-validated error.",
+    ]
+    for rung in rungs:
+        if rung.tied and rung.constants:
+            lines += [_constant_line(c, rung.friction) for c in rung.constants]
+    return lines
+
+
+def _constant_line(c: Constant, friction: str) -> str:
+    prior = "" if c.prior is None else f", prior +- {100.0 * c.prior:.3g} %"
+    return (
+        f"{friction}: {_WORDS[c.name]} {number(c.declared, 4)} declared{prior}; "
+        f"{number(c.value, 4)} {interval(c.low, c.high)} {c.unit} found, "
+        f"{100.0 * c.change:+.1f} %: {CHANGED if c.moved else NO_CHANGE}"
+    )
+
+
+def _changes(found: Sequence[Constant], names: Sequence[str]) -> list[str]:
+    by_name = {c.name: c for c in found}
+    return [
+        "-"
+        if n not in by_name
+        else f"{100.0 * by_name[n].change:+.1f} %{f' {CHANGED}' if by_name[n].moved else ''}"
+        for n in names
+    ]
+
 
 _SHOWN_PER_ROLE = 6
 _TRUTH = (

@@ -21,10 +21,9 @@ from identification.estimate.prediction.simulated_ladder import SimulatedRung, c
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
-from rig.common.input_files import is_folder
-from rig.common.result_files import Provenance
-from rig.runs.partial import partial_warnings, without_partial
-from rig.runs.run_file import read_record
+from rig.common.places import is_folder
+from rig.common.provenance import Provenance
+from rig.runs.run_file import partial_warnings, read_record, without_partial
 from rig.runs.run_record import FEEDFORWARD_INPUT, RUN_FILE
 from rig.sources import load_source
 from rig.weighing.label_check import comparable, off_label

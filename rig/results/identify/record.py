@@ -12,9 +12,9 @@ from identification.estimate.prediction.loop_fit import Constant
 from identification.estimate.prediction.simulated_ladder import SimulatedRung
 from identification.model.ladder import LADDER, SIMULATED
 from identification.result import Convergence, Fit, Identification, Parameter
-from rig.common.result_files import IDENTIFY_SCHEMA, Provenance, finite
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite
 from rig.results.identify.identify import Outcome
-from rig.runs.partial import partial_names
+from rig.runs.run_file import partial_names
 
 
 def outcome_record(outcome: Outcome) -> dict[str, Any]:

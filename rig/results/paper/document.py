@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from rig.common.result_files import Provenance
+from rig.common.provenance import Provenance
 from rig.results.document import (
     Document,
     Items,
@@ -12,12 +12,10 @@ from rig.results.document import (
     Paragraph,
     Section,
     SideBySide,
+    provenance_section,
 )
-from rig.results.paper.chosen import chosen
 from rig.results.paper.exhibit import Exhibit
-from rig.results.paper.parameters import Reproduction
-from rig.results.paper.tables import remarks, tables
-from rig.results.sections import provenance_section
+from rig.results.paper.tables import Reproduction, chosen, remarks, tables
 
 PAGE_FILE = "paper.html"
 

@@ -12,14 +12,11 @@ from drivers.mock.plant.gas_direct import impacted_area, throat_area
 from identification.plots import regulator
 from identification.recording import Array
 from rig.config.bench import load_bench
-from rig.config.flow import FlowSection
-from rig.config.sequence import load_sequence
-from rig.control.simulated_run import run_simulated
-from rig.planning.flow_control import pressure_for
-from rig.planning.hot_fire import nominal_generator
+from rig.config.sequence import FlowSection, load_sequence
+from rig.control.session import run_simulated
+from rig.planning.hot_fire import nominal_generator, pressure_for
 from rig.results.document import Picture
-from rig.results.paper.exhibit import Exhibit, Rows, columns
-from rig.results.paper.machine import true_machine
+from rig.results.paper.exhibit import Exhibit, Rows, columns, true_machine
 
 BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
 SETTLED = 0.02

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from identification.plots import regulator
 from identification.recording import Array, Dataset, Recording
-from identification.tracking import track, tracking_error
+from identification.signals import track, tracking_error
 from rig.common.tables import number
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.simulated_run import run_simulated
+from rig.control.session import run_simulated
 from rig.planning.feedforward import Feedforward
 from rig.results.document import Picture, Table
 from rig.results.paper.exhibit import Exhibit, Rows, columns

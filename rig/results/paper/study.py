@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.results.paper import loop, machine, ramp, sine, sweep, uniform, valve
+from rig.results.paper import exhibit, loop, ramp, sine, sweep, uniform, valve
 from rig.results.paper.exhibit import Exhibit
 
 
@@ -22,11 +22,11 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
         progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
-        model = machine.identified(ramp.BENCH, scratch, seed, _silent)
+        model = exhibit.identified(ramp.BENCH, scratch, seed, _silent)
         progress("Fig. 2 and 9: slow ramps", 0.2)
         fig_2, fig_9 = ramp.exhibits(ramp.run_ramps(scratch, model, seed))
         progress("compensation: identifying the bench from a separate run", 0.25)
-        model = machine.identified(sine.BENCH, scratch, seed, _silent)
+        model = exhibit.identified(sine.BENCH, scratch, seed, _silent)
         progress("compensation: the sine of both cases", 0.4)
         compensation = sine.exhibit(*sine.run_sines(scratch, model, seed))
         progress("eq. 14: uniform motion on two gain sets", 0.45)

@@ -6,8 +6,7 @@ import numpy as np
 
 from identification.plots import regulator
 from rig.results.document import Picture
-from rig.results.paper.exhibit import Exhibit, Rows, columns
-from rig.results.paper.machine import true_machine
+from rig.results.paper.exhibit import Exhibit, Rows, columns, true_machine
 from rig.results.paper.sweep_simulation import PAPER_DEG_S, SLOW_DEG_S, Sweep, sweep
 
 _ENDS_DEG = np.array([5.0, 29.0])

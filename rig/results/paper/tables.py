@@ -2,28 +2,187 @@
 
 from __future__ import annotations
 
+import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from drivers.mock.plant.machine import simulate
+from drivers.mock.plant.parts.constants import GasGenerator, Machine
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.spread import spread
-from identification.result import Convergence
-from rig.common.result_files import finite
+from identification.recording import Array, Bench, Dataset, Recording
+from identification.result import Convergence, Identification
+from rig.common.provenance import Provenance, finite
 from rig.common.tables import number, percent
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
 from rig.results.document import Picture, Table
-from rig.results.paper.exhibit import Exhibit, Rows, columns
-from rig.results.paper.parameters import (
-    DURATION_S,
-    RATE_HZ,
-    TABLE_1,
-    TABLE_2,
-    WRONG_BASIN_PERCENT,
-    Printed,
-    Reproduction,
-)
+from rig.results.identify.identify import METHODS
+from rig.results.paper.exhibit import Exhibit, Rows, columns, files_of, true_machine
+from rig.runs.recorded_inputs import true_parameters
+from rig.runs.run import bench_constants
+
+CONTACT_FORCE_N = 3000.0
+"""Contact force F_P of Case 2 (Sec. 4.2.2), N."""
+DURATION_S = 5.0
+RATE_HZ = 1000.0
+"""Duration, s (one period of the command), and sample rate, Hz, which the paper does not state. The
+fitness sqrt(sum e^2) is the sum over all samples of this duration.
+"""
+WRONG_BASIN_PERCENT = 20.0
+"""Largest error of a parameter other than J above which a seed counts as converged to a wrong
+basin, %.
+"""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """One column of Table 1 or 2 with the printed values.
+
+    Attributes:
+        original: "Original value".
+        identified: "Identified value".
+        error_percent: "Error".
+    """
+
+    original: float
+    identified: float
+    error_percent: float
+
+
+TABLE_1: Mapping[str, Printed] = {
+    "Mc": Printed(6.8250, 6.7478, 1.13),
+    "Ms": Printed(12.025, 11.935, 0.74),
+    "omega_sf": Printed(0.0577, 0.0577, 0.0),  # 0.0557 in the text, which is what is simulated
+    "sigma_2": Printed(5.3462, 5.5400, 3.62),
+    "J": Printed(0.000204, 0.0002048, 0.39),
+}
+TABLE_2: Mapping[str, Printed] = {
+    "mu_c": Printed(0.0520, 0.0524, 0.77),
+    "mu_s": Printed(0.0860, 0.0869, 1.05),
+    "omega_sL": Printed(0.0326, 0.0318, 2.45),
+    "mu_2": Printed(0.032, 0.031, 3.12),
+}
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Result of ``rig paper``.
+
+    Attributes:
+        dataset: The two simulated cases.
+        truth: True values of the simulated parameters, by name.
+        runs: Results by method and seed.
+    """
+
+    dataset: Dataset
+    truth: Mapping[str, float]
+    runs: Mapping[str, Mapping[int, Identification]]
+
+    def found(self, method: str, name: str) -> dict[int, float | None]:
+        """Return the estimates of one parameter by one method, one for each seed.
+
+        A genetic search always ends with some value of J, which the result withholds if the data do
+        not determine J; for the comparison with Table 1, the value is read from the search history.
+        """
+        return {seed: _value(result, name) for seed, result in self.runs[method].items()}
+
+    def errors(self, method: str, name: str) -> dict[int, float]:
+        """Return the error for each seed, percent of the true value; infinite without an
+        estimate.
+        """
+        return {
+            seed: math.inf if value is None else 100.0 * abs(value / self.truth[name] - 1.0)
+            for seed, value in self.found(method, name).items()
+        }
+
+    def worst_seed(self, method: str, name: str) -> int:
+        """Return the seed with the largest error in one parameter."""
+        errors = self.errors(method, name)
+        return max(errors, key=lambda seed: errors[seed])
+
+    def wrong_basins(self, method: str) -> list[int]:
+        """Return the seeds that ended far from the true value of a parameter other than J."""
+        worst = {seed: 0.0 for seed in self.runs[method]}
+        for name in (*TABLE_1, *TABLE_2):
+            if name != "J":
+                worst = {
+                    seed: max(worst[seed], error)
+                    for seed, error in self.errors(method, name).items()
+                }
+        return [seed for seed, error in worst.items() if error > WRONG_BASIN_PERCENT]
+
+
+def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
+    """Simulate the literal bench without noise, and identify it by the paper's and by the default
+    method from every seed.
+
+    Args:
+        seeds: Seeds of the methods; the simulation is deterministic.
+        progress: Called with the current step and the completed share.
+    """
+    progress("simulating the literal bench", 0.0)
+    dataset, truth = simulate_cases()
+    runs: dict[str, dict[int, Identification]] = {method: {} for method in METHODS}
+    jobs = [(method, seed) for method in METHODS for seed in seeds]
+    for done, (method, seed) in enumerate(jobs):
+        progress(f"{method} method, seed {seed}", done / len(jobs))
+        rng = np.random.default_rng(seed)
+        runs[method][seed] = METHODS[method](dataset, bandwidth_Hz=0.5 * RATE_HZ, rng=rng)
+    progress("done", 1.0)
+    return Reproduction(dataset, truth, runs)
+
+
+def simulate_cases() -> tuple[Dataset, dict[str, float]]:
+    """Simulate Case 1 and Case 2 on the literal bench; return the recordings and the true
+    parameters.
+    """
+    bench = load_bench("literal").value
+    machine = bench.mock
+    if machine is None:
+        raise ValueError("the packaged bench 'literal' has no simulated machine")
+    constants = bench_constants(bench)
+    cases = (
+        _case(machine, constants, "Case 1", 0.0),
+        _case(machine, constants, "Case 2", CONTACT_FORCE_N),
+    )
+    return Dataset(cases), true_parameters(machine)
+
+
+def command(time: Array) -> Array:
+    """Return theta_c = 20 deg sin(0.4 pi t), rad (Sec. 4.2.1; "0.4 pi r t" there is a misprint)."""
+    return np.asarray(np.deg2rad(20.0) * np.sin(0.4 * np.pi * time))
+
+
+def _case(machine: Machine, bench: Bench, name: str, force_N: float) -> Recording:
+    """Simulate one case; the current is sampled instantaneously, and no channel is quantised."""
+    out = simulate(machine, command, DURATION_S, RATE_HZ, contact_force_N=force_N)
+    return Recording(
+        name=name,
+        channels={
+            channel: out[channel] for channel in ("time", "command", "angle", "velocity", "current")
+        },
+        bench=bench,
+        stage="loaded" if force_N else "unloaded",
+        weight_mass=force_N / (bench.lever_ratio * bench.gravity),
+        notes=("simulated, literal bench, no noise",),
+    )
+
+
+def _value(result: Identification, name: str) -> float | None:
+    parameter = result.parameters[name]
+    if parameter.value is not None:
+        return parameter.value
+    for stage in result.stages:
+        if name in stage.parameter_history:
+            return float(stage.parameter_history[name][-1])
+    return None
+
 
 PRINTED = {**TABLE_1, **TABLE_2}
 _TITLES = {
@@ -216,3 +375,95 @@ def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, f
                 )
             )
     return out
+
+
+def chosen() -> list[str]:
+    """Return one line for each chosen value."""
+    gas = GasGenerator()
+    practical, soft, literal = (
+        true_machine(name) for name in ("practical", "practical_soft", "literal")
+    )
+    ramp = load_sequence("slow_ramp").value.stages[0].ramp
+    if ramp is None:
+        raise ValueError("the packaged sequence 'slow_ramp' has no ramp")
+    stiff = practical.loops
+    share = math.sqrt(gas.energy_J_kg) / gas.characteristic_velocity_m_s
+    return [
+        "Gear ratio: with the printed motor constants friction would require 228 to 401 A; "
+        "assumption 5, "
+        "theta = i theta_r, is missing from eq. 1 and 15. The literal bench has i = 1 and no "
+        "current limit, and is used for "
+        f"the tables; the practical bench has i = {practical.motor.gear_ratio:g}, "
+        f"{stiff.voltage_limit_V:g} V and "
+        f"{stiff.current_limit_A:g} A.",
+        f"Inertia of the practical bench: {practical.joint.inertia_kg_m2:g} kg m^2 at the joint, "
+        f"in place of the printed {literal.joint.inertia_kg_m2:g} kg m^2.",
+        f"Position loop: stiff gains {stiff.position_gain:g} 1/s, "
+        f"{stiff.velocity_gain_N_m_s_rad:g} N m s/rad, "
+        f"{stiff.velocity_integral_1_s:g} 1/s; soft gains, position P only, "
+        f"{soft.loops.position_gain:g} N m/rad.",
+        "omega_sf = 0.0557 rad/s as in the text, not the 0.0577 of Table 1; mu = 0.086 is read as "
+        "mu_s, 0.4 pi r t as 0.4 pi t, and the amplitude 20 as 20 degrees.",
+        "sgn(omega) in eq. 12, 13 and 15, without which friction would drive the joint; at rest "
+        "friction balances the drive torque up "
+        f"to the static limit. alpha = {practical.joint.alpha:g} in eq. 9 as in eq. 13.",
+        f"Samples of the identification: {DURATION_S:g} s at {RATE_HZ:g} Hz in each case.",
+        f"Ramp of Fig. 2 and 9: {ramp.travel_deg:g} deg at {ramp.speed_deg_s:g} deg/s and back.",
+        f"Gas generator: C_r = {gas.characteristic_velocity_m_s:g} m/s; R_g T_g = ({share:.3f} "
+        f"C_r)^2 = "
+        f"{gas.energy_J_kg:.4g} J/kg; V_0 = {gas.free_volume_m3:g} m^3; p_c0 = "
+        f"{1e-6 * gas.back_pressure_Pa:g} MPa; "
+        "r = a p^n in mm/s with p in MPa.",
+        "Valve: the plate swings in its own plane on L1 = 0.095 m, its hole over the opening's "
+        "centre at 0 deg.",
+        "Flow controller of Fig. 5 and 11: flow command to pressure command (eq. 2), PI on the "
+        "logarithm of the "
+        "pressure, anti-windup; its gains are in the sequence file.",
+        "Compensation: the drive's torque offset (60B2h) from parameters identified from the same "
+        "bench's log, with "
+        "stiffness and damping against the command, and pulses where friction falls too steeply "
+        "for stiffness and damping; the paper "
+        "proposes no compensation.",
+    ]
+
+
+PAPER_SCHEMA = "loadrig.paper/1"
+RESULT_FILE = "paper.json"
+
+
+def paper_record(
+    found: Reproduction, exhibits: Sequence[Exhibit], provenance: Provenance
+) -> dict[str, Any]:
+    """Return the record of ``rig paper --json``."""
+    return {
+        **provenance.record(PAPER_SCHEMA),
+        "tables": {
+            method: {
+                name: _entry(found, method, name, printed) for name, printed in PRINTED.items()
+            }
+            for method in found.runs
+        },
+        "wrong_basins": {method: found.wrong_basins(method) for method in found.runs},
+        "figures": files_of(exhibits),
+        "remarks": remarks(found),
+        "findings": {exhibit.name: list(exhibit.found) for exhibit in exhibits},
+        "chosen": chosen(),
+    }
+
+
+def _entry(found: Reproduction, method: str, name: str, printed: Printed) -> dict[str, Any]:
+    values, errors = found.found(method, name), found.errors(method, name)
+    worst = found.worst_seed(method, name)
+    return {
+        "true": found.truth[name],
+        "printed": printed.identified,
+        "identified": finite(values[worst]),
+        "error_percent": finite(errors[worst]),
+        "printed_true": printed.original,
+        "printed_error_percent": printed.error_percent,
+        "median_error_percent": finite(statistics.median(errors.values())),
+        "identifiable": all(
+            result.parameters[name].identifiable for result in found.runs[method].values()
+        ),
+        "seeds": {str(seed): finite(value) for seed, value in values.items()},
+    }

@@ -21,11 +21,10 @@ from rig.common.tables import number, percent
 from rig.config.bench import load_bench
 from rig.config.configuration import Document, load_located
 from rig.config.sequence import Sequence as SequenceFile
-from rig.control.simulated_run import run_simulated
+from rig.control.session import run_simulated
 from rig.results.document import Picture, Table
-from rig.results.paper.exhibit import Exhibit, Rows
-from rig.results.paper.machine import true_machine
-from rig.runs.truth import true_parameters
+from rig.results.paper.exhibit import Exhibit, Rows, true_machine
+from rig.runs.recorded_inputs import true_parameters
 
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)
 WEIGHT_KG = 30.6

@@ -10,8 +10,7 @@ from drivers.mock.plant.gas_direct import impacted_area, throat_area
 from drivers.mock.plant.parts.constants import Machine
 from identification.plots import regulator
 from rig.results.document import Picture
-from rig.results.paper.exhibit import Exhibit, columns
-from rig.results.paper.machine import true_machine
+from rig.results.paper.exhibit import Exhibit, columns, true_machine
 
 GREATEST_DEG = 30.0
 _STEP_DEG = 0.1

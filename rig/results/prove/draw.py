@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
@@ -11,7 +11,140 @@ import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
 from rig.results.prove.excitation import experiments
-from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
+
+Draw = Callable[[np.random.Generator], float]
+
+
+def log(low: float, high: float) -> Draw:
+    """Draw log-uniformly."""
+    return lambda rng: float(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def either(low: float, high: float) -> Draw:
+    """Draw log-uniformly with a random sign."""
+    return lambda rng: float(
+        math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
+    )
+
+
+def even(low: float, high: float) -> Draw:
+    """Draw uniformly."""
+    return lambda rng: float(rng.uniform(low, high))
+
+
+def one_of(*values: float) -> Draw:
+    """Draw one of these values."""
+    return lambda rng: float(rng.choice(values))
+
+
+def away_from(center: float, low: float, high: float) -> Draw:
+    """Draw ``center`` plus or minus a log-uniform value."""
+    return lambda rng: float(
+        center + math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
+    )
+
+
+_PHASE = even(-math.pi, math.pi)
+_ORDER = one_of(1.0, 2.0, 4.0, 6.0, 7.0, 12.0)
+
+SIZES: Mapping[str, Mapping[str, Draw]] = {
+    "cogging": {"torque_Nm": log(0.1, 3.0), "per_motor_turn": _ORDER, "phase_rad": _PHASE},
+    "torque_ripple": {"fraction": log(0.01, 0.15), "per_motor_turn": _ORDER, "phase_rad": _PHASE},
+    "torque_saturation": {"knee_A": log(16.0, 60.0)},
+    "current_loop_lag": {"time_s": log(2e-4, 3e-3)},
+    "inverter_dead_time": {"voltage_V": log(0.1, 2.0)},
+    "brush_drop": {"voltage_V": log(0.1, 2.0), "current_A": log(0.3, 2.0)},
+    "winding_heating": {"rise_K_per_W": log(0.03, 0.5), "time_s": log(60.0, 600.0)},
+    "supply_sag": {"resistance_ohm": log(0.03, 0.8)},
+    "backlash": {"gap_rad": log(1e-4, 1.5e-2)},
+    "compliance": {"stiffness_Nm_rad": log(1.5e3, 1.5e5)},
+    "gear_mesh_ripple": {
+        "amplitude_rad": log(3e-5, 2e-3),
+        "per_turn": one_of(8.0, 20.0, 33.0, 50.0),
+        "phase_rad": _PHASE,
+    },
+    "transmission_efficiency": {"efficiency": lambda rng: 1.0 - log(0.02, 0.3)(rng)},
+    "coupling_hysteresis": {"torque_Nm": log(1.0, 8.0), "deflection_rad": log(1e-4, 5e-3)},
+    "asymmetric_coulomb": {"torque_Nm": either(0.05, 2.5)},
+    "asymmetric_viscous": {"coefficient_Nms_rad": either(0.1, 2.5)},
+    "quadratic_drag": {"coefficient_Nms2_rad2": log(0.1, 6.0)},
+    "stribeck_shape": {
+        "alpha": lambda rng: float(2.0 * math.exp(rng.choice((-1, 1)) * rng.uniform(0.1, 0.9)))
+    },
+    "friction_memory": {"time_s": log(1e-3, 5e-2)},
+    "dwell_static_friction": {"growth_Nm": log(0.3, 8.0), "time_s": log(0.3, 5.0)},
+    "presliding": {"stiffness_Nm_rad": log(2e3, 1e5)},
+    "position_dependent_friction": {
+        "torque_Nm": log(0.1, 4.0),
+        "center_rad": even(-0.3, 0.3),
+        "width_rad": log(0.03, 0.15),
+    },
+    "viscous_thermal_drift": {"fraction": log(0.05, 0.7), "time_s": log(100.0, 800.0)},
+    "coulomb_drift": {"rate_Nm_s": either(1e-4, 3e-3)},
+    "gravity_imbalance": {"torque_Nm": log(0.1, 8.0), "zero_rad": _PHASE},
+    "return_spring": {"stiffness_Nm_rad": log(0.3, 20.0), "rest_rad": even(-0.3, 0.3)},
+    "end_stop": {
+        "angle_rad": lambda rng: float(rng.choice((-1.0, 1.0)) * rng.uniform(0.3, 0.46)),
+        "stiffness_Nm_rad": log(5.0, 250.0),
+    },
+    "load_exponent": {"exponent": away_from(1.0, 0.04, 0.4)},
+    "load_position_dependence": {"slope_per_rad": either(0.03, 0.8)},
+    "wrong_weight": {"mass_kg": log(0.02, 0.4), "recording": one_of(4.0, 5.0, 10.0)},
+    "load_swing": {
+        "fraction": log(0.03, 0.5),
+        "frequency_Hz": log(0.4, 2.0),
+        "decay_s": log(4.0, 25.0),
+    },
+    "load_inertia": {"inertia_kgm2": log(0.02, 0.6)},
+    "lever_pivot_friction": {"torque_Nm": log(0.1, 4.0)},
+    "load_dependent_friction": {"coefficient": log(0.01, 0.2)},
+    "time_skew": {"time_s": log(3e-4, 2e-2)},
+    "transport_delay": {"time_s": log(2e-4, 2e-2)},
+    "current_offset": {"current_A": either(0.02, 0.8)},
+    "current_drift": {"rate_A_s": either(1e-3, 3e-2)},
+    "encoder_eccentricity": {"amplitude_rad": log(1e-4, 1e-2), "phase_rad": _PHASE},
+    "encoder_slip": {
+        "angle_rad": either(1e-4, 1e-2),
+        "at_s": even(4.0, 26.0),
+        "recording": one_of(1.0, 2.0, 4.0, 5.0, 7.0, 10.0),
+    },
+}
+"""Functions that draw the parameters of effects of the catalogue, by effect and parameter.
+``wrong_weight.mass_kg`` is the relative error of the label.
+"""
+
+OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
+    "x_timed_torque": {
+        "torque_Nm": log(0.2, 3.0),
+        "frequency_Hz": log(0.2, 15.0),
+        "phase_rad": _PHASE,
+    },
+    "x_acceleration_drag": {"coefficient_Nms2_rad": log(0.015, 0.1)},
+    "x_quadrant_friction": {"torque_Nm": either(0.2, 3.0)},
+    "x_two_wells": {
+        "torque_Nm": log(0.3, 4.0),
+        "center_rad": even(0.1, 0.3),
+        "width_rad": log(0.02, 0.1),
+    },
+    "x_travel_memory": {"torque_Nm": log(0.3, 3.0), "travel_rad": log(0.1, 1.0)},
+    "x_root_drag": {"coefficient_Nms05_rad05": log(0.3, 5.0)},
+    "x_bursts": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 4.0), "length_s": log(0.05, 0.4)},
+    "x_speed_resonance": {
+        "torque_Nm": log(0.3, 4.0),
+        "speed_rad_s": log(0.08, 0.6),
+        "width_rad_s": log(0.02, 0.06),
+    },
+    "x_one_way_patch": {
+        "torque_Nm": log(0.3, 4.0),
+        "center_rad": even(-0.25, 0.25),
+        "width_rad": log(0.03, 0.12),
+    },
+    "x_switching_torque": {"torque_Nm": log(0.2, 3.0), "period_s": log(0.7, 6.0)},
+    "x_wandering_torque": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 6.0)},
+    "x_loaded_drag": {"coefficient_s2_rad2": log(0.01, 0.2)},
+}
+"""Functions that draw the parameters of effects outside the catalogue, by effect and parameter."""
+
 
 Kind = Literal["nothing", "one", "two", "outside", "unscored"]
 SPREAD = 0.4

@@ -17,14 +17,20 @@ from typing import Any, NamedTuple
 import click
 
 from rig.common.places import write_json
-from rig.results.prove.absorbed import FLOOR_SUFFIX, floors
 from rig.results.prove.draw import Kind, Rig, assignment, draw
 from rig.results.prove.excitation import experiments
-from rig.results.prove.folder import CAMPAIGN_FILE, write
-from rig.results.prove.seal import random_salt, seal
-from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
-from rig.results.prove.truth import strangers
-from rig.runs.truth import true_parameters
+from rig.results.prove.simulate import (
+    CAMPAIGN_FILE,
+    FLOOR_SUFFIX,
+    SETTLE_S,
+    campaign,
+    floors,
+    reference_of,
+    strength,
+    write,
+)
+from rig.results.prove.truth import random_salt, seal, strangers
+from rig.runs.recorded_inputs import true_parameters
 
 
 class Sealed(NamedTuple):

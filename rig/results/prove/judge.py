@@ -13,13 +13,12 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import choose, views_and_fit
-from identification.diagnosis.oracle import oracle
-from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
+from identification.diagnosis.fit.within_limits import choose, views_and_fit
+from identification.diagnosis.oracle import greedy_bic, library, oracle, sparse
 from identification.effects import MOTION
 from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source
-from rig.results.prove.absorbed import residual_rms
+from rig.results.prove.simulate import residual_rms
 from rig.sources import load_source
 
 

@@ -4,7 +4,7 @@ after another.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,20 +13,127 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rig.common.errors import InputError
-from rig.common.input_files import is_file, read_json
-from rig.common.places import write_json
-from rig.results.prove.absorbed import FLOOR_SUFFIX
-from rig.results.prove.draw import Assigned
+from rig.common.places import is_file, read_json, read_utf8, write_json, write_text
+from rig.common.provenance import sha256_file
+from rig.results.prove.draw import Assigned, assignment, draw
 from rig.results.prove.engines import Engine
-from rig.results.prove.engines.bundle import Files, read_folder, without_place, write_folder
+from rig.results.prove.engines.engine import Files, read_folder, without_place, write_folder
 from rig.results.prove.excitation import experiments
-from rig.results.prove.family import FAMILIES, MOTION
-from rig.results.prove.generate import Sealed, place
+from rig.results.prove.gas_simulate import gas_assignment, seal_gas, simulate_gas
+from rig.results.prove.generate import Sealed, place, seal_rig, simulate_rig
 from rig.results.prove.judge import Judge
 from rig.results.prove.row import VERSION, row_of
-from rig.results.prove.seal import sealed_content, unseal
-from rig.results.prove.sums import write_sums
-from rig.results.prove.times import TIMES, timed_row, without_times
+from rig.results.prove.simulate import FLOOR_SUFFIX
+from rig.results.prove.truth import repeated_salt, sealed_content, unseal
+
+SUMS_FILE = "SHA256SUMS"
+
+
+def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
+    """Write the digest of every file of the folder; return the path of the list.
+
+    Args:
+        home: The folder.
+        parts: Files and folders to list, relative to ``home``.
+
+    Raises:
+        OSError: The list cannot be written.
+    """
+    path = home / SUMS_FILE
+    found = {f for part in parts for f in (home / part, *(home / part).rglob("*"))}
+    files = sorted(f for f in found if is_file(f) and f != path)
+    lines = [f"{sha256_file(file)}  {file.relative_to(home).as_posix()}" for file in files]
+    write_text(path, "\n".join(lines) + "\n")
+    return path
+
+
+def check_sums(home: Path) -> None:
+    """Compare the files of the folder with its list of digests; without a list nothing is checked.
+
+    Raises:
+        InputError: A file is missing, or its digest differs from the listed digest; the message
+            names all files with an error.
+    """
+    path = home / SUMS_FILE
+    if not is_file(path):
+        return
+    problems = []
+    for number, line in enumerate(read_utf8(path).splitlines(), start=1):
+        digest, _, name = line.partition(" ")
+        file = home / name.strip().removeprefix("*")
+        try:
+            found = sha256_file(file)
+        except OSError as error:
+            problems.append(f"{path}:{number}: {name.strip()}: cannot be read: {error.strerror}")
+            continue
+        if found != digest:
+            problems.append(
+                f"{path}:{number}: {name.strip()}: SHA-256 is {found}, listed is {digest}; the "
+                f"file was changed"
+            )
+    if problems:
+        raise InputError(problems)
+
+
+TIMES = "times"
+"""Folder of a proof with date and durations of every trial, which differ if a proof is repeated."""
+FIELDS = ("created", "seconds", "baseline_seconds")
+
+
+def without_times(record: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a record without date and durations, and a record of date and durations alone."""
+    kept = {name: value for name, value in record.items() if name not in FIELDS}
+    return kept, {name: record[name] for name in FIELDS if name in record}
+
+
+def timed_row(out: Path, name: str) -> dict[str, Any]:
+    """Return the row of a trial with its durations.
+
+    Args:
+        out: Folder of the proof.
+        name: Name of the trial's files.
+
+    Raises:
+        InputError: A file is missing or damaged.
+    """
+    row = dict(read_json(out / "rows" / f"{name}.json"))
+    beside = out / TIMES / f"{name}.json"
+    spent = read_json(beside) if is_file(beside) else {}
+    return row | {key: spent.get(key, row.get(key, 0.0)) for key in FIELDS if key != "created"}
+
+
+Seed = Sequence[int]
+
+
+class Family(NamedTuple):
+    """Functions that make the trials of one proof.
+
+    Attributes:
+        assignment: Function of number of trials and seed; returns kind and effects of each trial.
+        seal: Function of folder, number, kind and effects, and seed; returns the sealed trial.
+        simulate: Function of sealed trial, kind and effects, and seed; writes the campaign and
+            returns the strength by channel.
+    """
+
+    assignment: Callable[[int, int], list[Assigned]]
+    seal: Callable[[Path, int, Assigned, Seed], Sealed]
+    simulate: Callable[[Sealed, Assigned, Seed], dict[str, float]]
+
+
+def _seal_motion(out: Path, number: int, assigned: Assigned, seed: Seed) -> Sealed:
+    return seal_rig(out, number, draw(*assigned, seed), repeated_salt(*seed))
+
+
+def _simulate_motion(where: Sealed, assigned: Assigned, seed: Seed) -> dict[str, float]:
+    return simulate_rig(where, draw(*assigned, seed))
+
+
+MOTION, GAS = "motion", "gas"
+FAMILIES: Mapping[str, Family] = {
+    MOTION: Family(assignment, _seal_motion, _simulate_motion),
+    GAS: Family(gas_assignment, seal_gas, simulate_gas),
+}
+
 
 PROOF_FILE = "proof.json"
 ROWS, DIAGNOSES = "rows", "diagnoses"
@@ -41,7 +148,7 @@ class Proof(NamedTuple):
         out: Folder of the proof.
         seed: Seed of draws and diagnosis.
         seals: All trials, with sealed truths.
-        family: Family of the trials, from :data:`rig.results.prove.family.FAMILIES`.
+        family: Family of the trials, from :data:`rig.results.prove.run.FAMILIES`.
     """
 
     out: Path

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import Samples, record
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.within_limits import choose, views_and_fit
+from identification.recording import RecordingError
+from rig.common.places import replacing, write_text
 from rig.results.prove.draw import Rig
-from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment
+from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment, FixedWeight
+from rig.sources import load_source
 
 MOVING_RAD_S = 0.02
 SETTLE_S = 0.5
@@ -98,3 +108,132 @@ def _quantum(values: Array) -> float:
     """Return the smallest step between two different values of a channel."""
     steps = np.diff(np.unique(values))
     return float(steps.min()) if steps.size else 1e-3
+
+
+CAMPAIGN_FILE = "campaign.yaml"
+AVERAGED = ("current", "voltage")
+
+
+def write(
+    folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: bool = True
+) -> Path:
+    """Write a campaign; return the campaign file.
+
+    All time stamps are of one clock, so that the first time stamp of each recording is the start
+    of the recording in the campaign.
+
+    Args:
+        folder: Folder of the campaign.
+        machine: The plant; only its nominal constants are written.
+        recorded: Recordings of the plant.
+        packed: Whether to compress the recordings; compression takes half as long as their
+            simulation.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for entry in recorded:
+        samples = entry.samples
+        columns = {"time": entry.start_s + samples.time, "command": samples.command}
+        columns |= {name: getattr(samples, name) for name in CHANNELS}
+        with (
+            replacing(folder / f"{entry.experiment.name}.npz") as draft,
+            draft.open("wb") as stream,
+        ):
+            (np.savez_compressed if packed else np.savez)(stream, allow_pickle=False, **columns)
+    path = folder / CAMPAIGN_FILE
+    write_text(path, yaml.safe_dump(description(machine, recorded), sort_keys=False))
+    return path
+
+
+def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any]:
+    """Return the content of the campaign file: constants that an engineer knows, recordings and
+    channels.
+    """
+    motor, joint = machine.motor, machine.joint
+    channels: dict[str, Any] = {name: name for name in ("time", "command", *CHANNELS)}
+    channels |= {name: {"column": name, "average": True} for name in AVERAGED}
+    return {
+        "campaign": 1,
+        "bench": {
+            "motion": "rotary",
+            "torque_constant": motor.torque_constant_N_m_A,
+            "back_emf_constant": motor.back_emf_constant_V_s_rad,
+            "resistance": motor.resistance_ohm,
+            "inductance": motor.inductance_H,
+            "gear_ratio": motor.gear_ratio,
+            "moment_arm": joint.moment_arm_m,
+            "lever_ratio": joint.lever_ratio,
+            "gravity": joint.gravity_m_s2,
+        },
+        "defaults": {"channels": channels},
+        "recordings": [
+            {
+                "file": f"{entry.experiment.name}.npz",
+                "stage": "loaded" if entry.experiment.weight_kg else "unloaded",
+                "weight_mass": entry.experiment.weight_kg,
+                **_gravity(entry.experiment.fixed),
+                "role": entry.experiment.role,
+            }
+            for entry in recorded
+        ],
+    }
+
+
+def _gravity(fixed: FixedWeight | None) -> dict[str, Any]:
+    if fixed is None:
+        return {}
+    return {"gravity": {"mass": fixed.mass_kg, "length": fixed.length_m, "zero": fixed.zero_rad}}
+
+
+FLOOR_SUFFIX = ".floor.json"
+"""Suffix of the file with the noise floors of a trial's reference simulation."""
+
+
+def residual_rms(joint: Joint) -> dict[str, float]:
+    """Return the residual of a fit in each equation, in the equation's unit."""
+    out = {}
+    for equation in joint.equations:
+        rows = joint.residual[joint.stack.part(equation.name)]
+        out[equation.name] = equation.sigma * math.sqrt(float(np.mean(rows**2)))
+    return out
+
+
+def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
+    """Return the nominal model's residual on a reference simulation without effects; empty if the
+    model cannot be fitted.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    with TemporaryDirectory() as folder:
+        return floors_of(write(Path(folder), machine, reference, packed=False))
+
+
+def floors_of(campaign: Path) -> dict[str, float]:
+    """Return the nominal model's residual on the campaign of a trial without effects; empty if the
+    model cannot be fitted.
+
+    Raises:
+        InputError: The campaign cannot be read.
+    """
+    dataset, bandwidth, _ = choose(load_source(campaign), None)
+    try:
+        _, joint = views_and_fit(dataset, bandwidth)
+    except RecordingError:
+        return {}
+    # The floor is at least the noise of a row: where little moves, rounding errors may cancel.
+    sigma = {e.name: e.sigma for e in joint.equations}
+    return {name: max(rms, sigma[name]) for name, rms in residual_rms(joint).items()}
+
+
+def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
+    """Return the remaining strength for each equation: the part of the residual that exceeds the
+    noise floor, over the noise floor.
+    """
+    return {
+        name: math.sqrt(max(left[name] ** 2 - floor[name] ** 2, 0.0)) / floor[name]
+        for name in left
+        if floor.get(name, 0.0) > 0.0
+    }

@@ -4,15 +4,21 @@ not scored.
 
 from __future__ import annotations
 
+import json
+import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE
 from drivers.mock.plant.effects.table import CATALOGUE
 from identification.effects import EFFECTS
+from rig.common.errors import InputError
+from rig.common.places import read_bytes, write_text
+from rig.common.provenance import sha256
 from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 
@@ -141,3 +147,63 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
                 ("not_scored", k),
                 "neither an effect, nor effect.parameter, nor a nominal parameter",
             )
+
+
+_SALT = 2
+"""Separates the draws of salts from those of trials and diagnoses."""
+
+
+def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
+    """Write the truth with a salt, so that the truth cannot be guessed from the digest; return the
+    SHA-256.
+    """
+    text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
+    write_text(path, text)
+    return sha256(text.encode())
+
+
+def repeated_salt(seed: int, number: int) -> str:
+    """Return a salt that follows from the seed of a proof and the number of a trial, so that the
+    digests of a repeated proof are equal.
+
+    The salt, like the draws, hides a truth only from those who do not know the seed.
+    """
+    state = np.random.SeedSequence([seed, number, _SALT]).generate_state(4)
+    return "".join(f"{word:08x}" for word in state)
+
+
+def random_salt(_number: int = 0) -> str:
+    """Return a salt that nobody can repeat, for truths that are sent to others later."""
+    return secrets.token_hex(16)
+
+
+def unseal(path: Path, digest: str) -> Truth:
+    """Read a truth, and check it against the digest that was shown.
+
+    Raises:
+        InputError: The file is missing, was changed after it was sealed, or is not a truth.
+    """
+    content = sealed_content(path)
+    found = sha256(content)
+    if found != digest:
+        raise InputError(
+            f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: "
+            f"discard this trial"
+        )
+    return load_truth(path)
+
+
+def sealed_content(path: Path) -> bytes:
+    """Return the content of a sealed truth as bytes, without parsing it.
+
+    Raises:
+        InputError: The file is missing or cannot be read.
+    """
+    try:
+        return read_bytes(path)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path}: the sealed truth is missing; generate the blind trials again"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error

@@ -10,7 +10,7 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.places import write_text
-from rig.results.run.go_on import first_words, go_on_command, go_on_notes
+from rig.results.run.go_on import first_words, go_on_command, go_on_notes, read_verdict
 from rig.results.run.page import chart
 from rig.results.run.page.clock_words import (
     ON_TIME,
@@ -19,7 +19,6 @@ from rig.results.run.page.clock_words import (
     no_lateness,
 )
 from rig.results.run.page.sections import Recorded, last_seconds, result, whole
-from rig.results.run.verdict import read_verdict
 from rig.runs.run_record import BENCH_ATTACHMENT, Ending, RunRecord
 
 REPORT_FILE = "run.html"

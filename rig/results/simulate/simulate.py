@@ -12,7 +12,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from identification.export.model import CorrectedModel
+from identification.export.model import CorrectedModel, Predicted, predictions, rms
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, RecordingError
 from identification.simulate.closed_loop import (
@@ -23,14 +23,59 @@ from identification.simulate.closed_loop import (
     replay,
     with_friction,
 )
+from identification.views.view import views
 from rig.common.errors import InputError
-from rig.common.input_files import is_folder
-from rig.common.provenance import sha256_file
-from rig.common.result_files import Provenance
+from rig.common.places import is_folder
+from rig.common.provenance import Provenance, sha256_file
+from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.results.diagnose.model_file import model_of, read_result, require_motion
-from rig.results.simulate.predict import Prediction, predict
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Prediction of one model for every recording.
+
+    Attributes:
+        file: Result file.
+        effects: Names of the active effects; empty for the nominal part alone.
+        parts: Every equation of every recording.
+    """
+
+    file: Path
+    effects: tuple[str, ...]
+    parts: tuple[Predicted, ...]
+
+    def error(self, equation: str, role: str) -> float | None:
+        """Return the rms error of one equation over the recordings of one role, or None if the
+        equation does not apply.
+        """
+        return rms(p for p in self.parts if p.equation == equation and p.role == role)
+
+
+def predict(
+    dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
+) -> list[Prediction]:
+    """Predict every recording with every model, and again without effects if the model has
+    effects.
+
+    Raises:
+        RecordingError: A recording cannot be filtered to this bandwidth.
+    """
+    seen = views(dataset.recordings, bandwidth_Hz)
+    found = []
+    for file, model in models:
+        forms = [model]
+        if model.effects or model.curve is not None:
+            forms.append(dataclasses.replace(model, effects={}, curve=None))
+        for form in forms:
+            names = (*form.effects, *(["curve"] if form.curve is not None else []))
+            found.append(
+                Prediction(file, names, tuple(p for view in seen for p in predictions(view, form)))
+            )
+    return found
+
 
 RESULT_FILE = "simulate.json"
 SHARES = (1.0, 0.5, 0.0)
@@ -195,3 +240,17 @@ def _closed_loop(
                 shown.append(response)
         cases.append(Case(model, share, sums))
     return cases, shown
+
+
+def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]]:
+    """Return the first model as a simulated bench (file name to text), and remarks on this bench.
+
+    If the model cannot be a simulated bench, there is no file, and the remarks state why.
+    """
+    try:
+        constants = found.dataset.recordings[0].bench
+        bench, left_out = model_bench(base_bench(source), found.models[0].corrected, constants)
+        said = f"{BENCH_FILE} beside this page is the model as a simulated bench."
+        return {BENCH_FILE: bench_text(bench, left_out)}, [said, *left_out]
+    except InputError as error:
+        return {}, list(error.problems)

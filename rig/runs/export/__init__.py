@@ -12,8 +12,8 @@ from rig.common.errors import InputError
 from rig.common.places import write_text
 from rig.common.provenance import sha256_file
 from rig.runs.export import tables
-from rig.runs.export.description import Read, describe, misfit, sidecar
 from rig.runs.export.mcap_file import read_mcap, write_mcap
+from rig.runs.export.tables import Read, describe, misfit, sidecar
 from rig.runs.export.traffic import TRAFFIC, Count, export_traffic
 from rig.runs.run_record import RunRecord
 

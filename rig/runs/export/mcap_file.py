@@ -18,7 +18,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from identification.recording import CHANNELS, Dataset, Recording
-from rig.runs.export.description import KEY, Read, describe, misfit, parse
+from rig.runs.export.tables import KEY, Read, describe, misfit, parse
 from rig.runs.export.traffic import FrameClock, messages, utc_ns
 from rig.runs.mcap import ros
 from rig.runs.mcap.layout import (

@@ -13,16 +13,14 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TextIO
 
-from drivers.frame_flags import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG
-from drivers.interfaces import RawFrame
+from drivers.interfaces import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, RawFrame
 from rig.common.errors import InputError
-from rig.common.instants import instant
+from rig.common.timing import instant
 from rig.runs.mcap import ros
 from rig.runs.mcap.layout import CLOCK_METADATA, FRAMES_TOPIC, decode_frames
-from rig.runs.mcap.reader import Message
+from rig.runs.mcap.reader import START, Message, Tail
 from rig.runs.mcap.records import DamageError
 from rig.runs.mcap.stream import first_metadata
-from rig.runs.mcap.tail import START, Tail
 from rig.runs.run_record import PartRecord, RunRecord
 
 INTERFACE = "can0"

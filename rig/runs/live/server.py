@@ -12,7 +12,7 @@ from typing import Any
 
 from rig.runs.live.gate import END, HEAD_BYTES, Gate, RefusedError, refusal
 from rig.runs.live.session import Session
-from rig.runs.mcap.tail import Tail
+from rig.runs.mcap.reader import Tail
 
 HOST = "127.0.0.1"
 MOST_CLIENTS = 16

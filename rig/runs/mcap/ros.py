@@ -12,14 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.frame_flags import (
+from drivers.interfaces import (
     ERROR_FLAG,
     EXTENDED_FLAG,
     IDENTIFIER_BITS,
     REMOTE_FLAG,
     SERIAL_FLAG,
+    RawFrame,
 )
-from drivers.interfaces import RawFrame
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import decode_samples
 

@@ -12,10 +12,14 @@ from drivers.can.port import EXTENDED_FLAG, hexadecimal
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
-from rig.sources.can_traffic.bench_map import messages_of_bench
-from rig.sources.can_traffic.dbc_map import messages_of
+from rig.sources.can_traffic.bench_map import (
+    BusMessage,
+    BusSignal,
+    Mask,
+    messages_of,
+    messages_of_bench,
+)
 from rig.sources.can_traffic.frames import Frames, Key, read_traffic
-from rig.sources.can_traffic.layout import BusMessage, BusSignal, Mask
 from rig.sources.formats.table import Table
 
 STAMPS = "time"

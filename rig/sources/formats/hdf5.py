@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.plain_file import require_plain
+from drivers.errors import require_plain
 from rig.common.errors import InputError
 from rig.sources.formats.arrays import ArrayTable
-from rig.sources.formats.library import library
-from rig.sources.formats.table import damaged, open_binary
+from rig.sources.formats.table import damaged, library, open_binary
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """Signature of an HDF5 file, which follows a user block of 0, 512, 1024, ... bytes."""

@@ -4,12 +4,18 @@ write.
 
 from __future__ import annotations
 
+import io
 import struct
-from collections.abc import Iterable, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Final, NamedTuple
 
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from zstandard import ZstdError
@@ -17,10 +23,217 @@ from zstandard import ZstdError
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import SAMPLE_SCHEMA
-from rig.sources.formats.cut_off import until_cut
-from rig.sources.formats.json_numbers import Stamp, series
-from rig.sources.formats.mcap_messages import Decoder, Decoders
-from rig.sources.formats.table import Table, damaged, open_binary
+from rig.runs.mcap.records import HEADER
+from rig.sources.formats.json_file import (
+    LONGEST_LIST,
+    Stamp,
+    number,
+    numbers,
+    parse,
+    series,
+    stamp_of,
+)
+from rig.sources.formats.table import Table, damaged, library, open_binary
+
+MAGIC = b"\x89MCAP0\r\n"
+_CHUNK_HEAD = struct.Struct("<QQQII")
+"""Format of the head of a chunk: start time, end time, size, checksum and length of the
+compression's name.
+"""
+
+Found = tuple[Schema | None, Channel, Message]
+
+
+def until_cut(stream: IO[bytes]) -> Iterator[Found]:
+    """Yield the messages of an incomplete file.
+
+    Args:
+        stream: The file, at its start.
+
+    Raises:
+        McapError: The file is complete but damaged, or is not an MCAP file.
+    """
+    data = _rest(stream)
+    if not data.startswith(MAGIC):
+        raise McapError("not an MCAP file")
+    if data.endswith(MAGIC) and len(data) > len(MAGIC):
+        raise McapError("the file is complete, but its content is damaged")
+    known = _Known({}, {})
+    for opcode, content, whole in _records(data[len(MAGIC) :]):
+        if opcode == Opcode.CHUNK:
+            for inner, record, complete in _records(_unpacked(content, whole)):
+                if complete:
+                    yield from _message(inner, record, known)
+        elif whole:
+            yield from _message(opcode, content, known)
+
+
+def _rest(stream: IO[bytes]) -> bytes:
+    """Return the readable bytes of a file, which may be an incomplete gzip file."""
+    parts = []
+    try:
+        while part := stream.read(1 << 16):
+            parts.append(part)
+    except (EOFError, zlib.error):
+        pass
+    return b"".join(parts)
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes, bool]]:
+    """Yield opcode and content of each record, and whether the record is complete."""
+    offset = 0
+    while offset + HEADER.size <= len(data):
+        opcode, length = HEADER.unpack_from(data, offset)
+        offset += HEADER.size
+        yield opcode, data[offset : offset + length], offset + length <= len(data)
+        offset += length
+
+
+def _unpacked(content: bytes, whole: bool) -> bytes:
+    """Return the records of a chunk; of an incomplete chunk, the records that are in the file.
+
+    Raises:
+        McapError: A complete chunk is damaged, or its compression is unknown.
+    """
+    if len(content) < _CHUNK_HEAD.size:
+        return b""
+    _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
+    name = content[_CHUNK_HEAD.size : _CHUNK_HEAD.size + length]
+    packed = content[_CHUNK_HEAD.size + length + 8 :]
+    try:
+        if name == b"zstd":
+            records = zstandard.ZstdDecompressor().decompressobj().decompress(packed)
+        elif name == b"lz4":
+            records = lz4.frame.LZ4FrameDecompressor().decompress(packed)
+        elif name == b"":
+            records = packed
+        else:
+            raise McapError(f"a chunk has the unknown compression {name!r}")
+    except (zstandard.ZstdError, RuntimeError) as error:
+        raise McapError(f"a chunk cannot be unpacked ({error})") from error
+    if whole and (len(records) != size or (crc and zlib.crc32(records) != crc)):
+        raise McapError("a chunk fails its checksum")
+    return records
+
+
+class _Known(NamedTuple):
+    """Channels and schemas that have been read, by number."""
+
+    channels: dict[int, Channel]
+    schemas: dict[int, Schema]
+
+
+def _message(opcode: int, content: bytes, known: _Known) -> Iterator[Found]:
+    stream = ReadDataStream(io.BytesIO(content))
+    if opcode == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        known.channels[channel.id] = channel
+    elif opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        known.schemas[schema.id] = schema
+    elif opcode == Opcode.MESSAGE:
+        message = Message.read(stream, len(content))
+        channel = known.channels[message.channel_id]
+        yield known.schemas.get(channel.schema_id), channel, message
+
+
+Decoder = Callable[[bytes], dict[str, float]]
+"""Function that returns dotted name and value of every number in a message."""
+_LIBRARIES: Final = {
+    "cdr": ("mcap_ros2.decoder", "CDR messages of ROS 2"),
+    "protobuf": ("mcap_protobuf.decoder", "protobuf messages"),
+}
+"""Module of the decoder, and name of the encoding for messages, by encoding."""
+_DURATION = "Duration"
+
+
+class Decoders:
+    """Chooses the decoder of each channel."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._factories: dict[str, Any] = {}
+
+    def of(self, encoding: str, schema: Schema | None) -> Decoder | None:
+        """Return the decoder of a channel, or None if no decoder reads its encoding.
+
+        Raises:
+            InputError: The library that decodes this encoding is not installed.
+        """
+        if encoding == "json":
+            return lambda data: dict(numbers(parse(data.decode("utf-8")), ""))
+        if encoding not in _LIBRARIES:
+            return None
+        if encoding not in self._factories:
+            module, words = _LIBRARIES[encoding]
+            self._factories[encoding] = library(module, self._path, words, "mcap").DecoderFactory()
+        decode = self._factories[encoding].decoder_for(encoding, schema)
+        if decode is None:
+            return None
+        walk = _of_protobuf if encoding == "protobuf" else _of_ros
+        return lambda data: dict(walk(decode(data), ""))
+
+
+def _of_ros(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a decoded ROS message, or of a value inside it."""
+    fields = getattr(type(value), "__slots__", None)
+    if fields is not None and hasattr(type(value), "_type"):
+        members = {field: getattr(value, field) for field in fields}
+        for field, member in members.items():
+            yield from _of_ros(member, f"{prefix}.{field}" if prefix else field)
+        if prefix:
+            yield from _time(members, prefix, str(type(value)._type))
+    elif isinstance(value, bytes | bytearray | str):
+        return
+    elif hasattr(value, "__len__"):
+        yield from _elements(value, prefix, _of_ros)
+    elif (found := number(value)) is not None:
+        yield prefix, found
+
+
+def _of_protobuf(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a protobuf message; a field that has neither a value nor a default is
+    left out.
+    """
+    descriptor = getattr(value, "DESCRIPTOR", None)
+    if descriptor is None:
+        found = None if isinstance(value, bytes | str) else number(value)
+        if found is not None:
+            yield prefix, found
+        return
+    members: dict[str, Any] = {}
+    for field in descriptor.fields:
+        if field.has_presence and not value.HasField(field.name):
+            continue
+        member = members[field.name] = getattr(value, field.name)
+        place = f"{prefix}.{field.name}" if prefix else field.name
+        if not hasattr(member, "__len__") or isinstance(member, bytes | str):
+            yield from _of_protobuf(member, place)
+        elif hasattr(member, "keys"):
+            for key in list(member)[:LONGEST_LIST]:
+                yield from _of_protobuf(member[key], f"{place}.{key}")
+        else:
+            yield from _elements(member, place, _of_protobuf)
+    if prefix:
+        yield from _time(members, prefix, str(descriptor.full_name))
+
+
+def _elements(
+    value: Any, prefix: str, walk: Callable[[Any, str], Iterator[tuple[str, float]]]
+) -> Iterator[tuple[str, float]]:
+    if len(value) <= LONGEST_LIST:
+        for index, child in enumerate(value):
+            yield from walk(child, f"{prefix}[{index}]")
+
+
+def _time(members: dict[str, Any], prefix: str, kind: str) -> Iterator[tuple[str, float]]:
+    """Yield a time stamp of seconds and nanoseconds as one column; a duration is in s."""
+    stamp = stamp_of(members)
+    if stamp is not None and kind.endswith(_DURATION):
+        yield prefix, int(stamp) / 1e9
+    elif stamp is not None:
+        yield prefix, Stamp(stamp)
+
 
 LOG_TIME = "log_time"
 # lz4 raises RuntimeError; a damaged length field may request more memory than available; the error

@@ -4,14 +4,23 @@ in the file.
 
 from __future__ import annotations
 
+import gc
 import gzip
+import importlib
+import logging
+import sys
+import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
-from typing import IO, cast
+from typing import IO, Any, cast
 
-from drivers.plain_file import require_plain
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import require_plain
 from identification.recording import Array
 from rig.common.errors import InputError
 
@@ -109,3 +118,152 @@ def damaged(path: Path, error: Exception, remedy: str) -> InputError:
     return InputError(
         f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"
     )
+
+
+EXACT = 2**53
+"""Greatest integer up to which doubles represent every integer exactly."""
+_LARGEST = 2**63 - 1
+_UNIT_S = {"D": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+
+
+def seconds_per(unit: str) -> float | None:
+    """Return the length of a unit of time, as files write it, in seconds, or None for any other
+    unit.
+    """
+    return _TIME_UNITS.get(unit.strip().lower())
+
+
+class NotNumbersError(Exception):
+    """The values are not real numbers; the message states their type."""
+
+
+def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
+    """Return values as doubles, and a note if the conversion changed them.
+
+    Integers beyond 2^53 are read as differences to the first integer; dates and times are read as
+    seconds since the first date or time; missing dates and times are NaN.
+
+    Args:
+        values: Shape (n,), of any type.
+
+    Raises:
+        NotNumbersError: The values are text, complex, or objects.
+    """
+    kind = values.dtype.kind
+    if kind in "iu":
+        if values.size and (int(values.max()) > EXACT or int(values.min()) < -EXACT):
+            first = int(values[0])
+            return _differences(values), (
+                f"64-bit integers beyond 2^53: read as the difference to the first, {first}"
+            )
+        return np.ascontiguousarray(values, np.float64), ""
+    if kind in "bf":
+        # A float of another width may be a signalling NaN, whose conversion raises a warning.
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.ascontiguousarray(values, np.float64), ""
+    if kind in "Mm":
+        return _seconds(values)
+    if values.dtype.names is not None and set(values.dtype.names) == {"real", "imag"}:
+        raise NotNumbersError("complex numbers")
+    words = {"c": "complex numbers", "S": "text", "U": "text", "O": "text or objects"}
+    raise NotNumbersError(words.get(kind, f"of the type {values.dtype}"))
+
+
+def _differences(values: NDArray[Any]) -> Array:
+    first = int(values[0])
+    if int(values.max()) - first > _LARGEST or first - int(values.min()) > _LARGEST:
+        return np.array([float(int(value) - first) for value in values])
+    differences = values - values[0]
+    if values.dtype.kind == "u":
+        differences = differences.view(differences.dtype.str.replace("u", "i"))
+    return cast(Array, differences.astype(np.float64))
+
+
+def _seconds(values: NDArray[Any]) -> tuple[Array, str]:
+    unit, count = np.datetime_data(values.dtype)
+    if unit not in _UNIT_S:
+        raise NotNumbersError(f"times in units of {unit}")
+    missing = np.isnat(values)
+    known = values[~missing]
+    first = known[0] if known.size else values.dtype.type(0, unit)
+    dated = values.dtype.kind == "M"
+    since = values - first if dated else values
+    ticks = np.where(missing, 0, since.astype(np.int64)).astype(np.float64) * count
+    scale = _UNIT_S[unit]
+    seconds = ticks * scale if scale >= 1.0 else ticks / round(1.0 / scale)
+    seconds[missing] = np.nan
+    note = f"dates: read as seconds since {first}" if dated and known.size else ""
+    return seconds, note
+
+
+_MOST_WORDS = 200
+"""Greatest length of a library's warning that is shown to the user, characters."""
+
+
+def library(name: str, path: Path, format_name: str, extra: str) -> Any:
+    """Import an optional library.
+
+    Args:
+        name: Name of the module.
+        path: The file that needs the library, for the message.
+        format_name: Format of the file, for the message.
+        extra: The extra of this program that installs the library.
+
+    Raises:
+        InputError: The library is not installed; the message names the extra.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        package = name.split(".")[0]
+        raise InputError(
+            f"{path}: reading {format_name} needs {package}; install it with: pip install "
+            f"'loadrig[{extra}]'"
+        ) from error
+
+
+class _Heard(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.words: dict[str, int] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = " ".join(record.getMessage().split())[:_MOST_WORDS]
+        self.words[text] = self.words.get(text, 0) + 1
+
+
+@contextmanager
+def heard(logger: str) -> Iterator[list[str]]:
+    """Do not show the warnings of a library on the terminal; yield a list that contains them at the
+    end.
+    """
+    log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
+    propagate, handlers = log.propagate, log.handlers
+    # Some libraries install their own handlers, which print the warnings.
+    log.propagate, log.handlers = False, [handler]
+    try:
+        yield found
+    finally:
+        log.propagate, log.handlers = propagate, handlers
+        found += [text if n == 1 else f"{text} ({n} times)" for text, n in handler.words.items()]
+
+
+@contextmanager
+def quiet_ends() -> Iterator[None]:
+    """Release the objects in the stack frames of a library's error, and suppress the errors that
+    these incomplete objects raise when they are deleted.
+    """
+    before = sys.unraisablehook
+    try:
+        yield
+    except BaseException as error:
+        sys.unraisablehook = lambda _: None
+        chained: BaseException | None = error
+        while chained is not None:
+            traceback.clear_frames(chained.__traceback__)
+            chained = chained.__context__
+        gc.collect()
+        raise
+    finally:
+        sys.unraisablehook = before

@@ -16,9 +16,17 @@ from numpy.typing import NDArray
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
-from rig.sources.formats.doubles import NotNumbersError, as_doubles, seconds_per
-from rig.sources.formats.library import heard, library, quiet_ends
-from rig.sources.formats.table import Table, damaged, open_binary
+from rig.sources.formats.table import (
+    NotNumbersError,
+    Table,
+    as_doubles,
+    damaged,
+    heard,
+    library,
+    open_binary,
+    quiet_ends,
+    seconds_per,
+)
 
 _DAMAGED = (
     ArithmeticError,

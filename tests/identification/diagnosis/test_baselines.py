@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.oracle import oracle
-from identification.diagnosis.selection.baselines import (
+from identification.diagnosis.oracle import (
     FOLDS,
     Group,
     Library,
     greedy_bic,
     library,
+    oracle,
     sparse,
 )
 from identification.effects import MOTION

@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.fit.noise import LOWER_NOISE_RATIO, with_lower_noise
-from identification.diagnosis.rows.equations import held_voltage
+from identification.diagnosis.fit.joint import LOWER_NOISE_RATIO, Joint, fit, with_lower_noise
+from identification.diagnosis.fit.rows import held_voltage
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.removal import needed_share
 from identification.effects.effect import CLOSE, EXACT, ROUGH

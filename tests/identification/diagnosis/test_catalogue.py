@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from identification.diagnosis.fit.rows import EQUATIONS, equations
 from identification.diagnosis.fit.stack import Stack, stack_of
-from identification.diagnosis.rows.equations import EQUATIONS, equations
 from identification.diagnosis.selection.comparison import _scales
 from identification.effects import EFFECTS, GAS, MOTION
 from identification.effects.effect import Context, Dimension, Effect

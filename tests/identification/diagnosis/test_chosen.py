@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.start import choose
+from identification.diagnosis.fit.within_limits import choose
 from identification.diagnosis.result import Verdict
 from identification.recording import Dataset, Model, Recording, RecordingError
 

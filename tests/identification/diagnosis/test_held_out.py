@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.intervals import estimates, undetermined_size
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.joint import Added, Joint, estimates, fit, undetermined_size
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection import held_out
@@ -19,17 +18,15 @@ from identification.diagnosis.selection.held_out import (
     _Case,
     _unseen_share,
     _with_rivals_judged,
+    decisive_reduction,
     dropped_effects,
     folds,
-    validated_effects,
-)
-from identification.diagnosis.selection.search import Search
-from identification.diagnosis.selection.unseen import (
-    decisive_reduction,
     reduction,
     studentised_reduction,
+    validated_effects,
     validation_rms,
 )
+from identification.diagnosis.selection.search import Search
 from identification.effects import MOTION
 from identification.recording import Recording
 from identification.views.view import View, views

@@ -9,7 +9,7 @@ import pytest
 
 from identification.diagnosis.fit.joint import Added
 from identification.diagnosis.selection.comparison import Contender, Round
-from identification.diagnosis.selection.indistinct import with_indistinct_effects
+from identification.diagnosis.selection.held_out import with_indistinct_effects
 from identification.diagnosis.selection.search import Search
 from identification.effects import MOTION
 from identification.effects.motor import change_at_zero

@@ -13,7 +13,7 @@ import pytest
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import Joint, fit, without_effect
 from identification.diagnosis.fit.linear import Added
-from identification.diagnosis.rows.families import (
+from identification.diagnosis.fit.rows import (
     DIRECTION,
     FROM_TORQUE,
     MAPPED,
@@ -22,8 +22,15 @@ from identification.diagnosis.rows.families import (
     shows,
     weight_of,
 )
-from identification.diagnosis.score.beside import Mismatch, mismatch_of, parts
-from identification.diagnosis.score.locate import best_map, curve, maps, ranges
+from identification.diagnosis.score.locate import (
+    Mismatch,
+    best_map,
+    curve,
+    maps,
+    mismatch_of,
+    parts,
+    ranges,
+)
 from identification.effects import MOTION
 from identification.recording import Array, Dataset
 

@@ -19,16 +19,16 @@ from identification.diagnosis.score.significance import (
     trial_candidates,
 )
 from identification.diagnosis.selection.comparison import preference
-from identification.diagnosis.selection.next_effects import (
-    TRIALS,
-    best_of_each,
-    finalist_groups,
-    unscored,
-)
 from identification.diagnosis.selection.removal import (
     left_beyond_noise,
     share_equation,
     would_be_removed,
+)
+from identification.diagnosis.selection.search import (
+    TRIALS,
+    best_of_each,
+    finalist_groups,
+    unscored,
 )
 from identification.effects import MOTION
 from identification.effects.effect import Context

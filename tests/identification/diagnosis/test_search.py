@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.intervals import identifiable
-from identification.diagnosis.fit.joint import Added, fit
+from identification.diagnosis.fit.joint import Added, fit, identifiable
 from identification.diagnosis.fit.stack import Candidate, log_surprise, wald_statistic
-from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
+from identification.diagnosis.fit.within_limits import fit_from_estimate, views_and_fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
 from identification.diagnosis.selection.comparison import implausible
+from identification.diagnosis.selection.held_out import validation_rms
 from identification.diagnosis.selection.removal import needed_share
-from identification.diagnosis.selection.unseen import validation_rms
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Bench, Dataset, Model, Recording

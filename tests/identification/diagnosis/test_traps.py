@@ -20,8 +20,8 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
 from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.rows import Equation, equations
 from identification.diagnosis.fit.stack import Candidate, Stack, stack_of
-from identification.diagnosis.rows.equations import Equation, equations
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.effects import MOTION
 from identification.effects.effect import Context

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from identification.diagnosis.oracle import greedy_bic, library
 from identification.diagnosis.score.significance import (
     generic_candidates,
     sign_flip_p_value,
     size_p_value,
     trial_candidates,
 )
-from identification.diagnosis.selection.baselines import greedy_bic, library
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Array

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.rows.equations import between_samples, least_noise
+from identification.diagnosis.fit.rows import between_samples, least_noise
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import beyond_noise, size_p_value
 from identification.diagnosis.selection.search import _Case, _missing_test

@@ -20,8 +20,8 @@ from rig.common.yaml_tree import Mark, Node, parse
 from rig.config import configuration
 from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
+from rig.config.configuration import names, resolve
 from rig.config.faults import load_faults
-from rig.config.packaged import names, resolve
 from rig.config.sequence import load_sequence
 
 CAMPAIGNS = sorted((Path(__file__).parents[2] / "campaigns").glob("*.yaml"))

@@ -20,14 +20,14 @@ from .sockets import Peer, short_folder
 PATIENT = """
 import dataclasses
 import sys
-import rig.terminal.control_messages as messages
+import rig.terminal.control_socket as messages
 
 folders = messages.socket_folders
 # Runs of this computer that are no part of the test are neither seen nor stopped.
 messages.socket_folders = lambda: folders()[:1]
 import rig.planning.plan
 import rig.cli.commands.console as console
-import rig.console.made
+import rig.console.recorded
 
 limits = rig.planning.plan._limits
 # A busy machine is late; lateness is not on trial here.
@@ -35,7 +35,7 @@ rig.planning.plan._limits = lambda values, bench: dataclasses.replace(
     limits(values, bench), lateness=30.0
 )
 # On a busy machine a process of low priority waits for minutes.
-rig.console.made.NICE = 0
+rig.console.recorded.NICE = 0
 starter = console.Starter
 own = (sys.executable, "-c", sys.orig_argv[2])
 console.Starter = lambda benches, runs: starter(benches, runs, own)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.clock import NS
-from rig.terminal.control_messages import (
+from rig.terminal.control_socket import (
     LONGEST_TEXT,
     STALE_NS,
     Command,

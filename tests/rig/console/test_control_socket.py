@@ -15,12 +15,11 @@ from typing import Any
 import pytest
 
 from drivers.clock import SimulatedClock
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 from rig.control.operator import AutomaticOperator, ConsoleOperator, Verb
 from rig.control.phases import TRANSITIONS
 from rig.runs.run_record import Ending
-from rig.terminal.control_messages import LONGEST_BYTES, PREFIX, SUFFIX
-from rig.terminal.control_socket import ControlSocket
+from rig.terminal.control_socket import LONGEST_BYTES, PREFIX, SUFFIX, ControlSocket
 from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton

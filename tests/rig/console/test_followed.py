@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import rig.console.growing as growing
+import rig.console.followed as growing
 from rig.cli.entry import status
-from rig.console.channels import CHANNELS, DEG
-from rig.console.followed import Followed
-from rig.control.progress import RunProgress
+from rig.console.followed import CHANNELS, DEG, Followed
+from rig.control.remote import RunProgress
 from rig.runs.mcap.reader import read_run
 
 SEQUENCE = """\

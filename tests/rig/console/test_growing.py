@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from rig.common.sample import Sample
-from rig.console import growing
-from rig.console.event_words import event_words
-from rig.console.growing import Growing
+from rig.console import followed
+from rig.console.followed import Growing, event_words
 from rig.runs.mcap.records import DamageError
 from rig.runs.recorder import open_recorder
 
@@ -31,7 +30,7 @@ def recorded(path: Path, count: int) -> bytes:
 def test_everything_is_read_once_however_it_grows(
     tmp_path: Path, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(growing, "READ_BYTES", 40_000)
+    monkeypatch.setattr(followed, "READ_BYTES", 40_000)
     data = recorded(tmp_path / "whole.mcap", 400)
     path = tmp_path / "growing.mcap"
     path.write_bytes(b"")

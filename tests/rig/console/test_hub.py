@@ -12,13 +12,11 @@ from starlette.websockets import WebSocketDisconnect
 
 from rig.console.app import Console
 from rig.console.controls import Page
-from rig.console.door import MOST_PAGES, MOST_READERS
 from rig.console.followed import SILENT_S
-from rig.console.gate import Token
-from rig.console.hub import TICK_S, Hub, Refusal
-from rig.console.run_link import Unreachable
+from rig.console.gate import MOST_PAGES, MOST_READERS, Token
+from rig.console.hub import TICK_S, Hub, Refusal, Unreachable
 from rig.console.starting import Starter
-from rig.terminal.control_messages import VERSION, Command
+from rig.terminal.control_socket import VERSION, Command
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from rig.console import made
+from rig.console import recorded
 from rig.console.app import Console
 from rig.console.gate import SANDBOX, Token
 from rig.console.hub import Hub
-from rig.console.made import MOST_COMPARED
+from rig.console.recorded import MOST_COMPARED
 from rig.console.starting import COMMAND, Starter
 
 from .histories import write_history, write_run
@@ -104,7 +104,7 @@ def words(answer: Answer) -> str:
 @pytest.fixture(autouse=True)
 def _no_low_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine would leave a process of low priority waiting for minutes."""
-    monkeypatch.setattr(made, "NICE", 0)
+    monkeypatch.setattr(recorded, "NICE", 0)
 
 
 @pytest.fixture

@@ -12,11 +12,10 @@ from typing import Any
 
 import pytest
 
-import rig.console.run_link as run_link
+import rig.console.hub as run_link
 from drivers.clock import NS, SimulatedClock
-from rig.console.run_link import Links, Unreachable
-from rig.terminal.control_messages import Command, socket_folders
-from rig.terminal.control_socket import ControlSocket
+from rig.console.hub import Links, Unreachable
+from rig.terminal.control_socket import Command, ControlSocket, socket_folders
 from rig.terminal.stop_button import StopButton
 
 from .sockets import Peer, only_socket, short_folder

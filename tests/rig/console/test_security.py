@@ -24,7 +24,7 @@ from wsproto.events import (
 )
 
 from rig.cli.entry import STOPPED
-from rig.console.door import MOST_OPEN, MOST_PAGES, MOST_READERS, bounded
+from rig.console.gate import MOST_OPEN, MOST_PAGES, MOST_READERS, bounded
 
 from .processes import Served, place, served, wait_until
 from .sockets import Peer

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from rig.config.packaged import packaged
+from rig.config.configuration import packaged
 from rig.console.starting import Starter, StartError, Wish
 
 from .processes import SEQUENCE, wait_until

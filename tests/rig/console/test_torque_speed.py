@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from identification.model.parameters import NOMINAL
-from rig.common.result_files import IDENTIFY_SCHEMA, RESULT_FILE
-from rig.console.channels import DEG
-from rig.console.torque_speed import BLOCK, MOST, TorqueSpeed, curves
+from rig.common.provenance import IDENTIFY_SCHEMA, RESULT_FILE
+from rig.console.followed import BLOCK, DEG, MOST, TorqueSpeed, curves
 
 
 def samples(segments: list[int]) -> dict[str, Any]:

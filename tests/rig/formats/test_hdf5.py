@@ -122,6 +122,6 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         raise ImportError(name)
 
     path = matlab(tmp_path / "log.mat", t=TIME[:, None])
-    monkeypatch.setattr("rig.sources.formats.library.importlib.import_module", refuse)
+    monkeypatch.setattr("rig.sources.formats.table.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"MATLAB v7.3\) needs h5py; .*'loadrig\[hdf5\]'"):
         columns(path)

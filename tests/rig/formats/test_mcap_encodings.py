@@ -181,7 +181,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         raise ImportError(name)
 
     write_ros(tmp_path / "log.mcap")
-    monkeypatch.setattr("rig.sources.formats.library.importlib.import_module", refuse)
+    monkeypatch.setattr("rig.sources.formats.table.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"CDR .*needs mcap_ros2; .*'loadrig\[mcap\]'"):
         McapTable(tmp_path / "log.mcap")
 

@@ -153,7 +153,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     def refuse(name: str) -> object:
         raise ImportError(name)
 
-    monkeypatch.setattr("rig.sources.formats.library.importlib.import_module", refuse)
+    monkeypatch.setattr("rig.sources.formats.table.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"needs asammdf; .*pip install 'loadrig\[mdf\]'"):
         MdfTable(tmp_path / "a.mf4", PLAIN)
 

@@ -4,8 +4,32 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.effects.outside import outside_level
-from drivers.mock.plant.effects.table import PRESLIDING_STIFFNESS
+from drivers.mock.plant.effects import table
+from drivers.mock.plant.effects.outside import ACCELERATION_DRAG, outside_level, outside_sides
+from drivers.mock.plant.effects.state import (
+    ACCELERATION,
+    EXTERNAL,
+    FALLING,
+    GROWN,
+    JOINT,
+    RUN,
+    TIME,
+    TRANSMITTED,
+)
+from drivers.mock.plant.effects.table import (
+    GRAVITY_TORQUE,
+    GRAVITY_ZERO,
+    LOAD_SLOPE,
+    PRESLIDING_STIFFNESS,
+    SPRING_REST,
+    SPRING_STIFFNESS,
+    STOP_ANGLE,
+    STOP_OTHER,
+    STOP_STIFFNESS,
+    SWING_DECAY,
+    SWING_FRACTION,
+    SWING_FREQUENCY,
+)
 from drivers.mock.plant.parts.compiled import Vector, inlined
 from drivers.mock.plant.parts.friction import (
     ALPHA,
@@ -141,3 +165,121 @@ def step_bristles(
     resistance = (stiffness * h + inner) * share + damping
     new = (inertia * omega / h + torque - held) / (inertia / h + resistance)
     return new, (z + h * new) * share, held + resistance * new
+
+
+_STOP_DAMPING_S = 2e-3
+"""Ratio of an end stop's damping to its stiffness, s, which is assumed for a rubber pad."""
+
+
+@inlined
+def device_torque(theta: float, omega: float, e: Vector) -> float:
+    """Return the torque of imbalance, spring and end stop on the joint, N m.
+
+    A stop pushes only away from itself. One stop acts beyond ``angle_rad``, in the direction of the
+    sign of ``angle_rad``. With a second stop (``other_rad``, 0 for none) the first stop acts above
+    ``angle_rad`` and the second stop below ``other_rad``.
+    """
+    torque = 0.0
+    if e[GRAVITY_TORQUE] != 0.0:
+        torque -= e[GRAVITY_TORQUE] * math.sin(theta - e[GRAVITY_ZERO])
+    if e[SPRING_STIFFNESS] != 0.0:
+        torque -= e[SPRING_STIFFNESS] * (theta - e[SPRING_REST])
+    if e[STOP_STIFFNESS] != 0.0:
+        side = math.copysign(1.0, e[STOP_ANGLE]) if e[STOP_OTHER] == 0.0 else 1.0
+        depth = side * (theta - e[STOP_ANGLE])
+        if depth > 0.0:
+            torque -= side * max(e[STOP_STIFFNESS] * (depth + _STOP_DAMPING_S * side * omega), 0.0)
+        if e[STOP_OTHER] != 0.0 and theta < e[STOP_OTHER]:
+            depth = e[STOP_OTHER] - theta
+            torque += max(e[STOP_STIFFNESS] * (depth - _STOP_DAMPING_S * omega), 0.0)
+    return torque
+
+
+@inlined
+def load_factor(theta: float, time: float, e: Vector) -> float:
+    """Return the ratio of the contact force to that of the weight at rest, at an angle and a
+    time since power-on.
+    """
+    factor = 1.0
+    if e[LOAD_SLOPE] != 0.0:
+        factor = max(1.0 + e[LOAD_SLOPE] * theta, 0.0)
+    if e[SWING_FRACTION] != 0.0:
+        swing = math.cos(2.0 * math.pi * e[SWING_FREQUENCY] * time) * math.exp(
+            -time / e[SWING_DECAY]
+        )
+        factor *= 1.0 + e[SWING_FRACTION] * swing
+    return factor
+
+
+_RENEWAL_RAD = 1e-3
+"""Assumed sliding distance after which the increase of static friction during a rest is lost,
+rad.
+"""
+_SMOOTHED_S = 2.5e-3
+"""Assumed time constant with which the drag of ``x_acceleration_drag`` follows the acceleration,
+s.
+"""
+
+
+@inlined
+def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
+    """Write all elements of the friction vector ``w`` of one loop period except the inertia."""
+    theta = x[JOINT]
+    for k in range(FRICTION_SIZE - 1):
+        w[k] = p[k]
+    w[SIDE] = e[table.ASYMMETRIC_COULOMB]
+    w[VISCOUS_SIDE] = e[table.ASYMMETRIC_VISCOUS]
+    w[DRAG] = e[table.QUADRATIC_DRAG]
+    w[LAGGED] = 0.0
+    if e[table.PATCH_TORQUE] != 0.0:
+        u = (theta - e[table.PATCH_CENTER]) / e[table.PATCH_WIDTH]
+        w[MC] += e[table.PATCH_TORQUE] * math.exp(-0.5 * u * u)
+    if e[table.COULOMB_RATE] != 0.0:
+        time = e[table.COULOMB_TIME]
+        w[MC] -= e[table.COULOMB_RATE] * time * math.expm1(-x[RUN] / time)
+    if e[table.THERMAL_FRACTION] != 0.0:
+        w[SIGMA_2] *= 1.0 - e[table.THERMAL_FRACTION] * (
+            1.0 - math.exp(-x[RUN] / e[table.THERMAL_TIME])
+        )
+    if p[MOMENT] > 0.0:
+        w[MOMENT] = p[MOMENT] * load_factor(theta, x[TIME], e)
+        w[MC] += e[table.PIVOT_TORQUE]
+    both, one = outside_sides(theta, x[ACCELERATION], e)
+    w[MC] += both
+    w[SIDE] += one
+    if 0.0 < e[table.EFFICIENCY] < 1.0:
+        share = e[table.EFFICIENCY]
+        driving = x[TRANSMITTED] * omega >= 0.0
+        w[MC] += abs(x[TRANSMITTED]) * (1.0 - share if driving else 1.0 / share - 1.0)
+    w[MC] = max(w[MC] + e[table.LOAD_FRICTION] * abs(x[EXTERNAL]), 0.0)
+    if e[table.DWELL_GROWTH] != 0.0:
+        w[DM] += x[GROWN]
+    if e[table.MEMORY_TIME] > 0.0:
+        w[DM] = w[DMU] = 0.0
+        w[LAGGED] = x[FALLING]
+        if e[table.MEMORY_OF_SPEED] > 0.0:
+            w[LAGGED] = bristle_level(abs(x[FALLING]), p, w[MOMENT])
+
+
+@inlined
+def remember(
+    w: Vector, p: Vector, e: Vector, x: Vector, before: float, omega: float, h: float
+) -> None:
+    """Advance the states of friction with memory by one loop period of ``h`` seconds."""
+    speed = abs(omega)
+    if e[table.MEMORY_TIME] > 0.0:
+        wanted = omega
+        if e[table.MEMORY_OF_SPEED] == 0.0:
+            wanted = bristle_level(speed, p, w[MOMENT])
+        x[FALLING] = wanted + (x[FALLING] - wanted) * math.exp(-h / e[table.MEMORY_TIME])
+    if e[table.DWELL_GROWTH] != 0.0:
+        # The joint counts as at rest, on bristles too, if it is slower than a hundredth of the
+        # Stribeck speed.
+        if speed < 0.01 * p[OMEGA_SF]:
+            wanted = e[table.DWELL_GROWTH]
+            x[GROWN] = wanted + (x[GROWN] - wanted) * math.exp(-h / e[table.DWELL_TIME])
+        else:
+            x[GROWN] *= math.exp(-speed * h / _RENEWAL_RAD)
+    if e[ACCELERATION_DRAG] != 0.0:
+        share = 1.0 - math.exp(-h / _SMOOTHED_S)
+        x[ACCELERATION] += share * ((omega - before) / h - x[ACCELERATION])

@@ -10,8 +10,15 @@ import math
 import numpy as np
 
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.friction import WORK_SIZE, level, step_bristles, step_slipping
-from drivers.mock.plant.effects.load import device_torque
+from drivers.mock.plant.effects.friction import (
+    WORK_SIZE,
+    device_torque,
+    level,
+    remember,
+    renew,
+    step_bristles,
+    step_slipping,
+)
 from drivers.mock.plant.effects.motor import (
     COPPER_PER_K,
     MAGNET_PER_K,
@@ -50,7 +57,6 @@ from drivers.mock.plant.effects.state import (
     TRAVEL,
     TWO_MASSES,
 )
-from drivers.mock.plant.effects.working import remember, renew
 from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
 from drivers.mock.plant.parts.friction import INERTIA
 from drivers.mock.plant.parts.loops import (

@@ -92,3 +92,41 @@ def step_velocity(
         ):  # Newton's method converges quadratically: the remaining error is below rounding.
             break
     return side * speed, 0.5 * h * (before + after), after
+
+
+@inlined
+def disc_beyond(radius: float, distance: float) -> float:
+    """Return the area of a disc on the far side of a line at this signed distance from its
+    centre.
+    """
+    t = min(max(distance / radius, -1.0), 1.0)
+    return radius * radius * (math.acos(t) - t * math.sqrt(1.0 - t * t))
+
+
+@inlined
+def lens(large: float, small: float, distance: float) -> float:
+    """Return the area common to two discs of these radii, ``large`` >= ``small``, with their
+    centres ``distance`` apart.
+    """
+    if distance >= large + small:
+        return 0.0
+    if distance <= large - small:
+        return math.pi * small * small
+    chord = 0.5 * (distance + (large * large - small * small) / distance)
+    return disc_beyond(large, chord) + disc_beyond(small, distance - chord)
+
+
+@inlined
+def throat_area(angle: float, arm: float, hole: float, opening: float, half_width: float) -> float:
+    """Return A_t, m^2, at a valve angle.
+
+    Args:
+        angle: Valve angle, rad; the areas do not depend on its sign.
+        arm: L1, m.
+        hole: Radius d/2, m.
+        opening: Radius D/2, m.
+        half_width: b/2, m; more than the hole's radius.
+    """
+    aside = arm * math.sin(abs(angle))
+    free = disc_beyond(opening, half_width - aside) + disc_beyond(opening, half_width + aside)
+    return free + lens(opening, hole, 2.0 * arm * math.sin(0.5 * abs(angle)))

@@ -9,7 +9,6 @@ process writes files, so that no file depends on the number or on the order of t
 
 from __future__ import annotations
 
-from rig.results.prove.engines.engine import Engine
-from rig.results.prove.engines.processes import Processes
+from rig.results.prove.engines.engine import Engine, Processes
 
 __all__ = ["Engine", "Processes"]

@@ -21,9 +21,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rig.common.allocation import keep_freed_memory
 from rig.common.errors import InputError
 from rig.common.provenance import sha256
+from rig.common.start_up import keep_freed_memory
 from rig.results.prove.engines.engine import DEATHS, Result, Task, died
 from rig.terminal.output import complain
 

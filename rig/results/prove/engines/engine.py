@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol, TypeVar
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from itertools import islice
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
+from typing import Any, NamedTuple, Protocol, TypeVar
 
+import rig
 from rig.common.errors import InputError
+from rig.common.places import is_file, read_bytes, replacing
+from rig.common.start_up import keep_freed_memory
+from rig.config.campaign import load_campaign
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -49,3 +63,243 @@ def died(what: str) -> InputError:
         f"{what}, perhaps for lack of memory; all finished work is kept: repeat the command with "
         f"this --out and with fewer --jobs or workers"
     )
+
+
+Files = Mapping[str, bytes]
+"""Contents of files by their paths relative to a folder, with slashes."""
+
+
+class Bundle(NamedTuple):
+    """A campaign with the files of its folder.
+
+    Attributes:
+        folder: Name of the folder.
+        campaign: Name of the campaign file in the folder.
+        files: All files in the folder.
+    """
+
+    folder: str
+    campaign: str
+    files: Files
+
+
+def read_folder(folder: Path) -> dict[str, bytes]:
+    """Return all files of a folder and of the folders in it, in order of their names.
+
+    Raises:
+        OSError: A file cannot be read.
+    """
+    found = sorted(f for f in folder.rglob("*") if is_file(f))
+    return {f.relative_to(folder).as_posix(): read_bytes(f) for f in found}
+
+
+def write_folder(folder: Path, files: Files) -> None:
+    """Write files into a folder, in their order, each by one rename.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            draft.write_bytes(content)
+
+
+def bundle(campaign: Path) -> Bundle:
+    """Return a campaign in the form in which it is sent to a worker on another machine.
+
+    Raises:
+        InputError: The campaign names files outside its folder, or a file cannot be read.
+    """
+    folder = campaign.parent
+    try:
+        named = [name for r in load_campaign(campaign).value.recordings for name in r.patterns]
+    except InputError:
+        named = []  # The worker reports the error as the result of this rig.
+    astray = [n for n in named if Path(n).is_absolute() or ".." in Path(n).parts]
+    if astray:
+        raise InputError(
+            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker "
+            f"on another machine cannot read the files; move these files into {folder}, or use "
+            f"--jobs"
+        )
+    try:
+        return Bundle(folder.name, campaign.name, read_folder(folder))
+    except OSError as error:
+        raise InputError(f"{error.filename}: cannot be read: {error.strerror}") from error
+
+
+@contextmanager
+def unpacked(given: Path | Bundle) -> Iterator[Path]:
+    """Yield the path of a campaign file; the files of a bundle are first written into a temporary
+    folder.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    if isinstance(given, Path):
+        yield given
+        return
+    with TemporaryDirectory(prefix="loadrig-") as scratch:
+        folder = Path(scratch) / given.folder
+        write_folder(folder, given.files)
+        yield folder / given.campaign
+
+
+def without_place(record: Any, folder: Path) -> Any:
+    """Return a record in which paths begin with the name of the folder, so that the bytes of the
+    record depend neither on the place of the folder nor on the place of this program.
+
+    Args:
+        record: Record of plain values.
+        folder: The folder.
+    """
+    places = {folder.parent, folder.parent.absolute(), folder.parent.resolve()} - {Path(".")}
+    homes = [str(p) for p in sorted(places, key=lambda p: -len(str(p)))]
+    homes.append(str(Path(rig.__file__).parents[1]))
+    pattern = re.compile("|".join(re.escape(home) + r"[/\\]" for home in homes))
+    return _changed(record, lambda text: pattern.sub("", text))
+
+
+def _changed(record: Any, change: Callable[[str], str]) -> Any:
+    if isinstance(record, str):
+        return change(record)
+    if isinstance(record, Mapping):
+        return {key: _changed(value, change) for key, value in record.items()}
+    if isinstance(record, list | tuple):
+        return [_changed(value, change) for value in record]
+    return record
+
+
+ORPHANED = 1
+"""Exit status of a worker whose parent has died."""
+AHEAD = 2
+"""Number of tasks per worker that are submitted at once."""
+
+
+class Processes(NamedTuple):
+    """Engine of processes on this machine.
+
+    Attributes:
+        jobs: Number of processes; with 1 the work is done in this process.
+    """
+
+    jobs: int
+
+    @property
+    def shares_files(self) -> bool:
+        """Return True: the workers can read the files of this process."""
+        return True
+
+    def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
+        """Yield results as they arrive; see :class:`rig.results.prove.engines.engine.Engine`."""
+        if self.jobs == 1:
+            yield from map(one, todo)
+            return
+        tasks, again, deaths = iter(todo), list[Task](), 0
+        while True:
+            waiting: dict[Future[Result], Task] = {}
+            try:
+                for result in self._until_broken(one, tasks, again, waiting):
+                    deaths = 0
+                    yield result
+                return
+            except BrokenProcessPool as error:
+                deaths += 1
+                if deaths == DEATHS:
+                    raise died(f"worker processes died {deaths} times without a result") from error
+                again = [*again, *waiting.values()]
+
+    def _until_broken(
+        self,
+        one: Callable[[Task], Result],
+        tasks: Iterator[Task],
+        again: list[Task],
+        waiting: dict[Future[Result], Task],
+    ) -> Iterator[Result]:
+        """Yield results until all tasks are done.
+
+        Args:
+            one: Function that does one task.
+            tasks: Tasks that were never submitted.
+            again: Tasks to submit first, which this function removes from the list.
+            waiting: Filled with the tasks that are submitted and have no result.
+
+        Raises:
+            BrokenProcessPool: A worker died.
+        """
+        with ProcessPoolExecutor(
+            self.jobs, mp_context=get_context("spawn"), initializer=begin_worker
+        ) as pool:
+            try:
+                while True:
+                    while len(waiting) < AHEAD * self.jobs:
+                        if not again:
+                            again.extend(islice(tasks, 1))
+                        if not again:
+                            break
+                        waiting[pool.submit(one, again[0])] = again[0]
+                        del again[0]
+                    if not waiting:
+                        return
+                    for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                        result = future.result()
+                        del waiting[future]
+                        yield result
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+
+def begin_worker() -> None:
+    """Set up a worker process with the settings that the command line gives its process."""
+    keep_freed_memory()
+    follow_parent()
+
+
+def follow_parent() -> None:
+    """End this worker when its parent ends, whatever signal ends the parent.
+
+    A worker that waits for work holds both ends of its queue, and therefore reads no end of file
+    when its parent ends.
+    """
+    Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None, "not a worker"
+    parent.join()
+    os._exit(ORPHANED)
+
+
+@contextmanager
+def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
+    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
+    end with the context.
+
+    Args:
+        jobs: Processes of this command.
+        workers: Workers of a local cluster, or None.
+        scheduler: Address of a scheduler, or None.
+
+    Raises:
+        InputError: More than one of the options is given, or the cluster cannot be used.
+    """
+    if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
+        raise InputError(
+            "--jobs, --cluster and --scheduler each choose an engine; give only one of these "
+            "options"
+        )
+    if workers is None and scheduler is None:
+        yield Processes(jobs)
+        return
+    # Imported late: the import of dask takes a second, and only these two options need dask.
+    from rig.results.prove.engines.cluster import local_cluster, remote_cluster
+
+    if workers is not None:
+        with local_cluster(workers) as cluster:
+            yield cluster
+    elif scheduler is not None:
+        with remote_cluster(scheduler) as cluster:
+            yield cluster

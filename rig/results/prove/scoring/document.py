@@ -6,11 +6,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from identification.plots.mismatch import confusion_matrix, power_curve
-from rig.common.result_files import Provenance
+from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
-from rig.results.document import Document, Note, Picture, Section, Table
+from rig.results.document import Document, Note, Picture, Section, Table, provenance_section
 from rig.results.prove.scoring.score import STRONG
-from rig.results.sections import provenance_section
 
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",

@@ -10,11 +10,213 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rig.results.run.page.envelope import Bins, in_columns
-from rig.results.run.page.time_axis import TimeAxis, nice, tick_label
+from identification.recording import Array
+
+Flags = NDArray[np.bool_]
+MOST_BINS = 8192
+"""Smallest number of bins after a reduction, which exceeds the number of columns of a screen."""
+
+
+class Bins(NamedTuple):
+    """Groups of neighbouring samples.
+
+    Attributes:
+        start: Time of each bin's first sample, s, shape (n,).
+        stop: Time of each bin's last sample, s, shape (n,).
+        low: Least value of each channel, shape (n, channels); NaN without a value.
+        high: Greatest value of each channel, shape (n, channels).
+        broken: Whether samples are missing before the bin, so that no line joins it to the bin
+            before it.
+    """
+
+    start: Array
+    stop: Array
+    low: Array
+    high: Array
+    broken: Flags
+
+    def part(self, first: float, last: float) -> Bins:
+        """Return the bins between two times, s."""
+        keep = (self.stop >= first) & (self.start <= last)
+        return Bins(
+            self.start[keep], self.stop[keep], self.low[keep], self.high[keep], self.broken[keep]
+        )
+
+
+def of_samples(time: Array, values: Array, broken: Flags) -> Bins:
+    """Return samples as bins of one sample each. ``values`` has shape (n, channels)."""
+    return Bins(time, time, values, values, broken)
+
+
+def joined(parts: Sequence[Bins]) -> Bins:
+    """Return consecutive sets of bins as one."""
+    return Bins(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+
+
+def merged(bins: Bins, starts: NDArray[np.intp]) -> Bins:
+    """Return the bins merged into groups that begin at the indices ``starts``, the first of which
+    is 0.
+    """
+    if not len(bins.start):
+        return bins
+    ends = np.append(starts[1:], len(bins.start)) - 1
+    return Bins(
+        bins.start[starts],
+        bins.stop[ends],
+        np.fmin.reduceat(bins.low, starts, axis=0),
+        np.fmax.reduceat(bins.high, starts, axis=0),
+        bins.broken[starts],
+    )
+
+
+def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
+    """Return the bins after merging those in the same column of a drawing.
+
+    Args:
+        bins: The bins to draw.
+        position: Where each bin begins, 0 at the left edge and 1 at the right, not falling, shape
+            (n,).
+        columns: Number of columns of the drawing.
+    """
+    if not len(bins.start):
+        return bins
+    column = np.floor(position * columns)
+    begins = np.append(True, np.diff(column) > 0.0) | bins.broken
+    return merged(bins, np.flatnonzero(begins))
+
+
+class Envelope:
+    """Reduces samples in order to a limited number of bins of about the same width.
+
+    Bins begin at multiples of the width, counted in samples. A recording with more gaps than bins
+    keeps one bin for the samples between two gaps.
+
+    Args:
+        most: Half of the largest number of bins.
+    """
+
+    def __init__(self, most: int = MOST_BINS) -> None:
+        self._most = most
+        self._width = 1
+        self._seen = 0
+        self._parts: list[tuple[Bins, NDArray[np.intp]]] = []
+        self._count = 0
+
+    def add(self, bins: Bins) -> None:
+        """Add the next samples, as bins of one sample each."""
+        index = np.arange(self._seen, self._seen + len(bins.start))
+        self._seen += len(index)
+        self._parts.append(self._reduced(bins, index))
+        self._count += len(self._parts[-1][1])
+        while self._count > 2 * self._most:
+            before = self._count
+            self._width *= 2
+            self._join()
+            if self._count == before:
+                self._most *= 2
+
+    def bins(self) -> Bins | None:
+        """Return the reduced samples, or None if no samples were added."""
+        if not self._count:
+            return None
+        self._join()
+        return self._parts[0][0]
+
+    def _join(self) -> None:
+        bins = joined([part for part, _ in self._parts])
+        reduced = self._reduced(bins, np.concatenate([index for _, index in self._parts]))
+        self._parts, self._count = [reduced], len(reduced[1])
+
+    def _reduced(self, bins: Bins, index: NDArray[np.intp]) -> tuple[Bins, NDArray[np.intp]]:
+        """Return the bins merged to the present width; ``index`` is the number of the first sample
+        of each bin.
+        """
+        begins = np.diff(index // self._width, prepend=-1) > 0
+        starts = np.flatnonzero(begins | bins.broken)
+        return merged(bins, starts), index[starts]
+
+
+_NICE = (1.0, 2.0, 5.0, 10.0)
+
+
+class TimeAxis:
+    """Maps a time to a position on the page. Long pauses with the drive off are shortened.
+
+    Args:
+        powered: Time intervals drawn to scale, s, in order.
+        clock: Name of the clock of these times; empty for no name on the axis.
+
+    Attributes:
+        clock: Name of the clock.
+    """
+
+    _PAUSE = 0.02
+    """Width of a shortened pause."""
+
+    def __init__(self, powered: Sequence[tuple[float, float]], clock: str = "") -> None:
+        self.clock = clock
+        joined = [powered[0]]
+        longest = 0.02 * sum(stop - start for start, stop in powered)
+        for start, stop in powered[1:]:
+            if start - joined[-1][1] > longest:
+                joined.append((start, stop))
+            else:
+                joined[-1] = (joined[-1][0], stop)
+        self.pauses = [(before[1], after[0]) for before, after in pairwise(joined)]
+        pause = min(self._PAUSE, 0.2 / max(len(self.pauses), 1))
+        total = max(sum(stop - start for start, stop in joined), 1e-9)
+        scale = (1.0 - pause * len(self.pauses)) / total
+        times, places, at = [], [], 0.0
+        for start, stop in joined:
+            times += [start, stop]
+            places += [at, at + scale * (stop - start)]
+            at = places[-1] + pause
+        self._times, self._places, self._joined, self._total = times, places, joined, total
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return self._times[0], self._times[-1]
+
+    def place(self, time: Array) -> Array:
+        """Return the positions of times, 0 at the left edge and 1 at the right."""
+        return np.asarray(np.interp(time, self._times, self._places))
+
+    def at(self, time: float) -> float:
+        """Return the position of one time."""
+        return float(self.place(np.array([time]))[0])
+
+    def ticks(self) -> Iterator[tuple[float, str]]:
+        """Yield positions and labels of the ticks, spaced widely enough for a telephone."""
+        step = nice(self._total / 5.0)
+        last = -1.0
+        for start, stop in self._joined:
+            for k in range(math.ceil(start / step - 1e-9), math.floor(stop / step + 1e-9) + 1):
+                place = self.at(k * step)
+                if place - last >= 0.12:
+                    yield place, tick_label(k * step, step)
+                    last = place
+
+
+def nice(rough: float) -> float:
+    """Return the next number that is 1, 2 or 5 times a power of ten."""
+    if not rough > 0.0 or not math.isfinite(rough):
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(rough))
+    return next(power * nice for nice in _NICE if power * nice >= rough * (1.0 - 1e-9))
+
+
+def tick_label(value: float, step: float) -> str:
+    """Return the label of a tick, with the digits needed for the tick spacing."""
+    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    return f"{value:z.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"
+
 
 COLUMNS = 1000
 """Number of columns of a curve; each shows the minimum and maximum of its samples."""

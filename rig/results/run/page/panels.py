@@ -11,8 +11,7 @@ import numpy as np
 from rig.control.safety import Check
 from rig.planning.limits import Limits
 from rig.results.run.page.channels import NAMES, STATES
-from rig.results.run.page.chart import Bound, Chart, Curve
-from rig.results.run.page.envelope import Bins
+from rig.results.run.page.chart import Bins, Bound, Chart, Curve
 from rig.results.run.page.limits import Step
 
 DEG = math.degrees(1.0)

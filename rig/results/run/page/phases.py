@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.common.phase import Phase
+from rig.common.sample import Phase
 from rig.planning.plan import HOLD_S
 from rig.results.run.page.channels import ENABLED, NAMES, Derived
 from rig.runs.run_record import Ending, RunRecord, SegmentRecord

@@ -14,14 +14,11 @@ import numpy as np
 
 from rig.control.safety import Check
 from rig.results.run.page import panels
-from rig.results.run.page.channels import NAMES
-from rig.results.run.page.chart import Chart, Mark, Shade, draw
+from rig.results.run.page.channels import NAMES, Traces, read_traces
+from rig.results.run.page.chart import Bins, Chart, Mark, Shade, TimeAxis, draw, of_samples
 from rig.results.run.page.clock_words import SIMULATED, axis_words, clock_of, not_late_words
-from rig.results.run.page.envelope import Bins, of_samples
 from rig.results.run.page.limits import Attachments, Step, limit_steps, read_attachments
 from rig.results.run.page.phases import BRAKING, Moment, Span, moment_of, spans, with_braking
-from rig.results.run.page.time_axis import TimeAxis
-from rig.results.run.page.traces import Traces, read_traces
 from rig.runs.run_file import recorded_bench
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord
 

@@ -1,35 +1,247 @@
-"""Judges sealed rigs from any simulator: diagnoses all rigs first, then opens all truths."""
+"""Sealed rigs as plain files: any simulator can write sealed rigs; this package diagnoses the rigs,
+opens their truths and scores the diagnoses.
+"""
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from rig.common.errors import InputError
-from rig.common.input_files import is_file, read_json
-from rig.common.places import write_json
+from rig.common.places import is_file, read_json, write_json
+from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
+from rig.results.prove.draw import Assigned, assignment, draw
 from rig.results.prove.engines import Engine
-from rig.results.prove.engines.bundle import Bundle, bundle, unpacked, without_place
-from rig.results.prove.interchange.folder import SealedRig, sealed_rigs
+from rig.results.prove.engines.engine import (
+    Bundle,
+    Files,
+    bundle,
+    read_folder,
+    unpacked,
+    without_place,
+    write_folder,
+)
+from rig.results.prove.excitation import experiments
+from rig.results.prove.generate import truth_of
 from rig.results.prove.judge import Judge, Judgement
-from rig.results.prove.located import REFUSED
-from rig.results.prove.row import VERSION, row_of
+from rig.results.prove.row import REFUSED, VERSION, row_of
 from rig.results.prove.run import (
     DIAGNOSES,
     PROOF_FILE,
     REPEATED,
     ROWS,
+    TIMES,
+    check_sums,
     diagnosis_seed,
     seals_begun,
+    timed_row,
+    without_times,
+    write_sums,
 )
-from rig.results.prove.seal import unseal
-from rig.results.prove.sums import check_sums, write_sums
-from rig.results.prove.times import TIMES, timed_row, without_times
-from rig.results.prove.truth import Truth
+from rig.results.prove.simulate import CAMPAIGN_FILE, campaign, reference_of, strength, write
+from rig.results.prove.truth import Truth, random_salt, seal, strangers, unseal
+
+SEALED = "sealed"
+REFERENCE = ".reference"
+SUFFIXES = (".yaml", ".yml", ".json")
+PREFIX = "rig-"
+"""Name of a rig's folder if the file of its truth is named by a number, as ``rig prove`` writes
+it.
+"""
+
+
+class SealedRig(NamedTuple):
+    """One rig of a folder of sealed rigs.
+
+    Attributes:
+        name: Name of the rig's folder.
+        campaign: Campaign file.
+        truth: File of the truth.
+        reference: Campaign file of the rig without its effects; this file need not exist.
+        digest: SHA-256 of the truth's file.
+    """
+
+    name: str
+    campaign: Path
+    truth: Path
+    reference: Path
+    digest: str = ""
+
+
+def place(home: Path, name: str) -> SealedRig:
+    """Return the paths of the files of the sealed rig with this name."""
+    sealed = home / SEALED
+    return SealedRig(
+        name,
+        home / name / CAMPAIGN_FILE,
+        sealed / f"{name}.json",
+        sealed / f"{name}{REFERENCE}" / CAMPAIGN_FILE,
+    )
+
+
+def sealed_rigs(home: Path) -> list[SealedRig]:
+    """Return the rigs of a folder in order of their names, with the digests of their truths.
+
+    Raises:
+        InputError: The folder has no rigs, or a truth cannot be read.
+    """
+    found = list(_found(home))
+    if not found:
+        raise InputError(
+            f"{home}: no NAME/{CAMPAIGN_FILE} with a {SEALED}/NAME.yaml or {SEALED}/NAME.json; "
+            f"give --from a folder of sealed rigs (docs/guides/worlds.md)"
+        )
+    return found
+
+
+def _found(home: Path) -> Iterator[SealedRig]:
+    for truth in sorted((home / SEALED).glob("*")):
+        if truth.suffix not in SUFFIXES or truth.name.startswith("."):
+            continue
+        for name in (truth.stem, PREFIX + truth.stem):
+            rig = place(home, name)
+            if is_file(rig.campaign):
+                try:
+                    yield rig._replace(truth=truth, digest=sha256_file(truth))
+                except OSError as error:
+                    raise InputError(f"{truth}: cannot be read: {error.strerror}") from error
+                break
+
+
+def write_truth(where: SealedRig, truth: Mapping[str, Any], salt: str) -> None:
+    """Write the truth of a rig with a salt.
+
+    Raises:
+        OSError: The truth cannot be written.
+    """
+    where.truth.parent.mkdir(parents=True, exist_ok=True)
+    content = {"truth": 1, "rig": where.name, "outside": strangers(truth["effects"]), **truth}
+    seal(where.truth, content, salt)
+
+
+class Task(NamedTuple):
+    """One rig to make.
+
+    Attributes:
+        number: Number of the rig, from 1.
+        assigned: Kind and effects.
+        salt: Salt of the seal.
+    """
+
+    number: int
+    assigned: Assigned
+    salt: str
+
+
+class Made(NamedTuple):
+    """One rig that was made.
+
+    Attributes:
+        name: Name of the rig.
+        files: Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
+    """
+
+    name: str
+    files: Files
+
+
+def seal_all(
+    home: Path,
+    drawn: Sequence[tuple[int, Assigned]],
+    one: Callable[[Task], Made],
+    engine: Engine,
+    progress: Callable[[str, float], None],
+    salt: Callable[[int], str] = random_salt,
+) -> list[SealedRig]:
+    """Make and write the rigs that do not exist yet; return all rigs with their digests.
+
+    Args:
+        home: Folder of the sealed rigs.
+        drawn: Number, kind and effects of each rig.
+        one: Makes one rig; with more than one worker it must be importable.
+        engine: Engine that makes the rigs.
+        progress: Called with the label of a step and the share that is done.
+        salt: Function that returns the salt of the rig with a number; random by default.
+
+    Raises:
+        InputError: Workers die repeatedly.
+        OSError: A file cannot be written.
+    """
+    todo = [
+        Task(n, assigned, salt(n))
+        for n, assigned in drawn
+        if not is_file(place(home, _name(n)).truth)
+    ]
+    done = len(drawn) - len(todo)
+    for rig in engine.each(one, todo):
+        write_folder(home, rig.files)
+        done += 1
+        progress(f"{rig.name} sealed, {done} of {len(drawn)}", done / len(drawn))
+    write_sums(home)
+    return sealed_rigs(home)
+
+
+@contextmanager
+def making(number: int) -> Iterator[SealedRig]:
+    """Yield the paths of a rig in a temporary folder."""
+    with TemporaryDirectory(prefix="loadrig-") as scratch:
+        yield place(Path(scratch), _name(number))
+
+
+def made(where: SealedRig) -> Made:
+    """Return the files of a rig that was written into a temporary folder."""
+    files = read_folder(where.campaign.parents[1])
+    truth = f"{SEALED}/{where.truth.name}"
+    return Made(where.name, {**{k: v for k, v in files.items() if k != truth}, truth: files[truth]})
+
+
+def _name(number: int) -> str:
+    return f"{PREFIX}{number:04d}"
+
+
+def seal_own(
+    home: Path, rigs: int, seed: int, engine: Engine, progress: Callable[[str, float], None]
+) -> list[SealedRig]:
+    """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
+
+    Trials that exist already are kept, so that a call that was stopped can be repeated.
+
+    Args:
+        home: Folder of the sealed rigs.
+        rigs: Number of trials.
+        seed: Seed of the draws.
+        engine: Engine that does the work on the trials.
+        progress: Called with the label of a step and the share that is done.
+
+    Raises:
+        InputError: Workers die repeatedly.
+        OSError: A file cannot be written.
+    """
+    drawn = list(enumerate(assignment(rigs, seed), start=1))
+    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress)
+
+
+def _seal(task: Task, seed: int) -> Made:
+    """Simulate and seal one trial in a temporary folder."""
+    with making(task.number) as where:
+        rig = draw(*task.assigned, (seed, task.number))
+        plan = experiments(rig.gravity)
+        recorded = campaign(rig, plan)
+        write(where.campaign.parent, rig.machine, recorded)
+        truth: dict[str, Any] = truth_of(rig)
+        if rig.machine.effects:
+            reference = reference_of(rig, plan)
+            write(where.reference.parent, rig.machine, reference)
+            truth["strength"] = strength(recorded, reference)
+        write_truth(where, truth, task.salt)
+        return made(where)
+
 
 JUDGEMENTS = "judgements"
 Oracle = Callable[[Path, Sequence[str]], Mapping[str, Any] | None]
