@@ -10,7 +10,7 @@ import pytest
 from identification.recording import Bench, Dataset, Recording
 from rig.cli.entry import status
 from rig.runs.run import read_record
-from rig.weighing.load_change import FEWEST_STROKES, LEAST_SHARE, changed_loads
+from rig.weighing.load_change import FEWEST_HALF_CYCLES, LEAST_SHARE, changed_loads
 
 from ..long.load_change import trials
 
@@ -117,6 +117,6 @@ def test_a_steady_drift_is_no_alarm(drift: float) -> None:
     assert changed_loads(Dataset((friction(0.0, drift=drift),)), ["loaded"]) == {}
 
 
-def test_too_few_strokes_are_not_judged() -> None:
-    seconds = FEWEST_STROKES - 1.0
+def test_too_few_half_cycles_are_not_judged() -> None:
+    seconds = FEWEST_HALF_CYCLES - 1.0
     assert changed_loads(Dataset((friction(-20.0, seconds),)), ["loaded"]) == {}
