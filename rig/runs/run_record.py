@@ -66,6 +66,11 @@ class StageRecord:
     load_change_kg: float | None = None
 
     @property
+    def outcome(self) -> str:
+        """The state, with a change of the load."""
+        return self.state if self.load_change_kg is None else f"{self.state}, load changed"
+
+    @property
     def mass_kg(self) -> float:
         """The confirmed mass or, before a confirmation, the planned mass, kg."""
         return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg

@@ -274,12 +274,13 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
 
 def _weighing(name: str, mass: float, change: Change, reference: Reference | None) -> Weighing:
     least = "" if reference is not None else "at least "
+    side = "less" if change.mass_kg < 0 else "more"
     words = (
         f"stage {name}: the load changed during the stage: from half cycle {change.half_cycle} "
-        f"of {change.half_cycles} on ({change.recording}, {change.time_s:.1f} s), the friction "
-        f"is that of {least}{abs(change.mass_kg):.2g} kg {'less' if change.mass_kg < 0 else 'more'} than "
-        f"before; {mass:g} kg were confirmed; look whether the weight fell, was taken off or "
-        f"touches something, and repeat the stage"
+        f"of {change.half_cycles} on ({change.recording}, {change.time_s:.1f} s), the friction is "
+        f"that of {least}{abs(change.mass_kg):.2g} kg {side} than before; {mass:g} kg were "
+        f"confirmed; look whether the weight fell, was taken off or touches something, and repeat "
+        f"the stage"
     )
     return Weighing(
         name, mass, Verdict.WRONG, max(0.0, mass + change.mass_kg), change.sigma_kg, words
