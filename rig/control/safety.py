@@ -13,6 +13,7 @@ from enum import Enum
 
 from rig.common.sample import Sample
 from rig.planning.limits import GasLimits, Limits
+from rig.planning.predicted_load import LESS_ANYWHERE
 from rig.wiring.runaway import SIGNS
 
 RUNNING_MASK = 0x6F
@@ -73,8 +74,22 @@ AGAIN = ", then run again"
 """End of a remedy after which the run can be repeated without other changes."""
 
 
-def remedy(check: Check) -> str:
-    """Return the remedy of a trip, which the operator must apply before the next motion."""
+def remedy(
+    check: Check, predicted: float | None = None, limit: float = math.inf, unit: str = ""
+) -> str:
+    """Return the remedy of a trip, which the operator must apply before the next motion.
+
+    Args:
+        check: The check that failed.
+        predicted: Peak that was predicted before the run, in ``unit``; None without a prediction.
+        limit: The limit that was exceeded.
+        unit: Unit of ``predicted`` and ``limit``.
+    """
+    if predicted is not None and predicted > limit:
+        return (
+            f"the plan predicts a peak of {predicted:.4g} {unit}, which is above this limit: "
+            f"{LESS_ANYWHERE}"
+        )
     return _REMEDY[check].removesuffix(AGAIN)
 
 

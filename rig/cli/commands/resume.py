@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +23,9 @@ from rig.control.progress import RunProgress
 from rig.control.remote import observed, reachable
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import Feedforward, load_feedforward
+from rig.planning.friction_model import friction_model
 from rig.planning.plan import Plan, make_plan
+from rig.planning.predicted_load import PredictedLoad
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
 from rig.runs.resume import prepare, stopped_words
@@ -94,6 +95,13 @@ def command(
     feedforward = _feedforward(run, record, constants)
     seed = record.seed + len(record.parts)  # each recording gets its own noise
     reset = reset_fault or resumed.died
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
+    left = replace(plan, stages=plan.stages[first_unfinished(record) or 0 :])
+    source = None if feedforward is None else Path(feedforward.source)
+    model = friction_model(constants, identification or source)
+    load = PredictedLoad.of(left, resumed.bench.value, model)
+    load.require_within(resumed.sequence)
     inputs = Inputs(
         resumed.bench,
         resumed.sequence,
@@ -105,11 +113,9 @@ def command(
         feedforward,
         record,
         given or recorded_acceptance(run, record),
+        load,
     )
-    low = True if first_pass is None and identification else first_pass
-    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
-    left = plan.stages[first_unfinished(record) or 0 :]
-    require_space(run, dataclasses.replace(plan, stages=left).cycles)
+    require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     status = _carry_out(inputs, plan, run, yes, in_console, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status

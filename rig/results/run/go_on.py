@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
 
@@ -30,9 +31,10 @@ def first_words(record: RunRecord) -> list[str]:
     the run's message states already; empty if none are known.
     """
     words = [] if record.de_energised else [NOT_READ_BACK]
-    check = _tripped(record)
-    if check is not None and remedy(check) not in record.message:
-        words.append(remedy(check))
+    check, trip = _tripped(record), record.trip or {}
+    found = "" if check is None else remedy(check, *map(trip.get, ("predicted", "limit", "unit")))
+    if found not in record.message:
+        words.append(found)
     elif _in_fault(record):
         words.append("remove the cause of the drive's fault")
     return words
@@ -40,7 +42,9 @@ def first_words(record: RunRecord) -> list[str]:
 
 def go_on_notes(record: RunRecord) -> list[str]:
     """Return further notes on continuing the run."""
-    return [NEW_RUN] if _tripped(record) in _BY_FILE else []
+    trip = record.trip or {}
+    foreseen = (trip.get("predicted") or 0.0) > trip.get("limit", math.inf)
+    return [NEW_RUN] if foreseen or _tripped(record) in _BY_FILE else []
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
