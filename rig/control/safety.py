@@ -70,12 +70,20 @@ _REMEDY = {
     Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 
+AGAINST = f"the joint moves against the command: {SIGNS}"
+"""Remedy of a trip that a drive of the wrong sign has caused."""
+MOVED = frozenset({Check.ANGLE, Check.SPEED, Check.CURRENT, Check.TORQUE, Check.FOLLOWING_ERROR})
+"""Trips by the motion of the joint."""
 AGAIN = ", then run again"
 """End of a remedy after which the run can be repeated without other changes."""
 
 
 def remedy(
-    check: Check, predicted: float | None = None, limit: float = math.inf, unit: str = ""
+    check: Check,
+    predicted: float | None = None,
+    limit: float = math.inf,
+    unit: str = "",
+    against: bool = False,
 ) -> str:
     """Return the remedy of a trip, which the operator must apply before the next motion.
 
@@ -84,7 +92,10 @@ def remedy(
         predicted: Peak that was predicted before the run, in ``unit``; None without a prediction.
         limit: The limit that was exceeded.
         unit: Unit of ``predicted`` and ``limit``.
+        against: Whether the joint has moved against the command.
     """
+    if against:
+        return AGAINST
     if predicted is not None and predicted > limit:
         return (
             f"the plan predicts a peak of {predicted:.4g} {unit}, which is above this limit: "
@@ -103,6 +114,7 @@ class Trip:
         limit: The limit that was exceeded.
         unit: Unit of ``value`` and ``limit``.
         time: Time of the sample since the start of the run, s.
+        against: Whether the joint has moved against the command.
     """
 
     check: Check
@@ -110,11 +122,12 @@ class Trip:
     limit: float
     unit: str
     time: float
+    against: bool = False
 
     @property
     def message(self) -> str:
         """Message with value, limit, unit, time and remedy."""
-        return f"{self.event}; {_REMEDY[self.check]}"
+        return f"{self.event}; {AGAINST if self.against else _REMEDY[self.check]}"
 
     @property
     def event(self) -> str:

@@ -410,10 +410,11 @@ def _trip_record(trip: Trip, load: PredictedLoad | None, sequencer: Sequencer) -
     predicted = peak and {Check.CURRENT: peak.current_A, Check.TORQUE: peak.torque_N_m}.get(
         trip.check
     )
+    words = remedy(trip.check, predicted, trip.limit, trip.unit, trip.against)
     return {
         **dataclasses.asdict(trip),
         "check": trip.check.value,
         "value": trip.value if math.isfinite(trip.value) else None,
         "predicted": predicted,
-        "message": f"{trip.event}; {remedy(trip.check, predicted, trip.limit, trip.unit)}",
+        "message": f"{trip.event}; {words}",
     }

@@ -185,8 +185,8 @@ class RunRecord:
         warnings: Warnings that were shown to the operator.
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
         message: How the run ended, as text.
-        trip: The limit that was violated: check, value, limit, unit, time, and the peak that was
-            predicted for it (torque and current; else None).
+        trip: The limit that was violated: check, value, limit, unit, time; whether the joint moved
+            against the command; and the predicted peak of torque or current, else None.
         de_energised: Whether state, current and motion showed at the end that the drive is off.
         drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
             unknown.

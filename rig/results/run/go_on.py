@@ -32,7 +32,11 @@ def first_words(record: RunRecord) -> list[str]:
     """
     words = [] if record.de_energised else [NOT_READ_BACK]
     check, trip = _tripped(record), record.trip or {}
-    found = "" if check is None else remedy(check, *map(trip.get, ("predicted", "limit", "unit")))
+    found = (
+        ""
+        if check is None
+        else remedy(check, *map(trip.get, ("predicted", "limit", "unit", "against")))
+    )
     if found not in record.message:
         words.append(found)
     elif _in_fault(record):
