@@ -26,6 +26,7 @@ from rig.commissioning.patch import patched
 from rig.commissioning.setup import FASTEST_DEG_S, Setup
 from rig.common.errors import StorageError
 from rig.config.bench import load_bench
+from rig.config.serial_bus import NO_WATCHDOG
 from rig.control.cycle import Cycle
 from rig.control.motion_words import Change
 from rig.runs.mcap.reader import read_run
@@ -172,6 +173,24 @@ def test_a_wrong_sign_is_found_on_every_kind_of_drive(
     assert words in last["words"]
     assert true.peak_deg_s < 0.5 * FASTEST_DEG_S
     assert true.travel_deg < SMALL_DEG
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_what_nothing_protects_is_said_once_at_the_start(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    watched: bool,
+) -> None:
+    """A corrected value connects the bench a second time."""
+    monkeypatch.chdir(tmp_path)
+    alone = () if watched else (("servo: {node: 1", "servo: {stops_alone: false, node: 1"),)
+    variant(tmp_path, *SLOW, *alone)
+    ended, record = commissioned("--angle", "0", "--mistake", "zero_off")
+    assert (ended, len(record["sessions"])) == (0, 2)
+    told = capsys.readouterr()
+    assert told.err.count(NO_WATCHDOG) == (not watched)
+    assert NO_WATCHDOG not in told.out
 
 
 def test_a_right_bench_goes_through_all_steps(
