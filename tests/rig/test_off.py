@@ -23,7 +23,7 @@ from rig.runs.run_file import read_record
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
-from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, OffProof
+from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, WINDOW_S, OffProof
 from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
 
@@ -139,9 +139,14 @@ def test_a_decaying_current_is_waited_for() -> None:
     assert drive.now < 0.2
 
 
-@pytest.mark.parametrize("phase", [n / 20 for n in range(20) if n != 9])
-def test_a_joint_that_swings_does_not_rest_at_its_turning_points(phase: float) -> None:
-    drive = Drive(angle=lambda t: math.radians(5.0) * math.sin(math.pi * (2.0 * t + phase)))
+@pytest.mark.parametrize("frequency_Hz", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("phase", [n / 40 for n in range(80)])
+def test_a_joint_that_swings_does_not_rest_at_its_turning_points(
+    phase: float, frequency_Hz: float
+) -> None:
+    drive = Drive(
+        angle=lambda t: math.radians(5.0) * math.sin(math.pi * (2.0 * frequency_Hz * t + phase))
+    )
     off = proof_of(drive)
     for patience_s in (PATIENCE_S, 0.0, 0.0, 0.0):
         proof = off.prove(patience_s=patience_s)
@@ -149,6 +154,19 @@ def test_a_joint_that_swings_does_not_rest_at_its_turning_points(phase: float) -
         assert "the joint moves" in proof.doubt
     drive.angle = lambda t: 0.0
     assert off.prove().off
+
+
+@pytest.mark.parametrize(("counts", "windows"), [(0, 1), (2, 1), (3, 2)])
+def test_only_a_joint_that_leaves_its_resolution_is_observed_for_longer(
+    counts: int, windows: int
+) -> None:
+    def angle(t: float) -> float:
+        return counts * STEP_RAD * float(t > 0.02)
+
+    drive = Drive(lambda t: math.nan, current_step_A=math.nan, read_s=0.0)
+    off = proof_of(drive, Encoder(drive, angle))
+    assert off.prove().off
+    assert windows * WINDOW_S <= drive.now < windows * WINDOW_S + 0.011
 
 
 def test_a_coasting_joint_is_waited_for_with_the_current_that_it_generates() -> None:
