@@ -65,12 +65,15 @@ class Proof:
         motion_rad_s: Speed of the joint in the window, by the encoder that moved faster; None if no
             encoder gave an angle.
         doubt: Why the drive does not count as off; empty if it is off.
+        joint_read: Whether the joint encoder gave the angles of the window; None if it was not
+            observed.
     """
 
     state: ServoState | None
     current_A: float | None = None
     motion_rad_s: float | None = None
     doubt: str = ""
+    joint_read: bool | None = None
 
     @property
     def off(self) -> bool:
@@ -90,6 +93,7 @@ class Proof:
             "current_A": self.current_A,
             "motion_rad_s": self.motion_rad_s,
             "doubt": self.doubt,
+            "joint_read": self.joint_read,
         }
 
 
@@ -98,14 +102,15 @@ def energised_doubt(state: ServoState) -> str:
     return f"the drive is in {state.value!r}; it must be de-energised"
 
 
-def seen_words(current_A: float | None, motion_rad_s: float | None) -> str:
+def seen_words(current_A: float | None, motion_rad_s: float | None, joint_read: bool | None) -> str:
     """Return current and motion of a drive that is off as words that end a sentence; empty if
     neither was observed.
     """
     if motion_rad_s is None:
         return ""
     current = "current not reported" if current_A is None else f"{abs(current_A):.2f} A"
-    return f", {current}, joint at rest"
+    by = " by the motor alone, because the joint encoder could not be read"
+    return f", {current}, joint at rest{by if joint_read is False else ''}"
 
 
 @dataclass
@@ -255,7 +260,8 @@ class OffProof:
         speeds = [_speed(angles, slack) for angles, slack in self._angles(window)]
         motion = max((speed for speed in speeds if speed is not None), default=None)
         current = _stated(window.currents, self.zero_A or 0.0)
-        return Proof(state, current, motion, self._doubt(state, current, motion, window))
+        read = None if self._encoder is None else len(window.joint) >= LEAST_READINGS
+        return Proof(state, current, motion, self._doubt(state, current, motion, window), read)
 
     def _angles(self, window: _Window) -> list[tuple[list[tuple[float, float]], float]]:
         """Return times and joint angles of the window by each encoder, and the change of the angle

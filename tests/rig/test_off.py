@@ -342,6 +342,7 @@ def test_check_of_a_sound_bench_says_what_was_seen(here: Path) -> None:
         "state": "switch on disabled",
         "current_A": 0.0,
         "motion_rad_s": 0.0,
+        "joint_read": True,
         "doubt": "",
     }
 
