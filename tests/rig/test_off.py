@@ -14,7 +14,7 @@ import pytest
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import Measuring, ServoReadings, ServoState
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import Reading, SimulatedMachine
 from rig.cli.aftermath import status_of
 from rig.cli.entry import status
 from rig.config.bench import load_bench
@@ -26,6 +26,8 @@ from rig.wiring.connect import connect
 from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, WINDOW_S, OffProof
 from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
+
+from .benches import variant
 
 RATED_A = 10.0
 STEP_RAD = 1e-4
@@ -332,6 +334,40 @@ def test_check_refuses_it(here: Path, live: None, capsys: pytest.CaptureFixture[
     assert abs(found["off"]["current_A"]) > 0.3 or found["off"]["motion_rad_s"] > 0.01
     assert found["causes"] == ["a drive that is not proved off"]
     assert "do not touch the weights" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["practical", "practical_serial"])
+@pytest.mark.parametrize(
+    ("offset_A", "stated_A", "code"),
+    [(0.2, 0.0, 0), (0.6, 0.0, 4), (0.6, 0.6, 0), (-0.6, -0.6, 0), (0.6, 0.25, 4)],
+)
+def test_an_offset_of_the_current_sensor_can_be_stated(
+    here: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    offset_A: float,
+    stated_A: float,
+    code: int,
+) -> None:
+    """The limit is 2 % of the rated 15 A about the stated offset."""
+    latch = SimulatedMachine.latch
+
+    def biased(self: SimulatedMachine) -> Reading:
+        found = latch(self)
+        return found._replace(current_A=found.current_A + offset_A)
+
+    monkeypatch.setattr(SimulatedMachine, "latch", biased)
+    stated = ("servo: {node: 1", f"servo: {{current_offset_A: {stated_A}, node: 1")
+    variant(here, stated, source=kind)
+    assert status(["check", "bench.yaml", "--json", "check.json"]) == code
+    off = json.loads(Path("check.json").read_text())["off"]
+    assert off["off"] is (code == 0)
+    assert off["current_A"] == pytest.approx(offset_A - stated_A, abs=0.03)
+
+
+def test_a_live_power_stage_is_found_with_a_stated_offset(here: Path, live: None) -> None:
+    variant(here, ("servo: {node: 1", "servo: {current_offset_A: 0.2, node: 1"))
+    assert status(["check", "bench.yaml"]) == 4
 
 
 def test_check_of_a_sound_bench_says_what_was_seen(here: Path) -> None:
