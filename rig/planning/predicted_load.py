@@ -6,6 +6,7 @@ Friction and load follow eq. 9 to 13.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -239,6 +240,27 @@ def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionMod
     return float(
         max(np.max(np.abs(following)), np.max(static + np.abs(inertia[starts]), initial=0.0))
     )
+
+
+def breakaway_speed(stiffness_N_m_rad: float, command_rad_s: float, model: FrictionModel) -> float:
+    """Return the greatest speed, rad/s, of an unloaded joint after it has broken away under a drive
+    whose torque grows slowly with the position error.
+
+    Relative to the command, the joint is a damped oscillator of inertia, stiffness of the position
+    loop and viscous friction, which starts with the speed of the command and is accelerated by the
+    difference of static and sliding friction.
+
+    Args:
+        stiffness_N_m_rad: Joint torque per position error.
+        command_rad_s: Speed of the command.
+        model: Friction and inertia of the bench.
+    """
+    inertia, damping = model.values["J"], model.values["sigma_2"]
+    drop = model.values["Ms"] - model.values["Mc"]
+    natural = math.sqrt(stiffness_N_m_rad * inertia)
+    ratio = min(0.5 * damping / natural, 0.999)
+    decay = math.exp(-ratio * math.acos(ratio) / math.sqrt(1.0 - ratio**2))
+    return command_rad_s + decay * math.hypot(command_rad_s, max(0.0, drop) / natural)
 
 
 def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:

@@ -383,3 +383,22 @@ def test_a_recording_that_fails_takes_the_power_off_first(
     shown = capsys.readouterr().err
     assert "storage error: disk full" in shown
     assert "the drive is de-energised (read back: switch on disabled)" in shown
+
+
+@pytest.mark.parametrize("limit_deg_s", [None, 28.0, 30.0])
+def test_soft_gains_are_refused_before_the_motion_with_the_limit_that_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_deg_s: float | None
+) -> None:
+    """The joint breaks away at up to 30 deg/s, also by its samples."""
+    monkeypatch.chdir(tmp_path)
+    variant(tmp_path, source="practical_soft")
+    given = () if limit_deg_s is None else ("--speed-limit", str(limit_deg_s))
+    ended, record = commissioned("--angle", "0", *given)
+    last = record["sessions"][-1][-1]
+    if limit_deg_s == 30.0:
+        assert (ended, last["name"], last["verdict"]) == (0, "large move", "good")
+        return
+    assert (ended, last["name"], last["verdict"]) == (1, "small move", "wrong")
+    assert "nothing was moved: the gains of the drive are low (407 N m/rad)" in last["words"]
+    assert "--speed-limit 30, or raise the gains" in last["words"]
+    assert fastest_deg_s(100.0) == 0.0
