@@ -24,8 +24,8 @@ from rig.wiring.bench_text import bench_line
 ENDS_S: Final = 0.7
 """Time for the present attempt after the second Ctrl-C, s."""
 GOES_ON: Final = (
-    "`rig off` goes on: the drive is NOT proved off yet; a second Ctrl-C ends `rig off` without "
-    "this proof"
+    "the drive is NOT proved off yet: `rig off` goes on taking the power off; a second Ctrl-C ends "
+    "`rig off` without this proof"
 )
 _LOOK_S: Final = 0.05
 

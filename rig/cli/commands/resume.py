@@ -117,7 +117,7 @@ def command(
     )
     require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
-    status = _carry_out(inputs, plan, run, yes, in_console, json_file)
+    status = _carry_out(inputs, plan, left.duration_s, run, yes, in_console, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
@@ -128,12 +128,16 @@ def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Fee
 
 
 def _carry_out(
-    inputs: Inputs, plan: Plan, run: Path, yes: bool, in_console: bool, json_file: Path | None
+    inputs: Inputs,
+    plan: Plan,
+    left_s: float,
+    run: Path,
+    yes: bool,
+    in_console: bool,
+    json_file: Path | None,
 ) -> int:
     """Connect, continue in the run's folder, and report the outcome; return the exit status."""
     bench = inputs.bench
-    first = 0 if inputs.resumed is None else first_unfinished(inputs.resumed) or 0
-    left = replace(plan, stages=plan.stages[first:])
     screen = Screen()
     screen.silence()
     with (
@@ -153,7 +157,7 @@ def _carry_out(
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
             operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
-            with RunProgress(plan.cycle_s, left.duration_s, screen) as progress:
+            with RunProgress(plan.cycle_s, left_s, screen) as progress:
                 devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, inputs.reference, json_file, screen)
