@@ -89,6 +89,25 @@ def test_a_slow_motion_against_the_command_names_the_sign(
     assert (SIGNS in message.partition("after the order to brake")[0]) is (loop is not None)
 
 
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_fault_of_the_drive_in_a_motion_against_the_command_names_the_sign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop
+) -> None:
+    """The drive finds its following error before the next cycle of the program."""
+    watch_machines(monkeypatch, loop)
+    bench = variant(
+        tmp_path,
+        ("cycle_Hz: 1000", "cycle_Hz: 100"),
+        ("sample_age_ms: 5", "sample_age_ms: 50"),
+        ("following_error_deg: 2", "following_error_deg: 0.1"),
+    )
+    file = tmp_path / "jog.json"
+    assert status(["jog", str(bench), "--to", "5", "--json", str(file)]) == 4
+    message = json.loads(file.read_text())["message"]
+    assert message.startswith("drive fault 8611h")
+    assert SIGNS in message
+
+
 @pytest.mark.parametrize(("command", "bench"), MOST)
 def test_loops_of_the_right_sign_are_not_cut(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, bench: str
