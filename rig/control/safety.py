@@ -8,8 +8,11 @@ emergency stop.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from types import MappingProxyType
+from typing import Any
 
 from rig.common.sample import Sample
 from rig.planning.limits import GasLimits, Limits
@@ -78,30 +81,26 @@ AGAIN = ", then run again"
 """End of a remedy after which the run can be repeated without other changes."""
 
 
-def remedy(
-    check: Check,
-    predicted: float | None = None,
-    limit: float = math.inf,
-    unit: str = "",
-    against: bool = False,
-) -> str:
+def remedy(check: Check, trip: Mapping[str, Any] = MappingProxyType({})) -> str:
     """Return the remedy of a trip, which the operator must apply before the next motion.
 
     Args:
         check: The check that failed.
-        predicted: Peak that was predicted before the run, in ``unit``; None without a prediction.
-        limit: The limit that was exceeded.
-        unit: Unit of ``predicted`` and ``limit``.
-        against: Whether the joint has moved against the command.
+        trip: Record of the trip in ``run.json``.
     """
-    if against:
+    if trip.get("against"):
         return AGAINST
-    if predicted is not None and predicted > limit:
+    if foreseen(trip):
         return (
-            f"the plan predicts a peak of {predicted:.4g} {unit}, which is above this limit: "
-            f"{LESS_ANYWHERE}"
+            f"the plan predicts a peak of {trip['predicted']:.4g} {trip['unit']}, which is above "
+            f"this limit: {LESS_ANYWHERE}"
         )
     return _REMEDY[check].removesuffix(AGAIN)
+
+
+def foreseen(trip: Mapping[str, Any]) -> bool:
+    """Return whether the peak that was predicted before the run is above the limit that tripped."""
+    return bool((trip.get("predicted") or 0.0) > trip.get("limit", math.inf))
 
 
 @dataclass(frozen=True, slots=True)

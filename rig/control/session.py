@@ -407,14 +407,10 @@ def _trip_record(trip: Trip, load: PredictedLoad | None, sequencer: Sequencer) -
     """Return the record of a trip, with the peak that was predicted for this part of the stage."""
     part = FIRST_PASS if sequencer.phase is Phase.FIRST_PASS else "stage"
     peak = None if load is None else load.peak(sequencer.stage, part)
-    predicted = peak and {Check.CURRENT: peak.current_A, Check.TORQUE: peak.torque_N_m}.get(
-        trip.check
-    )
-    words = remedy(trip.check, predicted, trip.limit, trip.unit, trip.against)
-    return {
-        **dataclasses.asdict(trip),
+    peaks = {} if peak is None else {Check.CURRENT: peak.current_A, Check.TORQUE: peak.torque_N_m}
+    found = dataclasses.asdict(trip) | {
         "check": trip.check.value,
         "value": trip.value if math.isfinite(trip.value) else None,
-        "predicted": predicted,
-        "message": f"{trip.event}; {words}",
+        "predicted": peaks.get(trip.check),
     }
+    return {**found, "message": f"{trip.event}; {remedy(trip.check, found)}"}

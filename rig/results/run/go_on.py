@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from pathlib import Path
 
 from drivers.interfaces import ServoState
-from rig.control.safety import Check, remedy
+from rig.control.safety import Check, foreseen, remedy
 from rig.runs.run_record import Ending, RunRecord
 from rig.wiring.preflight import RESET_HINT
 
@@ -32,11 +31,7 @@ def first_words(record: RunRecord) -> list[str]:
     """
     words = [] if record.de_energised else [NOT_READ_BACK]
     check, trip = _tripped(record), record.trip or {}
-    found = (
-        ""
-        if check is None
-        else remedy(check, *map(trip.get, ("predicted", "limit", "unit", "against")))
-    )
+    found = "" if check is None else remedy(check, trip)
     if found not in record.message:
         words.append(found)
     elif _in_fault(record):
@@ -46,9 +41,7 @@ def first_words(record: RunRecord) -> list[str]:
 
 def go_on_notes(record: RunRecord) -> list[str]:
     """Return further notes on continuing the run."""
-    trip = record.trip or {}
-    foreseen = (trip.get("predicted") or 0.0) > trip.get("limit", math.inf)
-    return [NEW_RUN] if foreseen or _tripped(record) in _BY_FILE else []
+    return [NEW_RUN] if foreseen(record.trip or {}) or _tripped(record) in _BY_FILE else []
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
