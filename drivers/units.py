@@ -30,6 +30,7 @@ class ServoScales:
         sign: 1 if positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
         current_sign: -1 if the drive's current has the opposite sign of its torque, else 1.
+        current_offset_A: Current that the drive reports without current, after both signs.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch and 607Fh, or None for one count per
             second.
         acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah,
@@ -62,6 +63,7 @@ class ServoScales:
     sign: int = 1
     offset_rad: float = 0.0
     current_sign: int = 1
+    current_offset_A: float = 0.0
     velocity_unit_rad_s: float | None = None
     acceleration_unit_rad_s2: float | None = None
     voltage_object: ObjectAddress | None = None
@@ -114,6 +116,10 @@ class ServoScales:
                 raise ConfigurationError(
                     f"{name} is {getattr(self, name)}, but must be 1 or -1: correct the bench file"
                 )
+
+    def current_A(self, value: float, unit_A: float) -> float:
+        """Return the motor current, A, of a value of the drive in units of ``unit_A``."""
+        return value * unit_A * self.sign * self.current_sign - self.current_offset_A
 
     @cached_property
     def motor_rad_per_count(self) -> float:

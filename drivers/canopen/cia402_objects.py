@@ -307,7 +307,7 @@ class CyclicValues:
             self._change(position)
             if sent.speed is None
             else values[at[sent.speed]] * scales.joint_speed_unit_rad_s * scales.sign,
-            values[at[sent.current]] * sent.current_unit_A * scales.sign * scales.current_sign,
+            scales.current_A(values[at[sent.current]], sent.current_unit_A),
             values[at.get(sent.voltage, _NOT_SENT)] * scales.voltage_unit_V * scales.sign,
             values[at.get(sent.supply, _NOT_SENT)] * scales.supply_unit_V,
             values[at.get(sent.temperature, _NOT_SENT)] * scales.temperature_unit_C,
@@ -357,7 +357,7 @@ def glance(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> ServoR
     current = _read_or_nan(channel, sent.current)
     return ServoReadings(
         counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-        current_A=current * sent.current_unit_A * scales.sign * scales.current_sign,
+        current_A=scales.current_A(current, sent.current_unit_A),
     )
 
 

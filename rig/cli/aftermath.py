@@ -117,15 +117,7 @@ def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
 
 def _tell(folder: RunFolder, screen: Screen, gone: bool) -> None:
     record = folder.record
-    rows = [
-        [
-            s.name,
-            s.stage,
-            f"{s.weight_kg:g}",
-            s.state if s.load_change_kg is None else f"{s.state}, load changed",
-        ]
-        for s in record.stages
-    ]
+    rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.outcome] for s in record.stages]
     screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
     part = record.parts[-1]
     clock = "in simulated time: " if record.simulated and not record.realtime else ""

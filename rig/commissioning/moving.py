@@ -11,10 +11,12 @@ from drivers.clock import NS
 from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoState
 from rig.commissioning.record import SkippedError, StepRecord, WrongError
-from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.commissioning.setup import FASTEST_DEG_S, SPEED_SHARE, Setup
 from rig.control.cycle import TripError
 from rig.control.motion_proof import RATIO_TOLERANCE, MotionWitness
 from rig.control.safety import Check
+from rig.planning.predicted_load import breakaway_speed, friction_model
+from rig.runs.run import bench_constants
 from rig.wiring.braking import brake
 from rig.wiring.steps import Steps
 
@@ -30,6 +32,8 @@ SMALL_DEG: Final = 0.5
 LARGE_DEG: Final = 5.0
 GROWTH: Final = 2.0
 SLOW_DEG_S: Final = 1.0
+MARGIN: Final = 1.2
+"""Ratio of a limit of the speed that would do to the predicted speed."""
 LARGE_TOLERANCE: Final = 0.02
 """Relative difference of the encoders' travels that is allowed in the large move."""
 
@@ -109,8 +113,10 @@ def small_move(setup: Setup, step: StepRecord) -> None:
     further.
 
     Raises:
-        WrongError: Units, signs, ratio or constants are wrong.
+        WrongError: Units, signs, ratio or constants are wrong, or the joint would exceed the limit
+            of the speed.
     """
+    _require_slow(setup)
     size = SMALL_DEG
     while True:
         if _move(setup, step, size, SLOW_DEG_S * size / SMALL_DEG, RATIO_TOLERANCE):
@@ -122,6 +128,31 @@ def small_move(setup: Setup, step: StepRecord) -> None:
                 "free, and the gains of the drive"
             )
     step.words = "units, signs and ratio agree"
+
+
+def _require_slow(setup: Setup) -> None:
+    """Predict the speed at which a joint breaks away under soft gains.
+
+    Raises:
+        WrongError: The speed is above the limit, and a higher limit is permitted.
+    """
+    stiffness, limits = setup.stiffness_N_m_rad, setup.limits
+    model = friction_model(bench_constants(setup.bench))
+    stuck = (stiffness or 0.0) * math.radians(SMALL_DEG)
+    if stiffness is None or not 0.0 < stuck < model.values["Ms"] < limits.torque:
+        return  # the joint moves, or is another than that of the friction
+    command = math.radians(0.5 * FASTEST_DEG_S)
+    speed = math.degrees(breakaway_speed(stiffness, command, model))
+    limit, most = math.degrees(limits.speed), SPEED_SHARE * setup.bench.limits.speed_deg_s
+    if limit < min(speed, most):
+        wanted = min(math.ceil(MARGIN * speed), most)
+        enough = "" if speed < most else ", which may not be enough"
+        raise WrongError(
+            f"nothing was moved: the gains of the drive are low ({stiffness:.3g} N m/rad), so that "
+            f"the joint would break away at up to {speed:.3g} deg/s, above the limit of "
+            f"{limit:.3g} deg/s; give --speed-limit {wanted:g}{enough}, or raise the gains "
+            f"(predicted from {model.source})"
+        )
 
 
 def large_move(setup: Setup, step: StepRecord) -> None:

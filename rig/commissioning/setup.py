@@ -206,6 +206,8 @@ class Setup:
         steps: Records of the steps so far.
         home: The requested homing, or None.
         true_deg: True joint angle as given by the operator, or None if unknown.
+        stiffness_N_m_rad: Joint torque per position error of a drive that did not move the joint
+            within the small travel of the step `signs`; else None.
     """
 
     bench: Bench
@@ -220,6 +222,7 @@ class Setup:
     steps: list[StepRecord] = field(default_factory=list)
     home: HomeRequest | None = None
     true_deg: float | None = None
+    stiffness_N_m_rad: float | None = None
 
     @classmethod
     def of(

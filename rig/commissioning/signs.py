@@ -44,6 +44,8 @@ class _Push:
         moved: 1 or -1, the direction of the motion by the motor encoder; 0 without a motion.
         joint: The same by the joint encoder.
         current_A: Sum of the currents in the direction of the command.
+        last_A: The last of these currents.
+        way_rad: Commanded travel.
     """
 
     def __init__(self, setup: Setup, side: int) -> None:
@@ -54,6 +56,7 @@ class _Push:
         steps = self._servo.limit_steps()
         self._counts = [(0.0 if steps is None else steps.angle_rad) or math.inf, math.inf]
         self.side, self.moved, self.joint, self.current_A = side, 0, 0, 0.0
+        self.last_A = self.way_rad = 0.0
 
     def _look(self) -> tuple[float, float]:
         """Return the angles of motor and joint encoder, rad, and note the least change of each."""
@@ -70,7 +73,8 @@ class _Push:
 
     def take(self, _: object = None) -> None:
         """Take a sample of the command."""
-        self.current_A += self.side * self._servo.sample().current_A
+        self.last_A = self.side * self._servo.sample().current_A
+        self.current_A += self.last_A
         found = [
             direction(angle, before, COUNTS * count)
             for angle, before, count in zip(
@@ -141,7 +145,12 @@ def signs(setup: Setup, step: StepRecord) -> None:
                     push = _push(setup, side, share)
                 if push.ended:
                     moved[side] = push
-    step.measure("current limit that moves the joint", share * setup.wanted.current_A, "A")
+    if not moved:
+        torque = push.last_A * setup.limits.torque_per_ampere
+        setup.stiffness_N_m_rad = torque / push.way_rad
+        step.measure("stiffness of the position loop", setup.stiffness_N_m_rad, "N m/rad")
+    else:
+        step.measure("current limit that moves the joint", share * setup.wanted.current_A, "A")
     if len(moved) < 2:
         raise SkippedError(
             f"the joint does not move within {SMALL_DEG:g} deg at the low limit of the current: "
@@ -199,6 +208,7 @@ def _push(setup: Setup, side: int, share: float) -> _Push:
         rest = [here] * max(1, round(REST_S / bench.cycle_s))
         cycle.follow(rest, 0, "signs", push.rest)
         end = here + side * min(math.radians(SMALL_DEG), 0.5 * setup.limits.following_error)
+        push.way_rad = abs(end - here)
         course = approach(here, end, math.radians(SLOW_DEG_S), bench.cycle_s).tolist()
         try:
             cycle.follow(push.targets(course + [end] * len(rest)), 0, "signs", push.take)

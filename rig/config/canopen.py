@@ -82,6 +82,10 @@ class ServoSection(Schema):
         offset_deg: Joint angle at which the drive's position reads zero.
         current_sign: -1 if the drive reports a negative current while it drives its own count up,
             else 1.
+        current_offset_A: Current that `rig check` shows while the main supply of the drive is off
+            and only its electronics have power, subtracted from every current. A sensor needs this
+            key whose zero is wrong by more than 2 % of the rated current, because the program
+            otherwise cannot prove that the drive is off; the key hides a real current of this size.
         rated_current_A: Rated motor current; the unit of the drive's current objects is a
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
@@ -137,6 +141,7 @@ class ServoSection(Schema):
     sign: Sign = 1
     offset_deg: float = 0.0
     current_sign: Sign = 1
+    current_offset_A: float = 0.0
     rated_current_A: Positive = 15.0
     rated_torque_N_m: Positive = 0.45
     velocity_unit: Literal["counts_per_s", "rpm"] | None = None

@@ -15,7 +15,7 @@ from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
 from rig.control.motion_proof import MotionWitness, SpeedWitness
-from rig.control.safety import Check, Latch, Trip, check, check_stage_time
+from rig.control.safety import AGAINST, MOVED, Check, Latch, Trip, check, check_stage_time
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
 from rig.wiring.braking import grown
@@ -224,9 +224,10 @@ class Cycle:
         try:
             self._follow(targets, segment, stage, keep, compensate)
         except DriveFault as fault:
-            # A drive that reads a limit in a wrong unit ends the motion by itself.
-            if self.units is not None:
-                fault.args = (f"{fault}{self.units.explanation()}",)
+            # A drive that reads a limit in a wrong unit ends the motion by itself, and so does a
+            # drive of a wrong sign.
+            words = "" if self.units is None else self.units.explanation()
+            fault.args = (f"{fault}{f'; {AGAINST}' * self._runaway.against}{words}",)
             raise
 
     def _follow(
@@ -260,7 +261,8 @@ class Cycle:
             if escapes or (trip is not None and self._runaway.leaves()):
                 self._cut(sample)
             if trip is not None:
-                trip = self._cause(trip)
+                against = trip.check in MOVED and self._runaway.against
+                trip = dataclasses.replace(self._cause(trip), against=against)
                 of = (trip.check is Check.SPEED, trip.check is Check.TORQUE)
                 raise TripError(trip, "" if units is None else units.explanation(*of))
             if self._witness is not None and self._witness.decided(sample):

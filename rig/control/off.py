@@ -11,6 +11,7 @@ the stop.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator
@@ -26,7 +27,7 @@ from rig.common.provenance import sha256_file, utc_now, versions
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import bench_limits
-from rig.wiring.connect import NO_BUS, bare_drive, bus_resources
+from rig.wiring.connect import NO_BUS, bare_bench, bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, stop
 from rig.wiring.off import OffProof
 from rig.wiring.teardown import SafeState
@@ -172,6 +173,7 @@ def make_off(
     clock: Clock | None = None,
     processes: Processes | None = None,
     patience_s: float = PATIENCE_S,
+    give_up: Callable[[], bool] = lambda: False,
 ) -> Off:
     """Make a bench safe: end the programs that use it, stop the drive, and prove that it is off.
 
@@ -184,6 +186,7 @@ def make_off(
         clock: Clock of this computer.
         processes: The processes of this computer.
         patience_s: Time for attempts to reach a drive that does not answer, s.
+        give_up: Whether to end after the present attempt, without waiting for the end of a ramp.
 
     Raises:
         InputError: The bench has no bus, or its drive has no EDS or DBC file.
@@ -194,7 +197,8 @@ def make_off(
         raise InputError(document.problem(("bus",), NO_BUS))
     if bench.simulated:
         return Off(bench.name, document.path, True, None, (), 0, 0.0)
-    link, servo = bare_drive(document)
+    bare = bare_bench(document)
+    link, servo, encoder = bare.link, bare.servo, bare.encoder
     limits = bench_limits(bench)
     others = _Others(bench, say, clock, processes or Processes())
     with others.ended() as users:
@@ -203,20 +207,29 @@ def make_off(
             deed = stop(
                 servo,
                 link.clock,
-                link.open,
+                bare.open,
                 watched=link.has_watchdog,
                 patience_s=patience_s,
-                off=OffProof(servo, link.clock, None, limits.speed, limits.current),
+                off=OffProof(servo, link.clock, encoder, limits.speed, limits.current),
                 failed=lambda deed: (
                     say(f"{bench.name}: {deed.safe.message}; trying for {patience_s:g} s")
                     if deed.attempts == 1
                     else None
                 ),
+                give_up=give_up,
             )
         finally:
-            link.close()
+            bare.close()
     seconds = (clock.now_ns() - began_ns) / NS
-    return Off(bench.name, document.path, False, deed.safe, users, deed.attempts, seconds)
+    safe = deed.safe if encoder else dataclasses.replace(deed.safe, joint_read=False)
+    return Off(bench.name, document.path, False, safe, users, deed.attempts, seconds)
+
+
+def given_up(document: Document[Bench], seconds: float) -> Off:
+    """Return the result of a :func:`make_off` that the operator ended before its result."""
+    doubt = "the operator ended `rig off` before the drive was proved off"
+    safe = SafeState(False, "unknown", doubt=doubt)
+    return Off(document.value.name, document.path, False, safe, (), 0, seconds)
 
 
 class _Others:

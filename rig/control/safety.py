@@ -8,11 +8,15 @@ emergency stop.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from types import MappingProxyType
+from typing import Any
 
 from rig.common.sample import Sample
 from rig.planning.limits import GasLimits, Limits
+from rig.planning.predicted_load import LESS_ANYWHERE
 from rig.wiring.runaway import SIGNS
 
 RUNNING_MASK = 0x6F
@@ -69,13 +73,34 @@ _REMEDY = {
     Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 
+AGAINST = f"the joint moves against the command: {SIGNS}"
+"""Remedy of a trip that a drive of the wrong sign has caused."""
+MOVED = frozenset({Check.ANGLE, Check.SPEED, Check.CURRENT, Check.TORQUE, Check.FOLLOWING_ERROR})
+"""Trips by the motion of the joint."""
 AGAIN = ", then run again"
 """End of a remedy after which the run can be repeated without other changes."""
 
 
-def remedy(check: Check) -> str:
-    """Return the remedy of a trip, which the operator must apply before the next motion."""
+def remedy(check: Check, trip: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """Return the remedy of a trip, which the operator must apply before the next motion.
+
+    Args:
+        check: The check that failed.
+        trip: Record of the trip in ``run.json``.
+    """
+    if trip.get("against"):
+        return AGAINST
+    if foreseen(trip):
+        return (
+            f"the plan predicts a peak of {trip['predicted']:.4g} {trip['unit']}, which is above "
+            f"this limit: {LESS_ANYWHERE}"
+        )
     return _REMEDY[check].removesuffix(AGAIN)
+
+
+def foreseen(trip: Mapping[str, Any]) -> bool:
+    """Return whether the peak that was predicted before the run is above the limit that tripped."""
+    return bool((trip.get("predicted") or 0.0) > trip.get("limit", math.inf))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +113,7 @@ class Trip:
         limit: The limit that was exceeded.
         unit: Unit of ``value`` and ``limit``.
         time: Time of the sample since the start of the run, s.
+        against: Whether the joint has moved against the command.
     """
 
     check: Check
@@ -95,11 +121,12 @@ class Trip:
     limit: float
     unit: str
     time: float
+    against: bool = False
 
     @property
     def message(self) -> str:
         """Message with value, limit, unit, time and remedy."""
-        return f"{self.event}; {_REMEDY[self.check]}"
+        return f"{self.event}; {AGAINST if self.against else _REMEDY[self.check]}"
 
     @property
     def event(self) -> str:

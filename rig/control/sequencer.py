@@ -84,6 +84,11 @@ class Sequencer:
         """The control cycle, with its counters."""
         return self._cycle
 
+    @property
+    def stage(self) -> str:
+        """Name of the present stage."""
+        return self._handlers.stage.name
+
     def run(self) -> Outcome:
         """Run the plan until its end or the first stop, and bring the drive into a safe state.
 
@@ -138,7 +143,7 @@ class Sequencer:
                 # possible.
                 self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
                 if self._devices.observer is not None:
-                    self._devices.observer(self._handlers.stage.name, self.phase)
+                    self._devices.observer(self.stage, self.phase)
                 self.phase = next_phase(self.phase, self._handlers.handle(self.phase))
         except TripError as trip:
             ending = Ending.FAILED if trip.trip.check in _FAILURES else Ending.TRIPPED
@@ -174,7 +179,7 @@ class Sequencer:
         )
 
     def _where(self, message: str) -> str:
-        return f"stage {self._handlers.stage.name}, phase {self.phase.value}: {message}"
+        return f"stage {self.stage}, phase {self.phase.value}: {message}"
 
     def _note_end(self, outcome: Outcome) -> Outcome:
         """Write the ending into the recording, unless the recording itself failed."""

@@ -15,16 +15,18 @@ from drivers.clock import NS, RealClock
 from identification.recording import Dataset
 from rig.common.errors import InputError, StorageError
 from rig.common.provenance import sha256, sha256_file, utc_now, versions
-from rig.common.sample import Sample
+from rig.common.sample import Phase, Sample
 from rig.config.bench import Bench, calibration_records, overdue
 from rig.config.configuration import Document, redacted
 from rig.config.sequence import Sequence
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import AutomaticOperator, Operator
 from rig.control.phase_handlers import Console, StartingPoint
+from rig.control.safety import Check, Trip, remedy
 from rig.control.sequencer import Outcome, Sequencer
 from rig.planning.feedforward import Feedforward
 from rig.planning.plan import Plan, make_plan, stage_records
+from rig.planning.predicted_load import FIRST_PASS, PredictedLoad
 from rig.planning.reference import Reference
 from rig.runs.recorded_inputs import GivenFile, input_entry
 from rig.runs.recorder import GoneError, Recorder, open_recorder
@@ -75,6 +77,7 @@ class Inputs:
             for a new run.
         acceptance: File of the limits by which the complete run is judged, or None for the limits
             in the sequence file.
+        load: Predicted peaks of the stages to run, or None if nothing was predicted.
     """
 
     bench: Document[Bench]
@@ -87,6 +90,7 @@ class Inputs:
     feedforward: Feedforward | None = None
     resumed: RunRecord | None = None
     acceptance: GivenFile | None = None
+    load: PredictedLoad | None = None
 
     def files(self) -> dict[str, bytes]:
         """Return the contents of bench and sequence file, by the names of their attachments."""
@@ -174,7 +178,7 @@ def execute(
     record = _record_of(inputs, plan)
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
-    folder = RunFolder(path, record, _warn(plan, record, devices, operator))
+    folder = RunFolder(path, record, _warn(inputs, plan, record, devices, operator))
     folder.save()
     folder.reserve()
     if devices.guard is not None:
@@ -192,6 +196,8 @@ def execute(
             _starting_point(record, inputs.reset_fault),
         )
         outcome = sequencer.run()
+        if outcome.trip is not None:
+            record.trip = _trip_record(outcome.trip, inputs.load, sequencer)
         _count(record, part, sequencer.cycle)
     finally:
         outcome = _close(recorder, outcome)
@@ -203,9 +209,12 @@ def execute(
     return folder, outcome
 
 
-def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> frozenset[str]:
-    """Before the first prompt, show what nothing protects, and the limits that only this program
-    checks; store these messages once in the record, and return them.
+def _warn(
+    inputs: Inputs, plan: Plan, record: RunRecord, devices: Devices, operator: Operator
+) -> frozenset[str]:
+    """Before the first prompt, show what nothing protects, the limits that only this program
+    checks, and predicted peaks near or above their limits; store these messages once in the record,
+    and return them.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -213,6 +222,8 @@ def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -
     servo, told = devices.servo, unprotected(devices)
     if (words := only_here(servo, plan.servo_limits, servo.read_limits())) is not None:
         told.append(words)
+    if inputs.load is not None:
+        told += inputs.load.warnings
     for words in told:
         operator.tell(words)
         if words not in record.warnings:
@@ -396,15 +407,19 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
     record.stage_ended(record.state)
     record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
     record.drive = outcome.safe.record()
-    if outcome.trip is not None:
-        trip = outcome.trip
-        value = trip.value if math.isfinite(trip.value) else None
-        record.trip = {
-            **dataclasses.asdict(trip),
-            "check": trip.check.value,
-            "value": value,
-            "message": trip.message,
-        }
+
+
+def _trip_record(trip: Trip, load: PredictedLoad | None, sequencer: Sequencer) -> dict[str, Any]:
+    """Return the record of a trip, with the peak that was predicted for this part of the stage."""
+    part = FIRST_PASS if sequencer.phase is Phase.FIRST_PASS else "stage"
+    peak = None if load is None else load.peak(sequencer.stage, part)
+    peaks = {} if peak is None else {Check.CURRENT: peak.current_A, Check.TORQUE: peak.torque_N_m}
+    found = dataclasses.asdict(trip) | {
+        "check": trip.check.value,
+        "value": trip.value if math.isfinite(trip.value) else None,
+        "predicted": peaks.get(trip.check),
+    }
+    return {**found, "message": f"{trip.event}; {remedy(trip.check, found)}"}
 
 
 class _Unattended(AutomaticOperator):

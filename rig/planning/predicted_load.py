@@ -1,4 +1,5 @@
-"""Predicts peak torque and current of the stages of a plan from friction, load and inertia.
+"""Predicts peak torque and current of the stages of a plan from friction, load and inertia, and
+judges them before any motion.
 
 Friction and load follow eq. 9 to 13.
 """
@@ -19,7 +20,8 @@ from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError
 from rig.common.provenance import RESULT_FILE
 from rig.config.bench import Bench
-from rig.config.sequence import Array, approach
+from rig.config.configuration import Document
+from rig.config.sequence import Array, Sequence, approach
 from rig.planning.hot_fire import steady_force
 from rig.planning.limits import Limits
 from rig.planning.plan import Plan, PlannedStage
@@ -169,6 +171,15 @@ LOOP_S = 0.005
 """Time in which a drive with stiff gains follows a step of the commanded speed, s; with softer
 gains the torque is less.
 """
+FIRST_PASS = "first pass"
+LESS = "use less weight, or a slower or smaller motion"
+_HIGHER = "a greater limit_share of first_pass in the sequence"
+LESS_ANYWHERE = f"{LESS}; in a first pass, also {_HIGHER} helps"
+"""Remedy for a peak above its limit in a part of a stage that is not known."""
+_FROM_PAPER = (
+    "predicted from the paper's friction, which may differ from this bench's: run a small, slow "
+    "motion, `rig identify` it, then give --identification RESULT"
+)
 
 
 @dataclass(frozen=True)
@@ -207,6 +218,97 @@ class PredictedPeak:
         return max(self.torque_share, self.current_share)
 
 
+@dataclass(frozen=True)
+class PredictedLoad:
+    """The predicted peaks of a plan, and what they mean before the run.
+
+    Attributes:
+        plan: The plan.
+        model: Friction and inertia from which the peaks are predicted.
+        peaks: Predicted peaks in the order of the run.
+    """
+
+    plan: Plan
+    model: FrictionModel
+    peaks: list[PredictedPeak]
+
+    @classmethod
+    def of(cls, plan: Plan, bench: Bench, model: FrictionModel) -> PredictedLoad:
+        """Predict the peaks of a plan on a bench."""
+        return cls(plan, model, predicted_peaks(plan, bench, model))
+
+    @property
+    def problems(self) -> list[str]:
+        """Messages on peaks that are predicted from measured friction and exceed their limits."""
+        return [text for _, text in self._above_limits()]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Messages on peaks near their limits, and on peaks that are predicted from the paper's
+        friction and exceed their limits.
+        """
+        found: list[str] = []
+        for peak in self.peaks:
+            measured = self._measured(peak)
+            if peak.share > 1.0:
+                texts = [] if measured else list(_above(peak, 1.0, "above"))
+            else:
+                texts = list(_above(peak, WARNING_SHARE, f"more than {WARNING_SHARE:.0%} of"))
+            found += [text if measured else f"{text}; {_FROM_PAPER}" for text in texts]
+        return found
+
+    def require_within(self, sequence: Document[Sequence]) -> None:
+        """Refuse a run that would exceed its limits.
+
+        Raises:
+            InputError: A peak that is predicted from measured friction exceeds its limit.
+        """
+        names = [stage.name for stage in sequence.value.stages]
+        problems = [
+            sequence.problem(
+                ("stages", names.index(peak.stage), "name"),
+                f"{text}; predicted from {self.model.source}",
+            )
+            for peak, text in self._above_limits()
+        ]
+        if problems:
+            raise InputError(problems)
+
+    def peak(self, stage: str, part: str) -> PredictedPeak | None:
+        """Return the peak of a part of a stage, or None if it is not predicted."""
+        return next((p for p in self.peaks if (p.stage, p.part) == (stage, part)), None)
+
+    def _above_limits(self) -> Iterator[tuple[PredictedPeak, str]]:
+        for peak in self.peaks:
+            if self._measured(peak):
+                yield from ((peak, text) for text in _above(peak, 1.0, "above"))
+
+    def _measured(self, peak: PredictedPeak) -> bool:
+        """Return whether the friction of the stage of a peak was measured on this bench."""
+        loaded = any(
+            stage.weight_kg > 0.0 or stage.stage == "hot_fire"
+            for stage in self.plan.stages
+            if stage.name == peak.stage
+        )
+        return self.model.friction_measured(loaded)
+
+
+def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
+    first = peak.part == FIRST_PASS
+    where, less = (
+        (f"{peak.stage}, {peak.part}", f"{LESS}, or {_HIGHER}") if first else (peak.stage, LESS)
+    )
+    for name, value, limit, unit in (
+        ("torque", peak.torque_N_m, peak.torque_limit_N_m, "N m"),
+        ("current", peak.current_A, peak.current_limit_A, "A"),
+    ):
+        if value > share * limit:
+            yield (
+                f"{where}: predicted peak {name} {value:.4g} {unit} is {words} its limit "
+                f"{limit:.4g} {unit}; {less}"
+            )
+
+
 def predicted_peaks(plan: Plan, bench: Bench, model: FrictionModel) -> list[PredictedPeak]:
     """Return the predicted peaks of every stage and its first pass, in the order of the run."""
     return [peak for stage in plan.stages for peak in _peaks(stage, plan, bench, model)]
@@ -219,7 +321,7 @@ def _peaks(
     if stage.first_passes:
         low = stage.first_passes[0]
         torque = peak_torque(low.targets, plan.cycle_s, np.full(len(low.targets), moment), model)
-        yield _peak(stage.name, "first pass", torque, low.limits)
+        yield _peak(stage.name, FIRST_PASS, torque, low.limits)
     hot = stage.stage == "hot_fire"
     moments = (
         model.moment_arm_m * steady_force(stage.targets, bench)
@@ -281,6 +383,27 @@ def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionMod
     return float(
         max(np.max(np.abs(following)), np.max(static + np.abs(inertia[starts]), initial=0.0))
     )
+
+
+def breakaway_speed(stiffness_N_m_rad: float, command_rad_s: float, model: FrictionModel) -> float:
+    """Return the greatest speed, rad/s, of an unloaded joint after it has broken away under a drive
+    whose torque grows slowly with the position error.
+
+    Relative to the command, the joint is a damped oscillator of inertia, stiffness of the position
+    loop and viscous friction, which starts with the speed of the command and is accelerated by the
+    difference of static and sliding friction.
+
+    Args:
+        stiffness_N_m_rad: Joint torque per position error.
+        command_rad_s: Speed of the command.
+        model: Friction and inertia of the bench.
+    """
+    inertia, damping = model.values["J"], model.values["sigma_2"]
+    drop = model.values["Ms"] - model.values["Mc"]
+    natural = math.sqrt(stiffness_N_m_rad * inertia)
+    ratio = min(0.5 * damping / natural, 0.999)
+    decay = math.exp(-ratio * math.acos(ratio) / math.sqrt(1.0 - ratio**2))
+    return command_rad_s + decay * math.hypot(command_rad_s, max(0.0, drop) / natural)
 
 
 def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:

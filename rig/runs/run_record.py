@@ -66,6 +66,11 @@ class StageRecord:
     load_change_kg: float | None = None
 
     @property
+    def outcome(self) -> str:
+        """The state, with a change of the load."""
+        return self.state if self.load_change_kg is None else f"{self.state}, load changed"
+
+    @property
     def mass_kg(self) -> float:
         """The confirmed mass or, before a confirmation, the planned mass, kg."""
         return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
@@ -180,7 +185,8 @@ class RunRecord:
         warnings: Warnings that were shown to the operator.
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
         message: How the run ended, as text.
-        trip: The limit that was violated: check, value, limit, unit, time.
+        trip: The limit that was violated: check, value, limit, unit, time; whether the joint moved
+            against the command; and the predicted peak of torque or current, else None.
         de_energised: Whether state, current and motion showed at the end that the drive is off.
         drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
             unknown.

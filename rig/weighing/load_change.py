@@ -1,8 +1,8 @@
-"""Checks that the load of a stage was the same from its first to its last stroke.
+"""Checks that the load of a stage was the same from its first to its last half cycle.
 
-A stroke is the motion from one reversal of the command to the next. Work is compared and not
+A half cycle is the motion from one reversal of the command to the next. Work is compared and not
 torque, so that the work of the inertia cancels. A weight that is taken off or falls changes the
-friction of all later strokes at once; warming and wear change it gradually, which is no alarm.
+friction of all later half cycles at once; warming and wear change it gradually, which is no alarm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rig.weighing.label_check import joint_torque
 from rig.weighing.weight_check import TOLERANCE
 
 FALSE_ALARM = 1e-4
-"""Probability that strokes with independent normal errors and no change give an alarm."""
+"""Probability that half cycles with independent normal errors and no change give an alarm."""
 LEAST_SHARE = 2.0 * TOLERANCE
 """Smallest change of the load that must be detected, as a share of the mass."""
 BETTER = 3.0
@@ -32,14 +32,14 @@ BETTER = 3.0
 counts as a step.
 """
 SHORTEST_SHARE = 0.75
-"""Least distance of a stroke, as a share of the median distance; shorter strokes, as those of a
-fade-in, have other speeds.
+"""Least distance of a half cycle, as a share of the median distance; shorter half cycles, as those
+of a fade-in, have other speeds.
 """
-FEWEST_STROKES = 4
-"""Least number of strokes: with fewer, no stroke repeats another one before and after a change."""
+FEWEST_HALF_CYCLES = 4
+"""Least number of half cycles: with fewer, none repeats another one before and after a change."""
 WANTED_PIECES, MOST_PIECES = 24, 4
-"""Number of pieces into which the strokes of a stage are divided if they are few, and the greatest
-number of pieces of a stroke.
+"""Number of pieces into which the half cycles of a stage are divided if they are few, and the
+greatest number of pieces of a half cycle.
 """
 
 
@@ -51,17 +51,17 @@ class Change:
         mass_kg: Change of the mass, kg; negative if weight was taken off. Without a reference its
             magnitude is a lower bound, because the whole friction is then taken as that of the
             weight.
-        sigma_kg: Standard error of ``mass_kg`` by the scatter of the strokes.
-        stroke: Number of the stroke in which it happened, from 1.
-        strokes: Number of strokes.
-        time_s: Start of this stroke, since the start of the recording that contains it.
+        sigma_kg: Standard error of ``mass_kg`` by the scatter of the half cycles.
+        half_cycle: Number of the half cycle in which it happened, from 1.
+        half_cycles: Number of half cycles.
+        time_s: Start of this half cycle, since the start of the recording that contains it.
         recording: Name of this recording.
     """
 
     mass_kg: float
     sigma_kg: float
-    stroke: int
-    strokes: int
+    half_cycle: int
+    half_cycles: int
     time_s: float
     recording: str
 
@@ -77,8 +77,8 @@ def changed_loads(
         reference: Identification of the bench, or None.
 
     Returns:
-        The change, and a wrong weighing, by stage. A stage with fewer than :data:`FEWEST_STROKES`
-        equal strokes is not judged.
+        The change, and a wrong weighing, by stage. A stage with fewer than
+        :data:`FEWEST_HALF_CYCLES` equal half cycles is not judged.
     """
     found = {}
     for name in stages:
@@ -102,28 +102,28 @@ def load_change(
     recordings: Sequence[Recording], reference: Reference | None = None
 ) -> Change | None:
     """Return the significant change of the load in the recordings of one stage, or None."""
-    strokes = [stroke for recording in recordings for stroke in _strokes(recording)]
-    if not strokes:
+    halves = [half for recording in recordings for half in _half_cycles(recording)]
+    if not halves:
         return None
-    median = float(np.median([stroke.path for stroke in strokes]))
-    strokes = [stroke for stroke in strokes if stroke.path >= SHORTEST_SHARE * median]
-    if len(strokes) < FEWEST_STROKES:
+    median = float(np.median([half.path for half in halves]))
+    halves = [half for half in halves if half.path >= SHORTEST_SHARE * median]
+    if len(halves) < FEWEST_HALF_CYCLES:
         return None
-    count = max(1, min(MOST_PIECES, math.ceil(WANTED_PIECES / len(strokes))))
-    pieces = [piece for k, stroke in enumerate(strokes) for piece in stroke.pieces(k, count)]
+    count = max(1, min(MOST_PIECES, math.ceil(WANTED_PIECES / len(halves))))
+    pieces = [piece for k, half in enumerate(halves) for piece in half.pieces(k, count)]
     excess = _excess(pieces, recordings[0].weight_mass, reference)
     found = None if excess is None else _step(pieces, excess)
     if found is None:
         return None
     at, mass, sigma = found
-    stroke = strokes[pieces[at].stroke]
+    half = halves[pieces[at].half_cycle]
     return Change(
-        mass, sigma, pieces[at].stroke + 1, len(strokes), stroke.time_s, stroke.recording.name
+        mass, sigma, pieces[at].half_cycle + 1, len(halves), half.time_s, half.recording.name
     )
 
 
 @dataclass(frozen=True)
-class _Stroke:
+class _HalfCycle:
     """The motion between two reversals: samples ``first`` to ``last`` of a recording."""
 
     recording: Recording
@@ -144,7 +144,7 @@ class _Stroke:
         return float(time[self.first] - time[0])
 
     def pieces(self, number: int, count: int) -> Iterator[_Piece]:
-        """Yield the stroke in ``count`` pieces of equal distance."""
+        """Yield the half cycle in ``count`` pieces of equal distance."""
         travelled = self.travelled[self.first : self.last]
         ends = travelled[0] + self.path * np.arange(1, count) / count
         bounds = [0, *np.searchsorted(travelled, ends).tolist(), len(travelled)]
@@ -160,14 +160,14 @@ class _Stroke:
 
 
 class _Piece(NamedTuple):
-    """A part of a stroke. Pieces of one ``kind`` have one direction and one place in the stroke."""
+    """A part of a half cycle. Pieces of one ``kind`` have one direction and one place in it."""
 
     level: FrictionLevel
-    stroke: int
+    half_cycle: int
     kind: tuple[bool, int]
 
 
-def _strokes(recording: Recording) -> Iterator[_Stroke]:
+def _half_cycles(recording: Recording) -> Iterator[_HalfCycle]:
     command = recording.channels.get("command")
     if (
         command is None
@@ -184,7 +184,7 @@ def _strokes(recording: Recording) -> Iterator[_Stroke]:
     bounds = [0, *turns.tolist(), len(command)] if len(moving) else []
     forward = bool(way[0] > 0) if len(moving) else False
     for first, last in pairwise(bounds):
-        yield _Stroke(recording, travelled, first, last, forward)
+        yield _HalfCycle(recording, travelled, first, last, forward)
         forward = not forward
 
 
@@ -214,14 +214,14 @@ def _excess(pieces: Sequence[_Piece], mass: float, reference: Reference | None) 
 
 
 def _common(paths: Array, torques: Array, per_kg: Array) -> Array:
-    """Fit torques by a function of speed, common to all strokes, plus a load for each stroke, and
-    return the loads, kg, with mean zero.
+    """Fit torques by a function of speed, common to all half cycles, plus a load for each half
+    cycle, and return the loads, kg, with mean zero.
 
     Strokes that reach different speeds are compared at the speeds that they share.
 
     Args:
-        paths: Distances, rad, which are the weights, shape (strokes, bins).
-        torques: Friction torques, N m, shape (strokes, bins).
+        paths: Distances, rad, which are the weights, shape (half cycles, bins).
+        torques: Friction torques, N m, shape (half cycles, bins).
         per_kg: Friction torque of one kilogram, N m, shape (bins,).
     """
     # The common torque of each bin is eliminated: it is the mean of the bin for given loads.
@@ -237,10 +237,10 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
     """Fit a step at each piece in turn, beside the kinds' means, and return the best step: its
     piece, its size and its standard error, kg.
 
-    The piece itself is left out, because the load changed within it. A whole stroke is required on
-    both sides: the first and last strokes differ from the others on stick-slipping benches. The
-    result is None if the step is not significant, or if a smooth drift explains the loads nearly as
-    well.
+    The piece itself is left out, because the load changed within it. A whole half cycle is required
+    on both sides: the first and last half cycles differ from the others on stick-slipping benches.
+    The result is None if the step is not significant, or if a smooth drift explains the loads
+    nearly as well.
     """
     # Imported late: most runs have no loaded stage, and none waits for it before its end.
     from scipy.special import stdtrit
@@ -253,7 +253,7 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
     means = np.column_stack([[float(piece.kind == kind) for piece in pieces] for kind in kinds])
     freedom = count - len(kinds) - 2
     best, greatest = None, -float(stdtrit(freedom, 0.5 * FALSE_ALARM / count))
-    inside = [k for k, piece in enumerate(pieces) if 0 < piece.stroke < pieces[-1].stroke]
+    inside = [k for k, piece in enumerate(pieces) if 0 < piece.half_cycle < pieces[-1].half_cycle]
     for at in inside:
         left = place != place[at]
         step = (place > place[at]).astype(float)
@@ -274,12 +274,13 @@ def _step(pieces: Sequence[_Piece], excess: Array) -> tuple[int, float, float] |
 
 def _weighing(name: str, mass: float, change: Change, reference: Reference | None) -> Weighing:
     least = "" if reference is not None else "at least "
+    side = "less" if change.mass_kg < 0 else "more"
     words = (
-        f"stage {name}: the load changed during the stage: from stroke {change.stroke} of "
-        f"{change.strokes} on ({change.recording}, {change.time_s:.1f} s), the friction is that of "
-        f"{least}{abs(change.mass_kg):.2g} kg {'less' if change.mass_kg < 0 else 'more'} than "
-        f"before; {mass:g} kg were confirmed; look whether the weight fell, was taken off or "
-        f"touches something, and repeat the stage"
+        f"stage {name}: the load changed during the stage: from half cycle {change.half_cycle} "
+        f"of {change.half_cycles} on ({change.recording}, {change.time_s:.1f} s), the friction is "
+        f"that of {least}{abs(change.mass_kg):.2g} kg {side} than before; {mass:g} kg were "
+        f"confirmed; look whether the weight fell, was taken off or touches something, and repeat "
+        f"the stage"
     )
     return Weighing(
         name, mass, Verdict.WRONG, max(0.0, mass + change.mass_kg), change.sigma_kg, words

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -21,6 +21,7 @@ from drivers.clock import Clock, RealClock, Suspension
 from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
+from drivers.errors import DeviceError, LinkError
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import (
     SimulatedBench,
@@ -327,14 +328,60 @@ def _wire(
     return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
 
 
-def bare_drive(document: Document[Bench]) -> tuple[Link, Servo]:
-    """Return the drive of a real bench on a link that has not been opened, without its other
-    devices, which may be what failed; only to stop the drive. A port is opened even if another
-    program has locked it.
+@dataclass(frozen=True)
+class BareBench:
+    """Drive and joint encoder of a real bench, only to stop the drive and to prove that it is off.
+
+    Attributes:
+        link: Link of the drive, which has not been opened.
+        servo: The drive.
+        encoder: The joint encoder, or None if its EDS file cannot be read.
+    """
+
+    link: Link
+    servo: Servo
+    encoder: Encoder | None
+
+    def open(self) -> None:
+        """Open what is not open. An encoder whose own line cannot be opened fails when it is read.
+
+        Raises:
+            LinkError: The link of the drive cannot be opened.
+        """
+        self.link.open()
+        if isinstance(self.encoder, Amt21Encoder):
+            with suppress(LinkError):
+                self.encoder.line.open()
+
+    def close(self) -> None:
+        """Close link and line."""
+        self.link.close()
+        if isinstance(self.encoder, Amt21Encoder):
+            self.encoder.line.close()
+
+
+def bare_bench(document: Document[Bench]) -> BareBench:
+    """Return drive and joint encoder of a real bench without its other devices, which may be what
+    failed. The port of the drive is opened even if another program has locked it.
 
     Raises:
         InputError: The drive has no EDS or DBC file.
     """
+    bench = document.value
+    link, servo = _bare_drive(document)
+    encoder: Encoder | None = None
+    if isinstance(bench.encoder, Amt21Section):
+        middle, gear = bench.limits.middle_rad, bench.machine.gear_ratio
+        encoder = amt21_encoder(bench.encoder, middle, None, link.clock, servo, gear)
+    elif isinstance(link, CanopenLink):
+        with suppress(InputError, DeviceError):
+            node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
+            encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
+    return BareBench(link, servo, encoder)
+
+
+def _bare_drive(document: Document[Bench]) -> tuple[Link, Servo]:
+    """Return the drive of a real bench on a link that has not been opened."""
     bench = document.value
     bus, section = bench.bus, bench.servo
     assert bus is not None

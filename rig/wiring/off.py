@@ -24,10 +24,12 @@ LEAST_READINGS: Final = 8
 """Smallest number of readings of a window."""
 PATIENCE_S: Final = 2.0
 """Longest time, s, for which a joint may coast after the power went off."""
-STILL_WINDOWS: Final = 4
-"""Number of windows in succession in which a joint that was seen moving must rest; a joint that
-swings seems to rest in a window about its turning point.
+TURN_WINDOWS: Final = 2
+"""Number of windows in succession in which a joint must rest whose angle leaves its resolution: a
+joint that swings seems to rest in a window about its turning point, and moves in the next.
 """
+STILL_WINDOWS: Final = 4
+"""The same number for a joint that was seen moving."""
 DECAY_WINDOWS: Final = 3
 """Number of windows after which no current may flow in a motor at rest; the current of a winding
 decays with L/R, which is milliseconds.
@@ -63,12 +65,15 @@ class Proof:
         motion_rad_s: Speed of the joint in the window, by the encoder that moved faster; None if no
             encoder gave an angle.
         doubt: Why the drive does not count as off; empty if it is off.
+        joint_read: Whether the joint encoder gave the angles of the window; None if it was not
+            observed.
     """
 
     state: ServoState | None
     current_A: float | None = None
     motion_rad_s: float | None = None
     doubt: str = ""
+    joint_read: bool | None = None
 
     @property
     def off(self) -> bool:
@@ -88,6 +93,7 @@ class Proof:
             "current_A": self.current_A,
             "motion_rad_s": self.motion_rad_s,
             "doubt": self.doubt,
+            "joint_read": self.joint_read,
         }
 
 
@@ -96,14 +102,15 @@ def energised_doubt(state: ServoState) -> str:
     return f"the drive is in {state.value!r}; it must be de-energised"
 
 
-def seen_words(current_A: float | None, motion_rad_s: float | None) -> str:
+def seen_words(current_A: float | None, motion_rad_s: float | None, joint_read: bool | None) -> str:
     """Return current and motion of a drive that is off as words that end a sentence; empty if
     neither was observed.
     """
     if motion_rad_s is None:
         return ""
     current = "current not reported" if current_A is None else f"{abs(current_A):.2f} A"
-    return f", {current}, joint at rest"
+    by = " by the motor alone, because the joint encoder could not be read"
+    return f", {current}, joint at rest{by if joint_read is False else ''}"
 
 
 @dataclass
@@ -187,6 +194,8 @@ class OffProof:
         while True:
             window = self._window(steps)
             proof = self._judge(steps.state(self._servo), window)
+            if not self._unsettled and self._stirs(window):
+                self._unsettled = TURN_WINDOWS
             if proof.off and self._unsettled > 1:
                 # The last proof that was found states the motion.
                 self._unsettled -= 1
@@ -248,17 +257,30 @@ class OffProof:
         return not math.isnan(self._servo.measuring().current_step_A)
 
     def _judge(self, state: ServoState | None, window: _Window) -> Proof:
-        measuring = self._servo.measuring()
-        gear = measuring.gear_ratio
-        speeds = [
-            _speed([(at, angle / gear) for at, angle in window.motor], measuring.joint_step_rad)
-        ]
-        if self._encoder is not None:
-            speeds.append(_speed(window.joint, self._encoder.step_rad()))
-        known = [speed for speed in speeds if speed is not None]
-        motion = max(known, default=None)
+        speeds = [_speed(angles, slack) for angles, slack in self._angles(window)]
+        motion = max((speed for speed in speeds if speed is not None), default=None)
         current = _stated(window.currents, self.zero_A or 0.0)
-        return Proof(state, current, motion, self._doubt(state, current, motion, window))
+        read = None if self._encoder is None else len(window.joint) >= LEAST_READINGS
+        return Proof(state, current, motion, self._doubt(state, current, motion, window), read)
+
+    def _angles(self, window: _Window) -> list[tuple[list[tuple[float, float]], float]]:
+        """Return times and joint angles of the window by each encoder, and the change of the angle
+        that its resolution explains, rad.
+        """
+        measuring = self._servo.measuring()
+        motor = [(at, angle / measuring.gear_ratio) for at, angle in window.motor]
+        found = [(motor, measuring.joint_step_rad)]
+        if self._encoder is not None:
+            found.append((window.joint, self._encoder.step_rad()))
+        return [(angles, 0.0 if math.isnan(step) else STEPS * step) for angles, step in found]
+
+    def _stirs(self, window: _Window) -> bool:
+        """Return whether an angle has changed by more than the resolution of its encoder."""
+        return any(
+            max(angle for _, angle in angles) - min(angle for _, angle in angles) > slack
+            for angles, slack in self._angles(window)
+            if angles
+        )
 
     def _doubt(
         self, state: ServoState | None, current: float | None, motion: float | None, window: _Window
@@ -321,9 +343,9 @@ def _stated(currents: list[float], zero_A: float) -> float | None:
     return mean if abs(mean - zero_A) >= 0.5 * rms else rms
 
 
-def _speed(angles: list[tuple[float, float]], step_rad: float) -> float | None:
-    """Return the speed, rad/s, between the two halves of a window, less what the resolution of the
-    encoder explains; None if there are too few angles.
+def _speed(angles: list[tuple[float, float]], slack_rad: float) -> float | None:
+    """Return the speed, rad/s, between the two halves of a window, less the travel that the
+    resolution of the encoder explains; None if there are too few angles.
     """
     if len(angles) < LEAST_READINGS:
         return None
@@ -331,5 +353,4 @@ def _speed(angles: list[tuple[float, float]], step_rad: float) -> float | None:
     first, last = angles[:half], angles[-half:]
     moved = abs(fmean(x for _, x in last) - fmean(x for _, x in first))
     time_s = fmean(t for t, _ in last) - fmean(t for t, _ in first)
-    slack = 0.0 if math.isnan(step_rad) else STEPS * step_rad
-    return max(0.0, moved - slack) / time_s if time_s > 0.0 else None
+    return max(0.0, moved - slack_rad) / time_s if time_s > 0.0 else None

@@ -83,6 +83,7 @@ class Runaway:
         self._step_s = self._target_rad_s = self._fastest_rad_s = 0.0
         self._left = [math.inf] * 3
         self._off = [0.0] * 3
+        self._approach = 0.0
         self._speeds: deque[tuple[float, float, float]] = deque(maxlen=PAST)
         self._limits: tuple[float, ...] | None = None
         self._doubted: tuple[float, ...] = (0.0,) * 3
@@ -98,6 +99,9 @@ class Runaway:
         for at, moved in enumerate((drive, drive, joint)):
             if moved and math.isfinite(moved):
                 self._counts[at] = min(self._counts[at] or math.inf, abs(moved))
+        error = seen.target_rad + last.target_rad - seen.drive_rad - last.drive_rad
+        if math.isfinite(error * drive):
+            self._approach += 0.5 * error * drive
         now = seen.speed_rad_s, drive / step_s, joint / step_s
         self._speeds.append(now)
         low = min(last.target_rad, seen.target_rad)
@@ -122,6 +126,14 @@ class Runaway:
     def leaving(self) -> bool:
         """Whether the joint moves away from its target in the last sample."""
         return not all(map(math.isinf, self._left))
+
+    @property
+    def against(self) -> bool:
+        """Whether the joint moves away from its target, and has moved away from it rather than
+        towards it so far: the integral of the error over the travel, which is positive also of a
+        joint that overshoots, is negative.
+        """
+        return self.leaving and self._approach < -((REACTION * self._counts[0]) ** 2)
 
     def escapes(self, far_rad: float = math.inf) -> bool:
         """Return what :meth:`leaves` returns, compared with the fastest motion of the target so

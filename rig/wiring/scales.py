@@ -66,6 +66,7 @@ def servo_scales(
         sign=servo.sign,
         offset_rad=math.radians(servo.offset_deg),
         current_sign=servo.current_sign,
+        current_offset_A=servo.current_offset_A,
         velocity_unit_rad_s=servo.motor_speed_unit_rad_s(data),
         acceleration_unit_rad_s2=servo.motor_acceleration_unit_rad_s2(data),
         torque_constant_N_m_A=machine.torque_constant_N_m_A,

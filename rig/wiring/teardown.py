@@ -36,6 +36,7 @@ class SafeState:
         doubt: Why the drive does not count as off; empty if it does, or if its state is unknown or
             energised.
         cut: Why the power was cut instead of a ramp; empty if it was not.
+        joint_read: Whether the joint encoder was read at the end; None if it was not observed.
     """
 
     verified: bool
@@ -47,12 +48,13 @@ class SafeState:
     motion_rad_s: float | None = None
     doubt: str = ""
     cut: str = ""
+    joint_read: bool | None = None
 
     @property
     def message(self) -> str:
         """One sentence for the operator."""
         if self.verified:
-            seen = seen_words(self.current_A, self.motion_rad_s)
+            seen = seen_words(self.current_A, self.motion_rad_s, self.joint_read)
             off = f"the drive is de-energised (read back: {self.state}){seen}"
             return f"{self.cut}; {off}" if self.cut else off
         if self.doubt:
@@ -82,6 +84,7 @@ class SafeState:
             "current_A": self.current_A,
             "motion_rad_s": self.motion_rad_s,
             "doubt": self.doubt,
+            "joint_read": self.joint_read,
         }
 
 
@@ -171,6 +174,7 @@ def observed(proof: Proof, steps: Steps | None = None, watched: bool = True) -> 
         motion_rad_s=proof.motion_rad_s,
         doubt="" if state is None or state.energised else proof.doubt,
         cut=steps.cut,
+        joint_read=proof.joint_read,
     )
 
 

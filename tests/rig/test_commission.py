@@ -25,6 +25,7 @@ from rig.commissioning.moving import SMALL_DEG
 from rig.commissioning.setup import FASTEST_DEG_S, Setup
 from rig.common.errors import StorageError
 from rig.config.bench import load_bench
+from rig.config.serial_bus import NO_WATCHDOG
 from rig.control.cycle import Cycle
 from rig.control.motion_proof import Change
 from rig.runs.mcap.reader import read_run
@@ -171,6 +172,24 @@ def test_a_wrong_sign_is_found_on_every_kind_of_drive(
     assert words in last["words"]
     assert true.peak_deg_s < 0.5 * FASTEST_DEG_S
     assert true.travel_deg < SMALL_DEG
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_what_nothing_protects_is_said_once_at_the_start(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    watched: bool,
+) -> None:
+    """A corrected value connects the bench a second time."""
+    monkeypatch.chdir(tmp_path)
+    alone = () if watched else (("servo: {node: 1", "servo: {stops_alone: false, node: 1"),)
+    variant(tmp_path, *SLOW, *alone)
+    ended, record = commissioned("--angle", "0", "--mistake", "zero_off")
+    assert (ended, len(record["sessions"])) == (0, 2)
+    told = capsys.readouterr()
+    assert told.err.count(NO_WATCHDOG) == (not watched)
+    assert NO_WATCHDOG not in told.out
 
 
 def test_a_right_bench_goes_through_all_steps(
@@ -363,3 +382,22 @@ def test_a_recording_that_fails_takes_the_power_off_first(
     shown = capsys.readouterr().err
     assert "storage error: disk full" in shown
     assert "the drive is de-energised (read back: switch on disabled)" in shown
+
+
+@pytest.mark.parametrize("limit_deg_s", [None, 28.0, 30.0])
+def test_soft_gains_are_refused_before_the_motion_with_the_limit_that_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_deg_s: float | None
+) -> None:
+    """The joint breaks away at up to 30 deg/s, also by its samples."""
+    monkeypatch.chdir(tmp_path)
+    variant(tmp_path, source="practical_soft")
+    given = () if limit_deg_s is None else ("--speed-limit", str(limit_deg_s))
+    ended, record = commissioned("--angle", "0", *given)
+    last = record["sessions"][-1][-1]
+    if limit_deg_s == 30.0:
+        assert (ended, last["name"], last["verdict"]) == (0, "large move", "good")
+        return
+    assert (ended, last["name"], last["verdict"]) == (1, "small move", "wrong")
+    assert "nothing was moved: the gains of the drive are low (407 N m/rad)" in last["words"]
+    assert "--speed-limit 30, or raise the gains" in last["words"]
+    assert fastest_deg_s(100.0) == 0.0

@@ -16,9 +16,10 @@ from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
-from rig.planning.predicted_load import friction_model, of_another_bench
-from rig.results.run.dry_run import PROMPT_S, dry_run
+from rig.planning.predicted_load import PredictedLoad, friction_model, of_another_bench
+from rig.results.run.dry_run import PROMPT_S
 from rig.runs.run import bench_constants
+from rig.runs.run_file import read_record
 
 from .benches import variant
 
@@ -116,7 +117,7 @@ def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
     model = friction_model(bench_constants(load_bench("practical").value), path)
     bench = load_bench("practical")
     plan = make_plan(load_sequence("one.yaml"), bench, False)
-    computed = dry_run(bench, plan, model, asks=False)
+    computed = PredictedLoad.of(plan, bench.value, model)
     torques = [
         [text for text in found if "torque" in text]
         for found in (computed.problems, computed.warnings)
@@ -322,3 +323,53 @@ def test_a_folder_in_use_is_refused_in_a_dry_run_too(capsys: pytest.CaptureFixtu
 def test_a_bench_without_a_bus_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert dry("--bench", "literal")[0] == 2
     assert "this bench has no bus" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("share", "code"), [(1.3, 0), (0.99, 2)])
+def test_a_run_is_refused_whose_measured_friction_exceeds_a_limit(
+    share: float, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = ("--identification", str(result(Path("known.json"))), "--no-first-pass")
+    peak = heavy(dry(*known)[1])
+    Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
+    capsys.readouterr()
+    assert status(["run", "one.yaml", "--yes", "--out", "out", *known]) == code
+    assert Path("out").exists() is (code == 0)
+    if code:
+        (line,) = capsys.readouterr().err.splitlines()
+        assert re.match(r"one\.yaml:7:\d+: stages\[1\]\.name: heavy: predicted peak torque ", line)
+        assert "; predicted from the identification known.json (got" in line
+
+
+FIRST = """\
+sequence: 1
+name: first
+first_pass: {amplitude: 0.1, limit_share: SHARE}
+stages:
+  - {name: heavy, stage: loaded, weight_kg: 33, tones: [{amplitude_deg: 20, frequency_Hz: 0.5}],
+     duration_s: 2, settle_s: 0.05}
+"""
+
+
+@pytest.mark.parametrize(("share", "code"), [(0.5, 1), (0.9, 0)])
+def test_a_first_pass_above_its_limit_is_warned_of_and_its_trip_names_the_prediction(
+    share: float, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("one.yaml").write_text(FIRST.replace("SHARE", str(share)))
+    assert (
+        status(["run", "one.yaml", "--bench", "practical_serial", "--yes", "--out", "out"]) == code
+    )
+    told = capsys.readouterr().err
+    record = read_record(Path("out"))
+    warning = "heavy, first pass: predicted peak current 12.88 A is above its limit 11.25 A"
+    assert (warning in told) is bool(code)
+    assert any(text.startswith(warning) for text in record.warnings) is bool(code)
+    if code:
+        assert record.trip is not None
+        assert (record.trip["check"], record.trip["limit"]) == ("motor current", 11.25)
+        assert record.trip["predicted"] == pytest.approx(12.88, abs=0.01)
+        before, _, after = told.partition("\ntripped: ")
+        assert warning in before
+        assert "first: the plan predicts a peak of 12.88 A, which is above this limit" in after
+        assert "limit_share of first_pass" in after
+        assert "jamming" not in told

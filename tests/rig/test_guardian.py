@@ -362,6 +362,7 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
             "current_A": None,
             "motion_rad_s": None,
             "doubt": "",
+            "joint_read": None,
         },
         "attempts": 3,
         "seconds": 0.0512,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,11 @@ import pytest
 
 from identification.recording import Bench, Dataset, Recording
 from rig.cli.entry import status
+from rig.results.acceptance.evidence import SAME_LOAD
+from rig.results.run.go_on import ACCEPTANCE_FILE
+from rig.results.run.report import REPORT_FILE
 from rig.runs.run import read_record
-from rig.weighing.load_change import FEWEST_STROKES, LEAST_SHARE, changed_loads
+from rig.weighing.load_change import FEWEST_HALF_CYCLES, LEAST_SHARE, changed_loads
 
 from ..long.load_change import trials
 
@@ -57,6 +61,15 @@ def test_half_of_the_weight_taken_off_is_said_recorded_and_judged(
     told = capsys.readouterr()
     assert "warning: stage heavy: the load changed" in told.err
     assert "done, load changed" in told.out
+    page = (Path("out") / REPORT_FILE).read_text()
+    assert '<p class="verdict bad">DONE, LOAD CHANGED, NOT JUDGED</p>' in page
+    Path("limits.yaml").write_text("acceptance: 1\nlimits: [worst current < 100 A]\n")
+    assert status(["runs", "accept", "out", "--acceptance", "limits.yaml"]) == 1
+    judged = json.loads((Path("out") / ACCEPTANCE_FILE).read_text())
+    assert judged["verdict"] == "rejected"
+    (failed,) = [check for check in judged["checks"] if not check["passed"]]
+    assert (failed["limit"], failed["value"]) == (SAME_LOAD, heavy.load_change_kg)
+    assert failed["words"].startswith("run.json: stages[0].load_change_kg: ")
 
 
 def test_a_weight_taken_off_between_two_excitations_is_noticed() -> None:
@@ -117,6 +130,6 @@ def test_a_steady_drift_is_no_alarm(drift: float) -> None:
     assert changed_loads(Dataset((friction(0.0, drift=drift),)), ["loaded"]) == {}
 
 
-def test_too_few_strokes_are_not_judged() -> None:
-    seconds = FEWEST_STROKES - 1.0
+def test_too_few_half_cycles_are_not_judged() -> None:
+    seconds = FEWEST_HALF_CYCLES - 1.0
     assert changed_loads(Dataset((friction(-20.0, seconds),)), ["loaded"]) == {}

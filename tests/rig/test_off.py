@@ -14,7 +14,7 @@ import pytest
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import Measuring, ServoReadings, ServoState
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import Reading, SimulatedMachine
 from rig.cli.aftermath import status_of
 from rig.cli.entry import status
 from rig.config.bench import load_bench
@@ -23,9 +23,11 @@ from rig.runs.run_file import read_record
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
-from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, OffProof
+from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, WINDOW_S, OffProof
 from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
+
+from .benches import variant
 
 RATED_A = 10.0
 STEP_RAD = 1e-4
@@ -139,9 +141,14 @@ def test_a_decaying_current_is_waited_for() -> None:
     assert drive.now < 0.2
 
 
-@pytest.mark.parametrize("phase", [n / 20 for n in range(20) if n != 9])
-def test_a_joint_that_swings_does_not_rest_at_its_turning_points(phase: float) -> None:
-    drive = Drive(angle=lambda t: math.radians(5.0) * math.sin(math.pi * (2.0 * t + phase)))
+@pytest.mark.parametrize("frequency_Hz", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("phase", [n / 40 for n in range(80)])
+def test_a_joint_that_swings_does_not_rest_at_its_turning_points(
+    phase: float, frequency_Hz: float
+) -> None:
+    drive = Drive(
+        angle=lambda t: math.radians(5.0) * math.sin(math.pi * (2.0 * frequency_Hz * t + phase))
+    )
     off = proof_of(drive)
     for patience_s in (PATIENCE_S, 0.0, 0.0, 0.0):
         proof = off.prove(patience_s=patience_s)
@@ -149,6 +156,19 @@ def test_a_joint_that_swings_does_not_rest_at_its_turning_points(phase: float) -
         assert "the joint moves" in proof.doubt
     drive.angle = lambda t: 0.0
     assert off.prove().off
+
+
+@pytest.mark.parametrize(("counts", "windows"), [(0, 1), (2, 1), (3, 2)])
+def test_only_a_joint_that_leaves_its_resolution_is_observed_for_longer(
+    counts: int, windows: int
+) -> None:
+    def angle(t: float) -> float:
+        return counts * STEP_RAD * float(t > 0.02)
+
+    drive = Drive(lambda t: math.nan, current_step_A=math.nan, read_s=0.0)
+    off = proof_of(drive, Encoder(drive, angle))
+    assert off.prove().off
+    assert windows * WINDOW_S <= drive.now < windows * WINDOW_S + 0.011
 
 
 def test_a_coasting_joint_is_waited_for_with_the_current_that_it_generates() -> None:
@@ -316,6 +336,40 @@ def test_check_refuses_it(here: Path, live: None, capsys: pytest.CaptureFixture[
     assert "do not touch the weights" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("kind", ["practical", "practical_serial"])
+@pytest.mark.parametrize(
+    ("offset_A", "stated_A", "code"),
+    [(0.2, 0.0, 0), (0.6, 0.0, 4), (0.6, 0.6, 0), (-0.6, -0.6, 0), (0.6, 0.25, 4)],
+)
+def test_an_offset_of_the_current_sensor_can_be_stated(
+    here: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    offset_A: float,
+    stated_A: float,
+    code: int,
+) -> None:
+    """The limit is 2 % of the rated 15 A about the stated offset."""
+    latch = SimulatedMachine.latch
+
+    def biased(self: SimulatedMachine) -> Reading:
+        found = latch(self)
+        return found._replace(current_A=found.current_A + offset_A)
+
+    monkeypatch.setattr(SimulatedMachine, "latch", biased)
+    stated = ("servo: {node: 1", f"servo: {{current_offset_A: {stated_A}, node: 1")
+    variant(here, stated, source=kind)
+    assert status(["check", "bench.yaml", "--json", "check.json"]) == code
+    off = json.loads(Path("check.json").read_text())["off"]
+    assert off["off"] is (code == 0)
+    assert off["current_A"] == pytest.approx(offset_A - stated_A, abs=0.03)
+
+
+def test_a_live_power_stage_is_found_with_a_stated_offset(here: Path, live: None) -> None:
+    variant(here, ("servo: {node: 1", "servo: {current_offset_A: 0.2, node: 1"))
+    assert status(["check", "bench.yaml"]) == 4
+
+
 def test_check_of_a_sound_bench_says_what_was_seen(here: Path) -> None:
     assert status(["check", "practical", "--json", "check.json"]) == 0
     seen = json.loads(Path("check.json").read_text())["off"]
@@ -324,6 +378,7 @@ def test_check_of_a_sound_bench_says_what_was_seen(here: Path) -> None:
         "state": "switch on disabled",
         "current_A": 0.0,
         "motion_rad_s": 0.0,
+        "joint_read": True,
         "doubt": "",
     }
 

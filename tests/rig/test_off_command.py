@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 
-from drivers.clock import SimulatedClock
+import drivers.mock
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.mock.bench import simulated_bench
@@ -24,6 +25,7 @@ from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import State
 from drivers.mock.wires.serial_line import RealTimeBench
+from rig.cli.commands.off import GOES_ON
 from rig.cli.entry import DEVICE_FAILED, DONE, status
 from rig.common import locks
 from rig.common.errors import InUseError
@@ -32,7 +34,7 @@ from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.control import off
 from rig.control.off import HANDOVER_S, PATIENCE_S, RELEASE_S, Processes, make_off
-from rig.wiring.connect import bus_resources
+from rig.wiring.connect import BareBench, bare_bench, bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, Deed, Ward, drive_on, stop
 
 from ..drivers.host import DRIVE_EDS, DRIVE_NODE, SCALES
@@ -75,6 +77,23 @@ class Servo:
 
     def measuring(self) -> Measuring:
         return Measuring(1e-5, 100.0, 0.015, 15.0)
+
+
+class Encoder:
+    """A joint encoder on a joint that turns at a speed, rad/s, or that does not answer."""
+
+    def __init__(self, clock: SimulatedClock) -> None:
+        self.clock = clock
+        self.speed_rad_s = 0.0
+        self.reachable = True
+
+    def reading(self) -> float:
+        if not self.reachable:
+            raise LinkError("the encoder does not answer")
+        return self.speed_rad_s * self.clock.now_ns() / NS
+
+    def step_rad(self) -> float:
+        return 1e-5
 
 
 class Link:
@@ -132,6 +151,7 @@ class Desk:
     document: Document[Bench]
     servo: Servo
     link: Link
+    encoder: Encoder
     processes: Fakes
     said: list[str]
 
@@ -145,8 +165,11 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Desk:
     document = load_bench("practical_serial")
     bus = document.value.bus.model_copy(update={"port": "/dev/some"})  # type: ignore[union-attr]
     value = document.value.model_copy(update={"bus": bus})
-    made = Desk(dataclasses.replace(document, value=value), Servo(), Link(), Fakes(), [])
-    monkeypatch.setattr(off, "bare_drive", lambda document: (made.link, made.servo))
+    link = Link()
+    encoder = Encoder(link.clock)
+    made = Desk(dataclasses.replace(document, value=value), Servo(), link, encoder, Fakes(), [])
+    bare: Any = BareBench
+    monkeypatch.setattr(off, "bare_bench", lambda document: bare(link, made.servo, encoder))
     return made
 
 
@@ -157,6 +180,42 @@ def test_a_bench_that_nobody_uses_is_switched_off(desk: Desk) -> None:
     record = done.record()
     assert (record["schema"], record["real"], record["proved"]) == ("loadrig.off/1", True, True)
     assert record["safe"]["state"] == "switch on disabled"
+    assert record["safe"]["joint_read"] is True
+    assert done.message.endswith("joint at rest")
+
+
+def test_a_joint_that_moves_while_its_motor_rests_is_not_proved_off(desk: Desk) -> None:
+    desk.encoder.speed_rad_s = 0.1
+    done = desk.off()
+    assert not done.proved
+    assert done.record()["safe"]["motion_rad_s"] == pytest.approx(0.1, rel=0.1)
+    assert "the joint moves at" in done.message
+
+
+def test_a_joint_encoder_that_cannot_be_read_is_said(desk: Desk) -> None:
+    desk.encoder.reachable = False
+    done = desk.off()
+    assert done.proved
+    safe = done.record()["safe"]
+    assert (safe["joint_read"], safe["problems"]) == (False, ["the encoder does not answer"])
+    assert "by the motor alone, because the joint encoder could not be read" in done.message
+
+
+@pytest.mark.parametrize("eds", ["encoder.eds", "gone.eds"])
+def test_an_encoder_without_its_file_does_not_prevent_the_stop(
+    eds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = load_bench("practical")
+    value = document.value
+    bus = value.bus.model_copy(update={"interface": "virtual"})  # type: ignore[union-attr]
+    folder = Path(drivers.mock.__file__).parent
+    parts = {
+        "bus": bus,
+        "servo": value.servo.model_copy(update={"eds": str(folder / "drive.eds")}),
+        "encoder": value.encoder.model_copy(update={"eds": str(folder / eds)}),
+    }
+    bare = bare_bench(dataclasses.replace(document, value=value.model_copy(update=parts)))
+    assert (bare.encoder is not None) is (eds == "encoder.eds")
 
 
 def test_a_program_is_asked_to_stop_and_then_the_drive_is_read(desk: Desk) -> None:
@@ -297,7 +356,7 @@ def test_a_program_that_uses_the_bench_ends_as_if_it_were_stopped(
     assert [(user["command"], user["ended"]) for user in record["users"]] == [
         ("rig jog", "stopped")
     ]
-    assert record["safe"]["verified"] is True
+    assert (record["safe"]["verified"], record["safe"]["joint_read"]) == (True, True)
 
 
 def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_path: Path) -> None:
@@ -314,8 +373,34 @@ def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_
     assert json.loads(file.read_text())["users"][0]["ended"] == "killed"
 
 
-def _once(document: Document[Bench], say: Callable[[str], None]) -> off.Off:
-    return make_off(document, say, patience_s=0.0)
+def _once(document: Document[Bench], say: Callable[[str], None], **more: Any) -> off.Off:
+    return make_off(document, say, patience_s=0.0, **more)
+
+
+def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
+    wired: PtyBench, tmp_path: Path
+) -> None:
+    """On a line on which nobody answers."""
+    ours, theirs = pty.openpty()
+    wired.path.write_text(wired.path.read_text().replace(wired.port, os.ttyname(theirs)))
+    file = tmp_path / "off.json"
+    with rig("off", str(wired.path), "--json", str(file)) as command:
+        command.wait_for("proof that the drive is off")
+        command.process.send_signal(signal.SIGINT)
+        began = time.monotonic()
+        command.wait_for(GOES_ON)
+        assert time.monotonic() - began < 0.5
+        began = time.monotonic()
+        command.process.send_signal(signal.SIGINT)
+        _, err = command.process.communicate(timeout=60)
+        assert time.monotonic() - began < 1.5
+        assert command.process.returncode == DEVICE_FAILED
+    os.close(ours)
+    os.close(theirs)
+    assert b"it could NOT be verified that the drive is de-energised" in err
+    record = json.loads(file.read_text())
+    assert record["proved"] is False
+    assert "switch the main supply off" in record["message"]
 
 
 def test_a_bench_whose_port_is_missing_is_not_proved_off(

@@ -17,7 +17,7 @@ from rig.results.paper.tables import TABLE_1, TABLE_2
 @pytest.fixture(scope="module")
 def cases() -> tuple[Dataset, dict[str, float]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(paper, "DURATION_S", 2.5)  # half a period, one stroke each way
+        patch.setattr(paper, "DURATION_S", 2.5)  # half a period, one half cycle each way
         return paper.simulate_cases()
 
 

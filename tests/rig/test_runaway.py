@@ -11,8 +11,9 @@ import pytest
 
 from drivers.mock.plant.machine import LOOPS, Loop
 from rig.cli.entry import status
-from rig.wiring.runaway import REACTION, Runaway, Seen
+from rig.wiring.runaway import REACTION, SIGNS, Runaway, Seen
 
+from .benches import variant
 from .true_motion import watch_machines
 
 MOST = {
@@ -65,6 +66,46 @@ def test_a_motion_that_runs_away_is_cut(
     message = json.loads(record.read_text())["message"]
     assert "two swapped motor phases" in capsys.readouterr().err
     assert "read back: switch on disabled" in message
+
+
+@pytest.mark.parametrize("cycle_Hz", [250, 100])
+@pytest.mark.parametrize("loop", [*LOOPS, None])
+def test_a_slow_motion_against_the_command_names_the_sign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop | None, cycle_Hz: int
+) -> None:
+    """A long cycle hides that the speed grows; a right drive with soft gains also trips, in
+    stick-slip.
+    """
+    watch_machines(monkeypatch, loop)
+    changes = (
+        ("cycle_Hz: 1000", f"cycle_Hz: {cycle_Hz}"),
+        ("sample_age_ms: 5", f"sample_age_ms: {5000 / cycle_Hz:g}"),
+    )
+    bench = variant(tmp_path, *changes, source="practical_soft" if loop is None else "practical")
+    file = tmp_path / "jog.json"
+    assert status(["jog", str(bench), "--to", "5", "--speed", "2", "--json", str(file)]) == 1
+    message = json.loads(file.read_text())["message"]
+    assert ("check the drive gains" in message) is (loop is None)
+    assert (SIGNS in message.partition("after the order to brake")[0]) is (loop is not None)
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_a_fault_of_the_drive_in_a_motion_against_the_command_names_the_sign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop
+) -> None:
+    """The drive finds its following error before the next cycle of the program."""
+    watch_machines(monkeypatch, loop)
+    bench = variant(
+        tmp_path,
+        ("cycle_Hz: 1000", "cycle_Hz: 100"),
+        ("sample_age_ms: 5", "sample_age_ms: 50"),
+        ("following_error_deg: 2", "following_error_deg: 0.1"),
+    )
+    file = tmp_path / "jog.json"
+    assert status(["jog", str(bench), "--to", "5", "--json", str(file)]) == 4
+    message = json.loads(file.read_text())["message"]
+    assert message.startswith("drive fault 8611h")
+    assert SIGNS in message
 
 
 @pytest.mark.parametrize(("command", "bench"), MOST)

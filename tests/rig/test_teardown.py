@@ -346,6 +346,7 @@ def test_the_record_holds_no_exceptions() -> None:
         "current_A": 3.98,
         "motion_rad_s": 0.5,
         "doubt": "it flows",
+        "joint_read": None,
     }
 
 

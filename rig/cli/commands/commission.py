@@ -44,7 +44,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import bench_line
+from rig.wiring.bench_text import bench_line, unprotected
 from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
@@ -292,9 +292,10 @@ Connect = Callable[[Document[Bench]], Any]
 
 
 def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
-    """Return the function that opens a bench; the function builds a mistake into the simulated
-    devices if one is requested.
+    """Return the function that opens a bench, and shows once what nothing protects; the function
+    builds a mistake into the simulated devices if one is requested.
     """
+    told: list[str] = []
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
         chosen = MISTAKES[mistake or ""]
@@ -313,6 +314,10 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
                 document = dataclasses.replace(document, value=value)
         with connected(stop, document, seed, False, attach, purpose="rig commission") as devices:
             say_taken_over(devices.lock, screen)
+            for words in unprotected(devices):
+                if words not in told:
+                    screen.say(words)
+                    told.append(words)
             yield devices
 
     return connect

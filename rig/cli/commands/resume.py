@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import Feedforward, load_feedforward
 from rig.planning.plan import Plan, make_plan
+from rig.planning.predicted_load import PredictedLoad, friction_model
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
 from rig.runs.resume import prepare, stopped_words
@@ -93,6 +93,13 @@ def command(
     feedforward = _feedforward(run, record, constants)
     seed = record.seed + len(record.parts)  # each recording gets its own noise
     reset = reset_fault or resumed.died
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
+    left = replace(plan, stages=plan.stages[first_unfinished(record) or 0 :])
+    source = None if feedforward is None else Path(feedforward.source)
+    model = friction_model(constants, identification or source)
+    load = PredictedLoad.of(left, resumed.bench.value, model)
+    load.require_within(resumed.sequence)
     inputs = Inputs(
         resumed.bench,
         resumed.sequence,
@@ -104,13 +111,11 @@ def command(
         feedforward,
         record,
         given or recorded_acceptance(run, record),
+        load,
     )
-    low = True if first_pass is None and identification else first_pass
-    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
-    left = plan.stages[first_unfinished(record) or 0 :]
-    require_space(run, dataclasses.replace(plan, stages=left).cycles)
+    require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
-    status = _carry_out(inputs, plan, run, yes, in_console, json_file)
+    status = _carry_out(inputs, plan, left.duration_s, run, yes, in_console, json_file)
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
@@ -121,12 +126,16 @@ def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Fee
 
 
 def _carry_out(
-    inputs: Inputs, plan: Plan, run: Path, yes: bool, in_console: bool, json_file: Path | None
+    inputs: Inputs,
+    plan: Plan,
+    left_s: float,
+    run: Path,
+    yes: bool,
+    in_console: bool,
+    json_file: Path | None,
 ) -> int:
     """Connect, continue in the run's folder, and report the outcome; return the exit status."""
     bench = inputs.bench
-    first = 0 if inputs.resumed is None else first_unfinished(inputs.resumed) or 0
-    left = replace(plan, stages=plan.stages[first:])
     screen = Screen()
     screen.silence()
     with (
@@ -146,7 +155,7 @@ def _carry_out(
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
             operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
-            with RunProgress(plan.cycle_s, left.duration_s, screen) as progress:
+            with RunProgress(plan.cycle_s, left_s, screen) as progress:
                 devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, inputs.reference, json_file, screen)

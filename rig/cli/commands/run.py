@@ -27,7 +27,11 @@ from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
 from rig.planning.feedforward import load_feedforward
 from rig.planning.plan import Plan, make_plan
-from rig.planning.predicted_load import FrictionModel, friction_model, of_another_bench
+from rig.planning.predicted_load import (
+    PredictedLoad,
+    friction_model,
+    of_another_bench,
+)
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
@@ -152,6 +156,11 @@ def _run(options: _Options) -> int:
     )
     low = True if options.first_pass is None and identification else options.first_pass
     plan = make_plan(sequence, bench, low, feedforward)
+    load = PredictedLoad.of(
+        plan, bench.value, friction_model(constants, identification or feedforward_file)
+    )
+    if not options.dry_run:
+        load.require_within(sequence)
     if feedforward is not None and feedforward.remark:
         click.echo(feedforward.remark, err=True)
     path = options.out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
@@ -171,6 +180,7 @@ def _run(options: _Options) -> int:
         options.reset_fault,
         feedforward,
         acceptance=given_acceptance(options.acceptance),
+        load=load,
     )
     injector = (
         None
@@ -186,8 +196,7 @@ def _run(options: _Options) -> int:
         if words is not None:
             click.echo(f"warning: {words}", err=True)
     if options.dry_run:
-        model = friction_model(constants, identification or feedforward_file)
-        return _dry_run(options, inputs, plan, model)
+        return _dry_run(options, inputs, load)
     return _carry_out(options, inputs, plan, path, injector)
 
 
@@ -226,9 +235,9 @@ def _carry_out(
     return accept_at_the_end(path, options.junit_file)
 
 
-def _dry_run(options: _Options, inputs: Inputs, plan: Plan, model: FrictionModel) -> int:
+def _dry_run(options: _Options, inputs: Inputs, load: PredictedLoad) -> int:
     limits = limits_before(options.acceptance, inputs.sequence.value)
-    computed = compute_dry_run(inputs.bench, plan, model, not options.yes, *limits)
+    computed = compute_dry_run(inputs.bench, load, not options.yes, *limits)
     click.echo(describe_dry_run(computed))
     write_asked(options.json_file, dry_run_record(computed))
-    return BAD_VERDICT if computed.problems else DONE
+    return BAD_VERDICT if load.problems else DONE

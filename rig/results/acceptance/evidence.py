@@ -173,6 +173,8 @@ def _loaded(record: RunRecord) -> Iterable[str]:
 
 COMPLETE = "run complete"
 """Name of the check that every run must pass before its limits are judged."""
+SAME_LOAD = "same load during the stage"
+"""Name of the check that a stage fails whose load changed, whatever the limits."""
 
 
 @dataclass(frozen=True)
@@ -199,8 +201,22 @@ class Check:
 
 
 def judge(limits: Sequence[Limit], evidence: Evidence) -> tuple[Check, ...]:
-    """Return a check of completeness, and one check for each limit."""
-    return (_complete(evidence), *(_judged(limit, evidence) for limit in limits))
+    """Return a check of completeness, a failed check for each stage whose load changed, and one
+    check for each limit.
+    """
+    changed = (
+        Check(
+            SAME_LOAD,
+            False,
+            f"run.json: stages[{at}].load_change_kg: the load of stage {stage.name} changed by "
+            f"{number(stage.load_change_kg)} kg; repeat the stage",
+            stage.load_change_kg,
+            unit="kg",
+        )
+        for at, stage in enumerate(evidence.record.stages)
+        if stage.load_change_kg is not None
+    )
+    return (_complete(evidence), *changed, *(_judged(limit, evidence) for limit in limits))
 
 
 def accepted(checks: Iterable[Check]) -> bool:

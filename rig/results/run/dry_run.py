@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +14,10 @@ from rig.common.tables import percent, table
 from rig.config.acceptance import NOTHING_MISSING, Bound, Limit, Range
 from rig.config.bench import Bench
 from rig.config.configuration import Document
-from rig.planning.plan import Plan, describe
+from rig.planning.plan import describe
 from rig.planning.predicted_load import (
-    WARNING_SHARE,
-    FrictionModel,
-    PredictedPeak,
+    PredictedLoad,
     moves_to_start,
-    predicted_peaks,
 )
 from rig.wiring.bench_text import Watcher, watcher_of
 
@@ -86,10 +83,6 @@ NOT_PREDICTED = (
     "The peaks do not contain the torque that the drive's loops add when the joint breaks "
     "away, or sticks and slips; on the simulated benches this is up to a fifth."
 )
-_FROM_PAPER = (
-    "predicted from the paper's friction, which may differ from this bench's: run a small, slow "
-    "motion, `rig identify` it, then give --identification RESULT"
-)
 
 
 @dataclass(frozen=True)
@@ -134,9 +127,7 @@ class DryRun:
 
     Attributes:
         bench: The bench.
-        plan: The plan.
-        model: Friction and inertia used to predict the peaks.
-        peaks: Predicted peaks in the order of the run.
+        load: The plan and its predicted peaks.
         watcher: Watchdog or guardian that stops the drive when this program dies.
         duration: Expected duration.
         acceptance: Limits by which the complete run will be judged.
@@ -144,53 +135,16 @@ class DryRun:
     """
 
     bench: Document[Bench]
-    plan: Plan
-    model: FrictionModel
-    peaks: list[PredictedPeak]
+    load: PredictedLoad
     watcher: Watcher
     duration: Duration
     acceptance: tuple[Limit, ...] = ()
     acceptance_source: str = ""
 
-    @property
-    def problems(self) -> list[str]:
-        """Messages on peaks that are predicted from measured friction and exceed their limits."""
-        return [
-            text
-            for peak in self.peaks
-            if self._measured(peak)
-            for text in _above(peak, 1.0, "above")
-        ]
-
-    @property
-    def warnings(self) -> list[str]:
-        """Messages on peaks near their limits, and on peaks that are predicted from the paper's
-        friction and exceed their limits.
-        """
-        found: list[str] = []
-        for peak in self.peaks:
-            measured = self._measured(peak)
-            if peak.share > 1.0:
-                texts = [] if measured else list(_above(peak, 1.0, "above"))
-            else:
-                texts = list(_above(peak, WARNING_SHARE, f"more than {WARNING_SHARE:.0%} of"))
-            found += [text if measured else f"{text}; {_FROM_PAPER}" for text in texts]
-        return found
-
-    def _measured(self, peak: PredictedPeak) -> bool:
-        """Return whether the friction of the stage of a peak was measured on this bench."""
-        loaded = any(
-            stage.weight_kg > 0.0 or stage.stage == "hot_fire"
-            for stage in self.plan.stages
-            if stage.name == peak.stage
-        )
-        return self.model.friction_measured(loaded)
-
 
 def dry_run(
     bench: Document[Bench],
-    plan: Plan,
-    model: FrictionModel,
+    load: PredictedLoad,
     asks: bool,
     acceptance: tuple[Limit, ...] = (),
     acceptance_source: str = "",
@@ -199,32 +153,17 @@ def dry_run(
 
     Args:
         bench: The bench.
-        plan: The plan.
-        model: Known friction and inertia of the bench.
+        load: The plan and its predicted peaks.
         asks: Whether an operator must answer the prompts.
         acceptance: Limits by which the complete run will be judged.
         acceptance_source: Origin of these limits.
     """
+    plan = load.plan
     prompts = len(plan.stages) if asks else 0
     cycles = sum(len(move) for stage in plan.stages for move in moves_to_start(stage, plan))
     duration = Duration(plan.duration_s, cycles * plan.cycle_s, prompts)
-    peaks = predicted_peaks(plan, bench.value, model)
     watcher = watcher_of(bench.value)
-    return DryRun(bench, plan, model, peaks, watcher, duration, acceptance, acceptance_source)
-
-
-def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
-    where = peak.stage if peak.part == "stage" else f"{peak.stage}, {peak.part}"
-    for name, value, limit, unit in (
-        ("torque", peak.torque_N_m, peak.torque_limit_N_m, "N m"),
-        ("current", peak.current_A, peak.current_limit_A, "A"),
-    ):
-        if value > share * limit:
-            yield (
-                f"{where}: predicted peak {name} {value:.4g} {unit} is {words} its limit "
-                f"{limit:.4g} {unit}; use less "
-                "weight, or a slower or smaller motion"
-            )
+    return DryRun(bench, load, watcher, duration, acceptance, acceptance_source)
 
 
 def describe_dry_run(run: DryRun) -> str:
@@ -241,27 +180,27 @@ def describe_dry_run(run: DryRun) -> str:
             f"{peak.current_limit_A:g}",
             percent(100.0 * peak.current_share),
         ]
-        for peak in run.peaks
+        for peak in run.load.peaks
     ]
     lines = [
-        describe(run.plan),
+        describe(run.load.plan),
         "",
         describe_acceptance(run.acceptance, run.acceptance_source),
         "",
-        f"Predicted from {run.model.source}. {NOT_PREDICTED}",
+        f"Predicted from {run.load.model.source}. {NOT_PREDICTED}",
         table(head, rows, right=range(2, 8)),
         "",
         f"watched by: {run.watcher.words}",
         f"duration: {run.duration.words}",
-        *(f"warning: {text}" for text in run.warnings),
-        *(f"problem: {text}" for text in run.problems),
+        *(f"warning: {text}" for text in run.load.warnings),
+        *(f"problem: {text}" for text in run.load.problems),
     ]
     return "\n".join(lines)
 
 
 def dry_run_record(run: DryRun) -> dict[str, Any]:
     """Return the dry run as the record of ``--json``."""
-    bench = run.bench.value
+    bench, load = run.bench.value, run.load
     return {
         "schema": SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
@@ -269,10 +208,10 @@ def dry_run_record(run: DryRun) -> dict[str, Any]:
         "bench": bench.name,
         "bench_file": str(run.bench.path),
         "real": not bench.simulated,
-        "sequence": run.plan.name,
-        "predicted_from": run.model.source,
-        "identified": run.model.measured,
-        "predicted": [dataclasses.asdict(peak) for peak in run.peaks],
+        "sequence": load.plan.name,
+        "predicted_from": load.model.source,
+        "identified": load.model.measured,
+        "predicted": [dataclasses.asdict(peak) for peak in load.peaks],
         "watched_by": run.watcher.kind,
         "watch_s": run.watcher.after_s,
         "under_power_s": run.duration.under_power_s,
@@ -280,7 +219,7 @@ def dry_run_record(run: DryRun) -> dict[str, Any]:
         "prompts": run.duration.prompts,
         "acceptance": acceptance_record(run.acceptance),
         "duration_s": run.duration.total_s,
-        "warnings": run.warnings,
-        "problems": run.problems,
-        "good": not run.problems,
+        "warnings": load.warnings,
+        "problems": load.problems,
+        "good": not load.problems,
     }

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from drivers.interfaces import ServoState
 from rig.common.provenance import sha256_file
-from rig.control.safety import Check, remedy
+from rig.control.safety import Check, foreseen, remedy
 from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 from rig.wiring.preflight import RESET_HINT
 
@@ -33,9 +33,10 @@ def first_words(record: RunRecord) -> list[str]:
     the run's message states already; empty if none are known.
     """
     words = [] if record.de_energised else [NOT_READ_BACK]
-    check = _tripped(record)
-    if check is not None and remedy(check) not in record.message:
-        words.append(remedy(check))
+    check, trip = _tripped(record), record.trip or {}
+    found = "" if check is None else remedy(check, trip)
+    if found not in record.message:
+        words.append(found)
     elif _in_fault(record):
         words.append("remove the cause of the drive's fault")
     return words
@@ -43,7 +44,7 @@ def first_words(record: RunRecord) -> list[str]:
 
 def go_on_notes(record: RunRecord) -> list[str]:
     """Return further notes on continuing the run."""
-    return [NEW_RUN] if _tripped(record) in _BY_FILE else []
+    return [NEW_RUN] if foreseen(record.trip or {}) or _tripped(record) in _BY_FILE else []
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:

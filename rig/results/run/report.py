@@ -181,9 +181,10 @@ def _verdict(folder: Path, record: RunRecord) -> Iterator[str]:
     """Yield the headline of the page: the verdict, or how a run ended that is not judged."""
     found = read_verdict(folder)
     if found is None:
-        done = record.state == Ending.DONE.value
-        kind = "none" if done else "bad"
-        yield f'<p class="verdict {kind}">{escape(record.state.upper())}, NOT JUDGED</p>'
+        changed = any(stage.load_change_kg is not None for stage in record.stages)
+        kind = "none" if record.state == Ending.DONE.value and not changed else "bad"
+        words = f"{record.state}{', load changed' * changed}, not judged".upper()
+        yield f'<p class="verdict {kind}">{escape(words)}</p>'
         return
     verdict, failed, pages = found["verdict"], found["failed"], found["pages"]
     kind = "good" if verdict == "accepted" else "bad"
@@ -256,7 +257,7 @@ def _date(created: str) -> str:
 def _stages(record: RunRecord) -> Iterator[str]:
     yield from _table(
         ("stage", "state", "planned kg", "confirmed kg", "load"),
-        [(s.name, s.state, s.weight_kg, s.confirmed_kg, s.stage) for s in record.stages],
+        [(s.name, s.outcome, s.weight_kg, s.confirmed_kg, s.stage) for s in record.stages],
     )
 
 
