@@ -312,11 +312,6 @@ class Amt21Encoder(Encoder):
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
-        """Request the position once and return the joint angle, rad, or NaN if the answer is bad.
-
-        Raises:
-            LinkError: No encoder answers.
-        """
         self.line.find_echo()
         value = self._ask()
         if value is None:
@@ -324,24 +319,14 @@ class Amt21Encoder(Encoder):
         return self._angle(nearest(value, COUNTS_PER_TURN, self._scales.middle))
 
     def step_rad(self) -> float:
-        """Return the joint angle of one of the 16384 counts."""
         return abs(self._scales.rad_per_count)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error if the answers of the encoder at rest do not agree.
-
-        Raises:
-            LinkError: No encoder answers.
-        """
         yield from refusal(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
         """Find the encoder, and start from a position at rest on which several of its answers
         agree.
-
-        Raises:
-            LinkError: No encoder answers.
-            ConfigurationError: The answers of the encoder do not agree.
         """
         self._gate.start(self._trusted(), cycle_s, near=self._scales.middle)
         self.line.answer_s = ANSWER_SHARE * cycle_s
@@ -400,9 +385,6 @@ class Amt21Encoder(Encoder):
         self._fresh = value is not None and self._gate.admit(value, self._asked_ns, self._elsewhere)
 
     def sample(self) -> EncoderSample:
-        """Return the sample of the last exchange, with a time stamp of the host, because the
-        encoder sends no time.
-        """
         return EncoderSample(self._asked_ns / NS, self._angle(self._gate.position), self._fresh)
 
     def _elsewhere(self) -> int | None:
@@ -470,12 +452,6 @@ class EncoderLink(Link):
             at_instant(self._ask)
 
     def open(self) -> None:
-        """Open the servo's link and the encoder's line; if one of the two cannot be opened, both
-        are closed.
-
-        Raises:
-            LinkError: The link or the line cannot be opened.
-        """
         self._servo_link.open()
         try:
             self._line.open()
@@ -484,19 +460,10 @@ class EncoderLink(Link):
             raise
 
     def close(self) -> None:
-        """Close link and line. This method raises no error, and may be called twice and after a
-        failure.
-        """
         close_all(self._line.close, self._servo_link.close)
 
     def exchange(self) -> None:
-        """Exchange process data with the servo while the encoder prepares its answer.
-
-        Raises:
-            LinkError: The bus failed, or the line of the encoder failed, which is reported once
-                until it works again; the values of the encoder are then not fresh.
-            DriveFault: A device sent an emergency message.
-        """
+        """Exchange process data with the servo while the encoder prepares its answer."""
         began_ns = self.clock.now_ns()
         self._asked = False
         self._failures.clear()
@@ -526,6 +493,5 @@ class EncoderLink(Link):
             self._failures.append(error)
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the frames of link and line since the last call, oldest first."""
         frames = self._servo_link.take_frames() + self._line.take_frames()
         return sorted(frames, key=lambda frame: frame.time_ns)

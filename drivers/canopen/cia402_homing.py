@@ -60,7 +60,6 @@ class Homing(Motion):
 
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
-        """Objects that are sent with the controlword."""
         return self.usual.outputs
 
     def stage(
@@ -171,13 +170,9 @@ class HomingServo(Servo, ABC):
         """Put controlword and position into the PDO of the next exchange."""
 
     def homing_offer(self) -> HomingOffer:
-        """Return whether the drive can home, and which homing methods it has."""
         return offer(self._channel)
 
     def begin_homing(self, order: HomingOrder) -> Mapping[str, int]:
-        """Write and verify the settings of a homing, and energise in homing mode without starting
-        it.
-        """
         state = self.state()
         if state.energised or isinstance(self._motion, Homing):
             raise StateError(f"the drive is in state '{state.value}': disable it before homing")
@@ -196,7 +191,6 @@ class HomingServo(Servo, ABC):
         return held
 
     def start_homing(self) -> None:
-        """Start the homing: set bit 4 of the controlword from the next exchange on."""
         if isinstance(self._motion, Homing):
             self._motion.started = True
             self._stage(self._target)
@@ -211,9 +205,6 @@ class HomingServo(Servo, ABC):
         return HomingState.ATTAINED if word & _ATTAINED else HomingState.INTERRUPTED
 
     def end_homing(self) -> tuple[int, int]:
-        """Select the usual mode of the bench again, with the power off; return objects 6061h and
-        6060h.
-        """
         state = self.state()
         if state.energised:
             raise StateError(

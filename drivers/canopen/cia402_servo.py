@@ -309,11 +309,9 @@ class Cia402Servo(HomingServo):
         self._deceleration = math.nan
 
     def identity(self) -> Identity:
-        """Read the drive's identity."""
         return read_identity(self._channel)
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield a text for each number of the identity (1018h) that differs from the EDS file."""
         yield from identity_doubts(self._channel)
 
     def state(self) -> ServoState:
@@ -335,43 +333,29 @@ class Cia402Servo(HomingServo):
         return state
 
     def sent_state(self) -> ServoState | None:
-        """Return the state in the process data of the last exchange, or None if the drive is not
-        prepared or process data are missing.
-        """
         if not self._cycle_ns or not self._channel.fresh:
             return None
         return decode_state(self._values.motion()[0])
 
     def read_limits(self) -> ServoLimits:
-        """Read the limits that are stored in the drive."""
         return servo_limits.read(self._channel, self._scales, self._held)
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits and values that the drive, by its EDS, does not have, without sending
-        anything.
-        """
         return lacks(self._channel, self._scales, self._sent, self._motion, cycle_s)
 
     def speed_remedy(self, factor: float) -> str:
-        """Return a text that states the setting to change if the reported speed is ``factor`` times
-        the true speed.
-        """
         return velocity_unit.remedy(self._scales, factor)
 
     def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor of the known unit of speed nearest to a rough ``factor``."""
         return velocity_unit.nearest_factor(self._scales, factor, spread)
 
     def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
-        """Return the keys of the bench file, with values, that correct the unit of the speed."""
         return velocity_unit.settings(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
-        """Return the resolution of each limit at the joint, that is, one unit of its object."""
         return servo_limits.steps(self._scales)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield an error for each limit that does not fit into its object."""
         encoded = servo_limits.encode(limits, self._scales).items()
         values = [(address, value) for address, value in encoded if address in self._held]
         values += [
@@ -382,13 +366,6 @@ class Cia402Servo(HomingServo):
         yield from servo_limits.refusals(self._channel, self._scales, values)
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write limits into the drive and verify them by reading back.
-
-        Raises:
-            LimitError: A value that is read back differs from the written value, or a limit does
-                not fit into its object.
-            ObjectAccessError: The drive refuses a limit.
-        """
         servo_limits.write(self._channel, self._scales, limits, self._held)
         self._deceleration = limits.quick_stop_deceleration_rad_s2
         for address, value in self._motion.settings(limits):
@@ -397,22 +374,18 @@ class Cia402Servo(HomingServo):
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
-        """Read each value of the drive by SDO; a value that the drive does not have is NaN."""
         return read_once(self._channel, self._scales, self._sent)
 
     def glance(self) -> ServoReadings:
-        """Read position and current, by request."""
         return glance(self._channel, self._scales, self._sent)
 
     def measuring(self) -> Measuring:
-        """Return the units of position and current, and the rated current."""
         scales, sent = self._scales, self._sent
         step_A = math.nan if sent.current is None else sent.current_unit_A
         step_rad = abs(scales.joint_rad_per_count)
         return Measuring(step_rad, scales.gear_ratio, step_A, scales.rated_current_A)
 
     def motion(self) -> ServoMotion:
-        """Read position and, if the drive has it, speed by SDO."""
         scales, speed = self._scales, math.nan
         angle = scales.joint_angle_rad(self._channel.read(*objects.POSITION))
         if self._channel.describes(*objects.SPEED_ACTUAL):
@@ -421,14 +394,12 @@ class Cia402Servo(HomingServo):
         return ServoMotion(angle, speed)
 
     def promised_deceleration(self) -> float:
-        """Return the deceleration of the quick stop (6085h) as last written, else as read."""
         if math.isnan(self._deceleration) and servo_limits.QUICK_STOP_DECELERATION in self._held:
             units = self._channel.read(*servo_limits.QUICK_STOP_DECELERATION)
             self._deceleration = units * self._scales.joint_acceleration_unit_rad_s2
         return self._deceleration
 
     def fault(self) -> DriveFault:
-        """Read the cause of the drive's fault (603Fh)."""
         code, label = optional(self._channel.read, *objects.ERROR_CODE), self._channel.label
         if code is None:
             return DriveFault(
@@ -453,9 +424,6 @@ class Cia402Servo(HomingServo):
             )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error for each unit that differs from the bench file, a cycle time that cannot
-        be set, and each object that the drive refuses to read.
-        """
         yield from refusals(
             self._channel,
             self._scales,
@@ -471,11 +439,6 @@ class Cia402Servo(HomingServo):
 
         The heartbeat time-out is active only from :meth:`enable` to :meth:`disable`, so that the
         control loop may pause at all other times.
-
-        Raises:
-            ConfigurationError: A scale or a unit differs from the bench file, or the drive did not
-                store a setting.
-            StateError: The drive is energised.
         """
         state = self.state()
         if state.energised:
@@ -504,14 +467,6 @@ class Cia402Servo(HomingServo):
         self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
-        """Energise the drive and hold the present position; process data are exchanged during all
-        transitions.
-
-        Raises:
-            StateError: The drive is not prepared, the command is not allowed in the present state,
-                or the drive does not reach the state in time; the drive is then de-energised.
-            DriveFault: The drive is in fault.
-        """
         if not self._cycle_ns:
             raise StateError("the drive is not prepared: call prepare() first")
         state = self.state()
@@ -531,13 +486,6 @@ class Cia402Servo(HomingServo):
             raise
 
     def disable(self) -> None:
-        """Switch the power off, verify by reading 6041h that it is off, and end the heartbeat
-        time-out.
-
-        Raises:
-            StateError: The drive still reports an energised state.
-            LinkError: The drive cannot be reached; it stops by itself after its heartbeat time-out.
-        """
         channel = self._channel
         with channel.kept_alive(_UNANSWERED_SHARE * self._watch_s):
             self._command(Command.DISABLE)
@@ -550,19 +498,9 @@ class Cia402Servo(HomingServo):
                 self._release()
 
     def quick_stop(self, *, at_once: bool = True) -> None:
-        """Order the drive to brake with its own ramp (605Ah, 6085h).
-
-        All further exchanges contain the order. With ``at_once``, or if an exchange may not reach
-        the drive, a request gives the order too.
-        """
         self._command(Command.QUICK_STOP, at_once)
 
     def reset_fault(self) -> None:
-        """Reset a fault. Afterwards the drive is in the state SWITCH ON DISABLED and does not move.
-
-        Raises:
-            StateError: There is no fault to reset, or the fault occurs again.
-        """
         word = controlword(self.state(), Command.RESET_FAULT)
         self._command(Command.DISABLE)
         if word == cia402.FAULT_RESET:
@@ -571,11 +509,6 @@ class Cia402Servo(HomingServo):
         self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled")
 
     def set_target(self, angle_rad: float) -> None:
-        """Set the joint angle that the next exchange sends.
-
-        Raises:
-            ConfigurationError: The angle is beyond the range of 607Ah.
-        """
         counts = self._scales.counts(angle_rad)
         if counts not in _INT32:
             raise ConfigurationError(
@@ -585,15 +518,6 @@ class Cia402Servo(HomingServo):
         self._stage(counts)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Set a joint torque that the drive adds to the torque of its controller (60B2h), to the
-        nearest per mille of the rated torque.
-
-        Unless the controlword commands operation, a torque offset of zero is sent.
-
-        Raises:
-            ConfigurationError: The drive was not prepared for a torque offset, or the torque is
-                beyond the range of 60B2h.
-        """
         if not self._motion.takes_offset:
             super().set_torque_offset(torque_N_m)
         units = round(self._scales.sign * torque_N_m / self._scales.joint_torque_unit_N_m)
@@ -606,7 +530,6 @@ class Cia402Servo(HomingServo):
         self._stage(self._target)
 
     def sample(self) -> ServoSample:
-        """Return the sample of the last exchange."""
         statusword, position = self._values.motion()
         following = 0
         if statusword & 0x6F == 0x27 and self._motion.follows:

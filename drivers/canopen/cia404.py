@@ -48,13 +48,9 @@ class Cia404Transmitter(PressureTransmitter):
         self._unit_Pa = unit_Pa
 
     def identity(self) -> Identity:
-        """Read the transmitter's identity."""
         return read_identity(self._channel)
 
     def reading(self) -> float:
-        """Read the process value (9130h). The result is NaN if the transmitter refuses the read or
-        marks the pressure as invalid.
-        """
         try:
             status, value = self._channel.read(*_STATUS), self._channel.read(*_VALUE)
         except (ConfigurationError, ObjectAccessError):
@@ -70,28 +66,16 @@ class Cia404Transmitter(PressureTransmitter):
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error for a unit that differs from the bench file, an invalid value, and each
-        missing object.
-        """
         yield from refusal(self._require_unit)
         yield from refusal(self._require_valid)
         yield from access_refusals(self._channel, (), _INPUTS)
 
     def prepare(self, cycle_s: float) -> None:
-        """Compare the unit with 6131h and 6132h, check the status and map process data.
-
-        Raises:
-            ConfigurationError: The unit differs from the bench file or is no unit of pressure, or
-                the device marks its value as invalid.
-        """
         self._require_unit()
         self._require_valid()
         self._channel.map_process_data([], _INPUTS, cycle_s)
 
     def sample(self) -> PressureSample:
-        """Return the sample of the last exchange, which is not fresh if the device marks its value
-        as invalid.
-        """
         value, status = self._channel.latest(_PRESSURE)
         return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
 

@@ -57,17 +57,12 @@ class Cia406Encoder(Encoder):
         self._time = Unwrapper(_WHOLE)
 
     def identity(self) -> Identity:
-        """Read the encoder's identity."""
         return read_identity(self._channel)
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield a text for each number of 1018h that differs from the EDS file."""
         yield from identity_doubts(self._channel)
 
     def reading(self) -> float:
-        """Read the position (6004h) and return the joint angle, rad, or NaN if the encoder refuses
-        the read.
-        """
         try:
             counts = nearest(self._channel.read(*_VALUE), self._modulus(), self._scales.middle)
         except (ConfigurationError, ObjectAccessError):
@@ -82,22 +77,15 @@ class Cia406Encoder(Encoder):
         yield from refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
     def step_rad(self) -> float:
-        """Return the joint angle of one count."""
         return abs(self._scales.rad_per_count)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error for a resolution that differs from the bench file, alarms, and each
-        missing object.
-        """
         yield from refusal(self._require_resolution)
         yield from refusal(self._require_no_alarm)
         yield from refusal(self._modulus)
         yield from access_refusals(self._channel, (), [self._inputs(stamped=False)])
 
     def lacks(self) -> Iterator[str]:
-        """Yield a text for each value that this encoder does not report; an encoder of class 1 has
-        fewer objects than one of class 2.
-        """
         read = self._channel.read
 
         def absent(*addresses: ObjectAddress) -> bool:
@@ -123,9 +111,6 @@ class Cia406Encoder(Encoder):
 
         The time stamp is that of the encoder (1013h), or the host's time of the SYNC if the encoder
         has none.
-
-        Raises:
-            ConfigurationError: 6001h differs from the bench file, or the encoder reports an alarm.
         """
         self._require_resolution()
         self._require_no_alarm()
@@ -136,7 +121,6 @@ class Cia406Encoder(Encoder):
         self._time = Unwrapper(_WHOLE)
 
     def sample(self) -> EncoderSample:
-        """Return the sample of the last exchange."""
         position, *stamp = self._channel.latest(_POSITION)
         angle = (
             self._counter.update(position) * self._scales.rad_per_count + self._scales.offset_rad

@@ -188,19 +188,11 @@ class CanopenLink(Link):
         return node
 
     def open(self) -> None:
-        """Open the bus. Nothing is sent.
-
-        Raises:
-            LinkError: The bus cannot be opened.
-        """
         if self._port is not None:
             return
         self._port = self._connected()
 
     def close(self) -> None:
-        """Close the bus. The method raises no error, may be called twice, and may be called after a
-        failure.
-        """
         port, self._port, self._lost = self._port, None, False
         if port is not None:
             close_all(port.shutdown)
@@ -223,11 +215,6 @@ class CanopenLink(Link):
         starts the time-out in a device, and those of :meth:`CanopenNode.kept_alive`), so that they
         end when the control loop stops. The method waits for process data at most 80 % of the
         cycle.
-
-        Raises:
-            LinkError: The bus failed, or a device was lost, stopped or restarted. Such a device is
-                reported once until it is prepared again; its values are then not fresh.
-            DriveFault: A device sent an emergency message.
         """
         self.exchanged = False
         self._receive(0.0)
@@ -258,9 +245,6 @@ class CanopenLink(Link):
             self._raise_troubles()
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the raw frames that were sent or received since the last call, oldest first; at
-        most the last 65 536.
-        """
         frames = list(self._frames)
         self._frames.clear()
         return frames

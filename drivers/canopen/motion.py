@@ -284,13 +284,11 @@ class CyclicPosition(Motion):
 
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
-        """Objects that are sent with the controlword."""
         return (self.target, TORQUE_OFFSET) if self.takes_offset else (self.target,)
 
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put controlword, position and torque offset into the PDO of the next exchange."""
         if self.takes_offset:
             channel.stage(OUTPUT_PDO, word, counts, self.offset)
         else:
@@ -335,12 +333,10 @@ class _HostLoop(Motion):
         self._passed: deque[tuple[int, float]] = deque(maxlen=SPEED_OVER + 1)
 
     def begin(self, cycle_s: float) -> None:
-        """Derive the gains of the loop from the cycle time."""
         self._cycle_s = cycle_s
         self._gains = derived(cycle_s, self._inertia, self._stated)
 
     def take_limits(self, limits: ServoLimits) -> None:
-        """Store the limits, which the position loop in this program enforces."""
         held = self._limits
         fields = {
             "angle_min_rad": limits.angle_min_rad,
@@ -357,9 +353,6 @@ class _HostLoop(Motion):
             self._limits = LoopLimits(**found)
 
     def reset(self) -> None:
-        """Clear the state of the motion; raise :class:`StateError` if the limits have not been
-        set.
-        """
         if self._limits is None:
             raise StateError(
                 f"in mode {self.words} this program, and not the drive, enforces the limits, and "
@@ -491,14 +484,12 @@ class ProfilePosition(Motion):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        """Objects that the mode needs, each with its purpose."""
         return {
             **super().needed,
             servo_limits.PROFILE_SPEED: "it limits the speed of the profile",
         }
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
-        """Yield speed, acceleration and deceleration of the profile."""
         unit = self._scales.joint_speed_unit_rad_s
         if not math.isnan(limits.speed_rad_s):
             yield servo_limits.PROFILE_SPEED, math.floor(limits.speed_rad_s / unit + 1e-6)
@@ -507,7 +498,6 @@ class ProfilePosition(Motion):
                 yield address, max(1, round(units))
 
     def reset(self) -> None:
-        """Clear the state of the motion; the next set-point has no bit "new set-point"."""
         self._raised = False
         self._staged_in = -1
 

@@ -149,17 +149,14 @@ class CanopenNode:
 
     @property
     def label(self) -> str:
-        """Name of the device in messages."""
         return f"node {self.node_id}"
 
     @property
     def latches(self) -> bool:
-        """True: the values of an exchange are all sampled at the SYNC."""
         return True
 
     @property
     def fresh(self) -> bool:
-        """Whether all values that the device had to send in the last exchange arrived."""
         if self.missing or not self._wire.exchanged:
             return False
         for slot in self._slow:  # noqa: SIM110  (a generator costs a microsecond a cycle)
@@ -168,14 +165,6 @@ class CanopenNode:
         return True
 
     def read(self, index: int, subindex: int = 0) -> int:
-        """Read an integer object.
-
-        Raises:
-            ConfigurationError: The EDS has no such object, or the length of the answer differs from
-                that in the EDS.
-            ObjectAccessError: The device refuses.
-            LinkError: No answer.
-        """
         index, subindex = self._at(index, subindex)
         item = variable(self._dictionary, index, subindex)
         data = self._upload(index, subindex)
@@ -189,60 +178,35 @@ class CanopenNode:
         return value if share is None else value >> 16 * share & 0xFFFF
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible-string object; the errors are those of :meth:`read`."""
         return self._upload(index, subindex).decode("ascii", errors="replace").rstrip("\0")
 
     def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object.
-
-        Raises:
-            ConfigurationError: The EDS has no such object, or the value does not fit its type.
-            ObjectAccessError: The device refuses.
-            LinkError: No answer.
-        """
         index, subindex = self._at(index, subindex)
         data = self._packed(index, subindex, value)
         self._access(index, subindex, lambda: self.remote.sdo.download(index, subindex, data))
 
     @property
     def sync_us(self) -> int:
-        """Time of the last SYNC on the clock of the host, microseconds modulo 2^32."""
         return self._wire.sync_ns // 1000 & 0xFFFFFFFF
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the EDS contains an object and, with ``mappable``, allows the object in
-        process data. Nothing is sent.
-        """
         if (index, subindex) in self._axis.unlike:
             return False
         return described(self._dictionary, *self._at(index, subindex), mappable)
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
-        """Return whether a PDO can hold these objects. Nothing is sent."""
         found = (self._dictionary.get_variable(*self._at(*address)) for address in addresses)
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
 
     def stated(self, index: int, subindex: int) -> int | None:
-        """Return the default value of an object in the EDS, or None without a default value,
-        without sending anything.
-        """
         item = self._dictionary.get_variable(*self._at(index, subindex))
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS contains an object and that a value fits its type; the errors are
-        those of :meth:`write`.
-
-        Nothing is sent.
-        """
         self._packed(*self._at(index, subindex), value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; the SDO request is sent even if no answer can be received.
-
-        The errors are those of :meth:`write`.
-        """
         self.write(index, subindex, value)
 
     def announce(self, index: int, subindex: int, value: int) -> None:
@@ -255,10 +219,6 @@ class CanopenNode:
             self.write(index, subindex, value)
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Make those checks of :meth:`map_process_data` that need no write, with its errors.
-
-        Nothing is sent.
-        """
         if not self.describes(*_PRODUCER) and not self._guarded(watched=False):
             raise ConfigurationError(
                 "neither object 1017h:00h nor the objects 100Ch:00h and 100Dh:00h are in the "
@@ -271,9 +231,6 @@ class CanopenNode:
     def accessed(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
     ) -> Iterator[ObjectAddress]:
-        """Yield the objects that :meth:`map_process_data` and :meth:`watch` read or write. Nothing
-        is sent.
-        """
         yield from (address for address in self._error_control(watched) if self.describes(*address))
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
             yield from accessed(direction, layouts)
@@ -311,12 +268,6 @@ class CanopenNode:
         The first values of the inputs are read by SDO. A device that is to monitor this program,
         but has no heartbeat consumer (1016h), is guarded if it has the objects 100Ch and 100Dh. A
         device that sends no heartbeat (1017h) is guarded, too.
-
-        Raises:
-            ConfigurationError: Another device has another cycle time, an object is not in the EDS,
-                or a PDO is too long.
-            ObjectAccessError: The device refuses the mapping.
-            LinkError: No answer.
         """
         self._wire.set_cycle(cycle_s, self.label)
         self.monitored, self.guarding = False, None
@@ -346,16 +297,12 @@ class CanopenNode:
         self._start()
 
     def stage(self, number: int, *values: int) -> None:
-        """Set the values that RPDO ``number`` contains from the next exchange on."""
         identifier, packing = self._staged[number]
         self.outputs[identifier] = packing.pack(*values)
         if self._then:
             self._then.pop(identifier, None)
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Set the values of RPDO ``number`` for the next exchange, and the values for the exchanges
-        after it.
-        """
         identifier, packing = self._staged[number]
         self.outputs[identifier] = packing.pack(*values)
         self._then[identifier] = packing.pack(*then)
@@ -369,11 +316,6 @@ class CanopenNode:
             self._then.clear()
 
     def latest(self, number: int) -> tuple[int, ...]:
-        """Return the values of the last valid frame of TPDO ``number``.
-
-        Raises:
-            StateError: The process data are not set up.
-        """
         if number not in self._numbered:
             raise StateError(f"{self.label}: no process data are set up; prepare the device first")
         return self._numbered[number].values
@@ -382,9 +324,6 @@ class CanopenNode:
         """Activate the device's heartbeat consumer (1016h) or life guarding (100Ch, 100Dh), and
         send the first heartbeat or guard request, which starts the time-out. Nothing is done for a
         device with neither.
-
-        Raises:
-            ConfigurationError: A value that is read back differs from the written value.
         """
         if self.guarding is None and not self.describes(*CONSUMER):
             return
@@ -402,7 +341,6 @@ class CanopenNode:
                 )
 
     def unwatch(self) -> None:
-        """Deactivate the heartbeat consumer or the life guarding."""
         if self.guarding is not None:
             self.write(*LIFE_FACTOR, 0)
         elif self.describes(*CONSUMER):

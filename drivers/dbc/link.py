@@ -39,12 +39,6 @@ class DbcLink(CanopenLink):
         return channel
 
     def open(self) -> None:
-        """Open the bus. Nothing is sent.
-
-        Raises:
-            LinkError: The bus cannot be opened.
-            ConfigurationError: Two devices use the same CAN identifier.
-        """
         for conflict in self.conflicts():
             raise ConfigurationError(conflict)
         routes = {
@@ -93,13 +87,7 @@ class DbcLink(CanopenLink):
         close_all(*stops, super().close)
 
     def exchange(self) -> None:
-        """Send every command, then SYNC, and collect the answers, for at most 80 % of the cycle.
-
-        Raises:
-            LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.
-            DriveFault: A device sent an emergency message, or a drive went into fault while it was
-                running.
-        """
+        """Send every command, then SYNC, and collect the answers, for at most 80 % of the cycle."""
         self.exchanged = False
         self._receive(0.0)
         now = self.clock.now_ns()

@@ -251,11 +251,6 @@ class DbcServo(Servo):
         self._stopped_ns = 0
 
     def identity(self) -> Identity:
-        """Return the identity from the bench file and from the frames of the drive.
-
-        Raises:
-            LinkError: The drive sends no frames.
-        """
         told = self._drive.identity
         return Identity(
             name=told.name,
@@ -266,12 +261,7 @@ class DbcServo(Servo):
         )
 
     def state(self) -> ServoState:
-        """Wait for the drive's next status frame and return its state.
-
-        Raises:
-            LinkError: The drive sends no frames.
-            StateError: The map does not contain the status value that the drive reports.
-        """
+        """Wait for the drive's next status frame and return its state."""
         self._feedback.fault_code()
         self._feedback.await_frame(self._wiring.status_message)
         state = self._channel.state
@@ -295,22 +285,12 @@ class DbcServo(Servo):
         return self.state()
 
     def read_limits(self) -> ServoLimits:
-        """Return the limits of the drive: the reported value, or the value in the bench file for a
-        limit that the drive does not report.
-
-        Raises:
-            LinkError: The drive sends no frames.
-        """
         return dbc_limits.decode(self._feedback.limits(), self._drive)
 
     def limit_steps(self) -> LimitSteps:
-        """Return the resolution at the joint of each signal that reports a limit."""
         return dbc_limits.steps(self._wiring, self._drive)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield an error for each limit that does not fit into its signal, or that exceeds the
-        limit set with the maker's tool.
-        """
         wiring, drive = self._wiring, self._drive
         yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
         yield from refusal(
@@ -318,13 +298,6 @@ class DbcServo(Servo):
         )
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write the limits that can be written over the bus, and verify all limits of the drive.
-
-        Raises:
-            ConfigurationError: The drive reports another value than the written value, or a limit
-                that was set with the maker's tool is tighter than that of the bench file.
-            LinkError: The drive sends no frames.
-        """
         wanted = dbc_limits.encode(limits, self._drive)
         settable = self._wiring.limits
         self._channel.pin({})
@@ -350,7 +323,6 @@ class DbcServo(Servo):
         )
 
     def glance(self) -> ServoReadings:
-        """Wait for the next frames with position and current."""
         position, effort = self._feedback.unasked("position", self._effort)
         angle = position + self._drive.offset_rad * self._drive.gear_ratio
         return ServoReadings(angle, current_A=effort / self._effort_per_A)
@@ -372,17 +344,14 @@ class DbcServo(Servo):
         return Measuring(step_rad / gear, gear, effort / self._effort_per_A, limit_A)
 
     def motion(self) -> ServoMotion:
-        """Wait for the next frames that contain position and speed."""
         position, velocity = self._feedback.unasked("position", "velocity")
         gear = self._drive.gear_ratio
         return ServoMotion(position / gear + self._drive.offset_rad, velocity / gear)
 
     def promised_deceleration(self) -> float:
-        """Return the deceleration of the drive's ramp that the bench file states."""
         return self._drive.held.quick_stop_deceleration_rad_s2
 
     def fault(self) -> DriveFault:
-        """Return the fault that the drive reports."""
         return self._channel.fault()
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
@@ -399,12 +368,6 @@ class DbcServo(Servo):
     def prepare(self, cycle_s: float) -> None:
         """Set the cycle time, and wait until every message of the drive has been received without
         error. The drive is not energised.
-
-        Raises:
-            ConfigurationError: The cycle time is too long for the drive's watchdog or differs from
-                that of another device, or the drive's position does not fit into the target signal.
-            StateError: The drive is energised.
-            LinkError: A message is not received, or never without error.
         """
         state = self.state()
         if state.energised:
@@ -424,13 +387,6 @@ class DbcServo(Servo):
         self._stage(self._feedback.value("position"))
 
     def enable(self) -> None:
-        """Energise and hold the present position; process data are exchanged meanwhile.
-
-        Raises:
-            StateError: The drive is not prepared, the command is not allowed in the present state,
-                or the drive does not reach the state in time; the drive is then de-energised.
-            DriveFault: The drive is in fault.
-        """
         if not self._cycle_ns:
             raise StateError("the drive is not prepared: call prepare() first")
         state = self.state()
@@ -446,20 +402,11 @@ class DbcServo(Servo):
             raise
 
     def disable(self) -> None:
-        """Switch the power off, send the stop frame, and verify by the drive's status that the
-        power is off.
-
-        Raises:
-            StateError: The drive still reports an energised state.
-            LinkError: The drive cannot be reached; it stops by itself after the time of its
-                watchdog.
-        """
         self._command(self._wiring.disable)
         self._link.stop(self._channel)
         self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
 
     def quick_stop(self, *, at_once: bool = True) -> None:
-        """Order the drive to brake with its own ramp, at once and in all further exchanges."""
         del at_once  # no answer is waited for
         # The periodic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
@@ -468,11 +415,6 @@ class DbcServo(Servo):
         self._command(self._wiring.stop)
 
     def reset_fault(self) -> None:
-        """Reset a fault. Afterwards the drive is de-energised and does not move.
-
-        Raises:
-            StateError: There is no fault to reset, or the fault occurs again.
-        """
         # The table of CiA 402 determines the states in which a fault can be reset.
         word = cia402.controlword(self.state(), cia402.Command.RESET_FAULT)
         disable, reset = self._wiring.disable, self._wiring.reset
@@ -490,22 +432,9 @@ class DbcServo(Servo):
         )
 
     def set_target(self, angle_rad: float) -> None:
-        """Set the joint angle that the next exchange sends.
-
-        Raises:
-            ConfigurationError: The angle is beyond the range of the target signal.
-        """
         self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Set a joint torque that the drive adds to the torque of its controller; the map must have
-        a signal for it.
-
-        Unless the drive is ordered to run, a torque offset of zero is sent.
-
-        Raises:
-            ConfigurationError: The map has no torque offset, or its signal is too small.
-        """
         quantity = self._wiring.torque_offset
         if quantity is None:
             raise ConfigurationError(
@@ -521,9 +450,6 @@ class DbcServo(Servo):
         self._channel.push(bits)
 
     def sample(self) -> ServoSample:
-        """Return the sample of the last exchange; ``statusword`` is that of a CiA 402 drive in the
-        same state.
-        """
         channel, drive = self._channel, self._drive
         state = channel.state
         position = self._feedback.value("position")

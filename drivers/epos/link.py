@@ -112,11 +112,6 @@ class EposSerialLink(Link):
         return node
 
     def open(self) -> None:
-        """Open the port. Nothing is sent.
-
-        Raises:
-            LinkError: The port cannot be opened.
-        """
         if self._port is not None:
             return
         self._port = self._connected()
@@ -124,7 +119,6 @@ class EposSerialLink(Link):
         self._marks.clear()
 
     def close(self) -> None:
-        """Close the port; safe to call twice and after a failure. Raises nothing."""
         port, self._port, self._lost = self._port, None, False
         if port is not None:
             close_all(port.close)
@@ -147,10 +141,6 @@ class EposSerialLink(Link):
 
         A lost answer ends the exchange: the remaining requests are not sent, and their values do
         not change.
-
-        Raises:
-            LinkError: The line is gone, or a drive was silent for too long, which is reported once
-                until the drive is prepared again.
         """
         self.cycle += 1
         now = self.clock.now_ns()
@@ -178,9 +168,6 @@ class EposSerialLink(Link):
         self._at_instant = call
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the bytes sent and received since the last call, oldest first, eight bytes per
-        frame.
-        """
         frames = list(self._frames)
         self._frames.clear()
         return frames

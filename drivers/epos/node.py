@@ -112,18 +112,9 @@ class ObjectAccess:
 
     @property
     def label(self) -> str:
-        """Name of the device in messages."""
         return f"node {self.node_id}"
 
     def read(self, index: int, subindex: int = 0) -> int:
-        """Read an integer object.
-
-        Raises:
-            ConfigurationError: The EDS has no such object, or the object is no integer of at most
-                32 bits.
-            ObjectAccessError: The device refuses.
-            LinkError: No answer.
-        """
         layout = self._packing(index, subindex)
         answer = self._request(
             Opcode.READ_OBJECT, OBJECT.pack(self.node_id, index, subindex), index, subindex
@@ -159,44 +150,23 @@ class ObjectAccess:
         return data
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible-string object; the errors are those of :meth:`read`."""
         return self.read_bytes(index, subindex).decode("ascii", errors="replace").rstrip("\0")
 
     def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object.
-
-        Raises:
-            ConfigurationError: The EDS has no such object, or the value does not fit its type.
-            ObjectAccessError: The device refuses.
-            LinkError: No answer.
-        """
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the EDS contains an object. Every object can be process data.
-
-        Nothing is sent.
-        """
         return described(self._dictionary, index, subindex, mappable=False)
 
     def fit_together(self, addresses: Sequence[tuple[int, int]]) -> bool:
-        """Return True, because each object is requested on its own."""
         return True
 
     def stated(self, index: int, subindex: int) -> int | None:
-        """Return the default value of an object in the EDS, or None without a default value,
-        without sending anything.
-        """
         item = self._dictionary.get_variable(index, subindex)
         default = None if item is None else item.default
         return default if isinstance(default, int) else None
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and that a value fits the type of the object; the errors
-        are those of :meth:`write`.
-
-        Nothing is sent.
-        """
         self._written(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
@@ -210,9 +180,6 @@ class ObjectAccess:
     def announce(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object by one request, because an exchange sends nothing while an answer
         to an earlier request is missing; a lost answer and a refusal raise no error.
-
-        Raises:
-            LinkError: The line is gone.
         """
         self._line.tell(Opcode.WRITE_OBJECT, self._written(index, subindex, value))
 
@@ -400,12 +367,10 @@ class EposSerialNode(ObjectAccess):
 
     @property
     def latches(self) -> bool:
-        """False: the values of an exchange are read one after another."""
         return False
 
     @property
     def fresh(self) -> bool:
-        """Whether all objects of the last exchange were written and read."""
         return self._complete
 
     @property
@@ -416,11 +381,6 @@ class EposSerialNode(ObjectAccess):
         return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check that the EDS has every object of a cycle; the errors are those of
-        :meth:`map_process_data`.
-
-        Nothing is sent.
-        """
         for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
             if address != _HOST_TIME:
                 self._packing(*address)
@@ -428,7 +388,6 @@ class EposSerialNode(ObjectAccess):
     def accessed(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
     ) -> Iterator[ObjectAddress]:
-        """Yield the objects of a cycle."""
         for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
             if address != _HOST_TIME:
                 yield address
@@ -444,16 +403,6 @@ class EposSerialNode(ObjectAccess):
         cycle_s: float,
         watched: bool = False,
     ) -> None:
-        """Start the node, and store the list of the objects that every cycle writes and reads.
-
-        The first values of the inputs are read by single requests.
-
-        Raises:
-            ConfigurationError: Another device has a different cycle time, or an object is not in
-                the EDS or no integer.
-            ObjectAccessError: The device refuses the read of an object.
-            LinkError: No answer.
-        """
         self.monitored = self._complete = False
         self._line.set_cycle(cycle_s, self.label)
         self._cycle_s = cycle_s
@@ -482,16 +431,12 @@ class EposSerialNode(ObjectAccess):
         self.monitored = True
 
     def stage(self, number: int, *values: int) -> None:
-        """Set the values that output ``number`` carries from the next exchange on."""
         for output, value in zip(self._outputs[number], values, strict=True):
             output.value = value
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
         """Refuse the command, because without a watchdog a command of speed or torque would
         continue after the end of this program.
-
-        Raises:
-            ConfigurationError: Always.
         """
         raise ConfigurationError(
             f"{self.label}: over a serial line a drive can be commanded by positions only; set "
@@ -499,11 +444,6 @@ class EposSerialNode(ObjectAccess):
         )
 
     def latest(self, number: int) -> tuple[int, ...]:
-        """Return the last good values of input ``number``.
-
-        Raises:
-            StateError: The inputs are not set up.
-        """
         if number not in self._layouts:
             raise StateError(f"{self.label}: no process data are set up; prepare the device first")
         return tuple(
@@ -527,12 +467,10 @@ class EposSerialNode(ObjectAccess):
             self._line.guard.arm(max(_GUARD_FACTOR * limit_s, _GUARD_CYCLES * self._cycle_s))
 
     def unwatch(self) -> None:
-        """Disarm the guard."""
         if self._line.guard is not None:
             self._line.guard.release()
 
     def kept_alive(self, limit_s: float) -> AbstractContextManager[None]:
-        """Return an empty context: the guard is fed during every wait."""
         return nullcontext()
 
     def limit_wait(self, limit_s: float | None) -> None:
