@@ -18,8 +18,8 @@ from canopen.objectdictionary import (
     datatypes,
 )
 
-from drivers.canopen import xdd_text
 from drivers.canopen.eds_text import Section, decode, integer, sections
+from drivers.canopen.xdd_text import is_xml, xml_sections
 from drivers.errors import ConfigurationError, require_plain
 
 _OBJECT: Final = re.compile(r"([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?")
@@ -71,9 +71,9 @@ def read_eds(eds: Path, node_id: int) -> Described:
             f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the EDS file of this "
             "device"
         ) from error
-    xml = xdd_text.is_xml(content)
+    xml = is_xml(content)
     try:
-        found = xdd_text.sections(content) if xml else sections(decode(content))
+        found = xml_sections(content) if xml else sections(decode(content))
     except ValueError as error:
         line, reason = error.args
         raise ConfigurationError(f"{eds}:{line}: {reason}; use the file of this device") from error

@@ -45,7 +45,7 @@ def is_xml(content: bytes) -> bool:
 
 
 @lru_cache(maxsize=4)
-def sections(content: bytes) -> Mapping[str, Section]:
+def xml_sections(content: bytes) -> Mapping[str, Section]:
     """Return the objects by the names that their sections would have in an EDS file.
 
     Raises:
@@ -55,10 +55,10 @@ def sections(content: bytes) -> Mapping[str, Section]:
     """
     if len(content) > MOST_BYTES:
         raise ValueError(1, f"the file has {len(content)} bytes, limit {MOST_BYTES}")
-    return _Reader().read(content)
+    return _XmlReader().read(content)
 
 
-class _Reader:
+class _XmlReader:
     """Collects the objects while the parser goes through the document."""
 
     def __init__(self) -> None:
