@@ -12,7 +12,7 @@ from typing import Final
 
 from drivers.can.port import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
-from drivers.canopen.node import require_node
+from drivers.canopen.link import require_node
 from drivers.clock import NS, Clock
 from drivers.epos.frames import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
 from drivers.epos.node import FASTEST_1_S, IDENTITY, EposSerialNode, Guard

@@ -13,9 +13,8 @@ from drivers.can.port import PythonCanPort
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.eds_file import read_eds
-from drivers.canopen.link import CanopenLink
+from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.canopen.motion import CyclicPosition, Motion
-from drivers.canopen.node import CanopenNode
 from drivers.canopen.sdo import ONE_AXIS, Axis
 from drivers.clock import NS
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen import motion
-from drivers.canopen.cia402_homing import settings
+from drivers.canopen.cia402_servo import settings
 from drivers.canopen.motion import ProfilePosition
 from drivers.clock import NS
 from drivers.homing import HomingOrder

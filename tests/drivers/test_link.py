@@ -7,8 +7,7 @@ import pytest
 
 from drivers.can.port import cycle_bits, frame_bits
 from drivers.canopen import cia402_objects, cia406
-from drivers.canopen.link import CanopenLink
-from drivers.canopen.node import CanopenNode
+from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.mock.drive import DRIVE_EDS
