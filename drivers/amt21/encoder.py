@@ -12,7 +12,7 @@ from drivers.can.port import ANSWER_SHARE
 from drivers.clock import NS, Clock
 from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Encoder, EncoderSample, Identity, Link, RawFrame
-from drivers.objects import refusal
+from drivers.objects import problem_of
 from drivers.port_errors import close_all, opened, words
 from drivers.serial_port import BytePort, raw_frames
 from drivers.units import EncoderScales, nearest
@@ -321,8 +321,8 @@ class Amt21Encoder(Encoder):
     def step_rad(self) -> float:
         return abs(self._scales.rad_per_count)
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        yield from refusal(self._trusted)
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        yield from problem_of(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
         """Find the encoder, and start from a position at rest on which several of its answers

@@ -12,9 +12,9 @@ from drivers.objects import (
     VENDOR,
     PdoLayout,
     ProcessChannel,
-    access_refusals,
+    access_problems,
+    problem_of,
     read_identity,
-    refusal,
 )
 
 FRAMES: Final = ((5, 1),)
@@ -57,18 +57,18 @@ class Cia404Transmitter(PressureTransmitter):
             return math.nan
         return math.nan if status else value * self._unit_Pa
 
-    def description_refusals(self) -> Iterator[DeviceError]:
+    def description_problems(self) -> Iterator[DeviceError]:
         """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
         sent.
         """
         for address in (VENDOR, _UNIT, _DIGITS):
-            yield from refusal(self._channel.require_fit, *address, 0)
-        yield from refusal(self._channel.require_mappable, (), _INPUTS)
+            yield from problem_of(self._channel.require_fit, *address, 0)
+        yield from problem_of(self._channel.require_mappable, (), _INPUTS)
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        yield from refusal(self._require_unit)
-        yield from refusal(self._require_valid)
-        yield from access_refusals(self._channel, (), _INPUTS)
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        yield from problem_of(self._require_unit)
+        yield from problem_of(self._require_valid)
+        yield from access_problems(self._channel, (), _INPUTS)
 
     def prepare(self, cycle_s: float) -> None:
         self._require_unit()

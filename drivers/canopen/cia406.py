@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
-from drivers.interfaces import Encoder, EncoderSample, Identity
+from drivers.interfaces import Encoder, EncoderSample, Identity, Lacks
 from drivers.objects import (
     VENDOR,
     ObjectAddress,
     PdoLayout,
     ProcessChannel,
-    access_refusals,
-    identity_doubts,
+    access_problems,
+    identity_problems,
     optional,
+    problem_of,
     read_identity,
-    refusal,
 )
 from drivers.units import EncoderScales, Unwrapper, nearest
 
@@ -59,8 +59,8 @@ class Cia406Encoder(Encoder):
     def identity(self) -> Identity:
         return read_identity(self._channel)
 
-    def identity_doubts(self) -> Iterator[str]:
-        yield from identity_doubts(self._channel)
+    def identity_problems(self) -> Iterator[DeviceError]:
+        yield from identity_problems(self._channel)
 
     def reading(self) -> float:
         try:
@@ -69,42 +69,42 @@ class Cia406Encoder(Encoder):
             return math.nan
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
-    def description_refusals(self) -> Iterator[DeviceError]:
+    def description_problems(self) -> Iterator[DeviceError]:
         """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
         sent.
         """
-        yield from refusal(self._channel.require_fit, *VENDOR, 0)
-        yield from refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
+        yield from problem_of(self._channel.require_fit, *VENDOR, 0)
+        yield from problem_of(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
     def step_rad(self) -> float:
         return abs(self._scales.rad_per_count)
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        yield from refusal(self._require_resolution)
-        yield from refusal(self._require_no_alarm)
-        yield from refusal(self._modulus)
-        yield from access_refusals(self._channel, (), [self._inputs(stamped=False)])
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        yield from problem_of(self._require_resolution)
+        yield from problem_of(self._require_no_alarm)
+        yield from problem_of(self._modulus)
+        yield from access_problems(self._channel, (), [self._inputs(stamped=False)])
 
-    def lacks(self) -> Iterator[str]:
+    def lacks(self, cycle_s: float) -> Lacks:
         read = self._channel.read
 
         def absent(*addresses: ObjectAddress) -> bool:
             return all(optional(read, *address) is None for address in addresses)
 
-        if absent(*_RESOLUTION):
-            yield "joint encoder: not checked: counts per turn (6001h, 6501h)"
-        if absent(_RANGE, _TURNS):
-            yield (
-                "joint encoder: no range of the position (6002h, 6502h): the position is assumed "
-                "to start again at zero after each turn"
-            )
-        if absent(_ALARMS):
-            yield "joint encoder: not monitored: alarms (6503h)"
-        if not self._has_stamp():
-            yield (
-                "joint encoder: no time stamp (1013h): samples have the time of the SYNC on this "
-                "computer"
-            )
+        rows = (
+            (absent(*_RESOLUTION), "not checked: counts per turn (6001h, 6501h)"),
+            (
+                absent(_RANGE, _TURNS),
+                "no range of the position (6002h, 6502h): the position is assumed to start again "
+                "at zero after each turn",
+            ),
+            (absent(_ALARMS), "not monitored: alarms (6503h)"),
+            (
+                not self._has_stamp(),
+                "no time stamp (1013h): samples have the time of the SYNC on this computer",
+            ),
+        )
+        return Lacks(words=tuple(f"joint encoder: {text}" for lacking, text in rows if lacking))
 
     def prepare(self, cycle_s: float) -> None:
         """Check resolution and alarms, and map process data.

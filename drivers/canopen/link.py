@@ -32,7 +32,6 @@ from drivers.canopen.sdo import (
     ONE_AXIS,
     Axis,
     PumpedNode,
-    Wire,
     described,
     translated,
     unfit,
@@ -135,7 +134,7 @@ class CanopenNode:
     """
 
     def __init__(
-        self, node_id: int, dictionary: ObjectDictionary, wire: Wire, axis: Axis = ONE_AXIS
+        self, node_id: int, dictionary: ObjectDictionary, wire: CanopenLink, axis: Axis = ONE_AXIS
     ) -> None:
         self.node_id = node_id
         self._axis = axis

@@ -14,7 +14,6 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.cia402 import STATUSWORD
-from drivers.clock import Clock
 from drivers.errors import (
     ConfigurationError,
     LinkError,
@@ -38,19 +37,10 @@ _INITIATE = (1, 2)
 
 
 class Wire(Protocol):
-    """Interface of the link that a node uses."""
+    """Interface of the link that an SDO client uses."""
 
-    clock: Clock
     sdo_timeout_s: float
     alive_until_ns: int
-    cycle: int
-    master_id: int
-    sync_ns: int
-    exchanged: bool
-
-    def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame."""
-        ...
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
         """Receive and dispatch frames until ``ready()`` is true; return False after
@@ -58,20 +48,8 @@ class Wire(Protocol):
         """
         ...
 
-    def heartbeat(self) -> None:
-        """Send the master's heartbeat."""
-        ...
-
     def keep_alive(self) -> None:
         """Send the signs of the control loop that are due, until ``alive_until_ns``."""
-        ...
-
-    def forget(self, node_id: int) -> None:
-        """Drop the errors of a device that no exchange has raised yet."""
-        ...
-
-    def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, which must be the same for all devices."""
         ...
 
 

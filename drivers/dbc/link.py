@@ -39,7 +39,7 @@ class DbcLink(CanopenLink):
         return channel
 
     def open(self) -> None:
-        for conflict in self.conflicts():
+        for conflict in self.problems():
             raise ConfigurationError(conflict)
         routes = {
             identifier: (channel, slot)
@@ -49,7 +49,7 @@ class DbcLink(CanopenLink):
         self._routes = routes
         super().open()
 
-    def conflicts(self) -> Iterator[str]:
+    def problems(self) -> Iterator[str]:
         """Yield a text for each CAN identifier of a drive that is used twice on this bus."""
         taken: set[int] = set()
         for channel in self._channels:

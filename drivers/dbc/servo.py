@@ -27,7 +27,7 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
-from drivers.objects import refusal
+from drivers.objects import problem_of
 from drivers.transitions import await_state, exchanges
 from drivers.units import Unwrapper
 
@@ -290,10 +290,10 @@ class DbcServo(Servo):
     def limit_steps(self) -> LimitSteps:
         return dbc_limits.steps(self._wiring, self._drive)
 
-    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+    def limit_problems(self, limits: ServoLimits) -> Iterator[DeviceError]:
         wiring, drive = self._wiring, self._drive
-        yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
-        yield from refusal(
+        yield from problem_of(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
+        yield from problem_of(
             dbc_limits.require_room, limits, drive.held, wiring.limits, self._channel.label
         )
 
@@ -354,16 +354,16 @@ class DbcServo(Servo):
     def fault(self) -> DriveFault:
         return self._channel.fault()
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield an error for a cycle time that is too long for the drive's watchdog, and for a
         position that does not fit into the target signal.
 
         The method does not wait for a message that the drive sends only in answer to a command.
         """
-        yield from refusal(self._require_watchdog, cycle_s)
+        yield from problem_of(self._require_watchdog, cycle_s)
         (position,) = self._feedback.unasked("position")
         if not math.isnan(position):
-            yield from refusal(self._target_bits, position)
+            yield from problem_of(self._target_bits, position)
 
     def prepare(self, cycle_s: float) -> None:
         """Set the cycle time, and wait until every message of the drive has been received without

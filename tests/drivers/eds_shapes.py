@@ -98,7 +98,7 @@ def read(path: Path) -> Described | None:
         require_name(refused, path)
         return None
     servo = Cia402Servo(CanopenNode(NODE, found, link()), link(), SCALES)
-    list(servo.description_refusals())
+    list(servo.description_problems())
     match(found)
     return found
 

@@ -137,10 +137,10 @@ def test_a_guarded_drive_that_leaves_operational_is_noticed(tmp_path: Path) -> N
 
 def test_without_remote_frames_the_remedy_is_named(tmp_path: Path) -> None:
     host = guarded(tmp_path)
-    assert not list(host.servo.refusals(host.cycle_s))
+    assert not list(host.servo.problems(host.cycle_s))
     assert len(requests(host)) == 1
     host.bench.drive.remote_frames = False
-    (error,) = host.servo.refusals(host.cycle_s)
+    (error,) = host.servo.problems(host.cycle_s)
     assert "701h" in str(error)
     with pytest.raises(LinkError, match=r"701h.*servo\.stops_alone: false"):
         host.servo.prepare(host.cycle_s)
@@ -167,7 +167,7 @@ def test_told_so_a_drive_without_remote_frames_runs_as_one_without_a_watchdog(
 def test_what_makes_a_drive_one_without_a_watchdog(tmp_path: Path, lacks: tuple[int, ...]) -> None:
     host = make_host(eds=drive_eds(tmp_path, lacks))
     assert not host.link.has_watchdog
-    assert [str(error) for error in host.servo.description_refusals()] == []
+    assert [str(error) for error in host.servo.description_problems()] == []
     assert any("stops_alone" in words for words in host.servo.lacks(host.cycle_s).words)
     enabled(host).cycles(100)
     assert host.servo.state() is ServoState.OPERATION_ENABLED
@@ -177,7 +177,7 @@ def test_what_makes_a_drive_one_without_a_watchdog(tmp_path: Path, lacks: tuple[
 
 def test_a_device_that_nothing_shows_to_be_lost_is_refused(tmp_path: Path) -> None:
     host = make_host(eds=drive_eds(tmp_path, (0x1016, 0x1017, 0x100C)))
-    (error,) = host.servo.description_refusals()
+    (error,) = host.servo.description_problems()
     assert "1017h" in str(error)
     host.link.close()
 
@@ -288,7 +288,7 @@ def test_an_object_without_which_a_run_fails_is_found_by_the_check(
     for address in sorted(accessed):
         host = make_host(eds=eds)
         del host.bench.drive.objects.entries[key(*address)]
-        refused = [error for error in host.servo.refusals(host.cycle_s)]
+        refused = [error for error in host.servo.problems(host.cycle_s)]
         failed = False
         try:
             enabled(host)

@@ -238,4 +238,4 @@ def test_a_makers_own_methods_are_negative() -> None:
     host = make_host()
     host.bench.drive.objects.values[key(0x60E3, 1)] = -3
     assert host.servo.homing_offer().methods == (-3, 18, 35, 37)
-    assert "method 17 is not offered" in host.servo.homing_offer().refusal(17)
+    assert "method 17 is not offered" in host.servo.homing_offer().problem(17)

@@ -228,8 +228,8 @@ def test_a_drive_of_this_make_runs_and_is_left_without_power(make: str, tmp_path
     for index in LACKS[make]:
         with pytest.raises((ObjectAccessError, ConfigurationError)):
             host.drive.read(index, 1 if index in (0x60C2, 0x607D) else 0)
-    assert list(host.servo.description_refusals()) == []
-    assert list(host.servo.refusals(host.cycle_s)) == []
+    assert list(host.servo.description_problems()) == []
+    assert list(host.servo.problems(host.cycle_s)) == []
     lacks = host.servo.lacks(host.cycle_s)
     assert lacks.supply is (make != "Copley")
     assert lacks.temperature
@@ -307,10 +307,13 @@ def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
 
 
 def test_an_encoder_of_class_1(host: Host) -> None:
-    assert list(host.encoder.lacks()) == []
+    assert list(host.encoder.lacks(host.cycle_s).words) == []
     remove(host.bench.encoder, (0x6001, 0), (0x6002, 0), (0x6503, 0), (0x1013, 0))
-    assert list(host.encoder.refusals(host.cycle_s)) == []
-    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == ["6503h", "1013h"]
+    assert list(host.encoder.problems(host.cycle_s)) == []
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words] == [
+        "6503h",
+        "1013h",
+    ]
     enabled(host)
     host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
     sample = host.encoder.sample()
@@ -320,7 +323,7 @@ def test_an_encoder_of_class_1(host: Host) -> None:
     with pytest.raises(ConfigurationError, match="6501h reads 262144 counts per turn"):
         wrong.prepare(host.cycle_s)
     remove(host.bench.encoder, (0x6501, 0), (0x6502, 0))
-    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == [
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words] == [
         "6001h",
         "6002h",
         "6503h",
@@ -378,11 +381,11 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
         def read(self, *_: int) -> int:
             return 0x00B44700
 
-    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.problems(Stating(), SCALES)  # type: ignore[arg-type]
     assert str(error).endswith("the unit of 606Ch is rpm: set servo.velocity_unit: rpm")
     rpm = dataclasses.replace(SCALES, velocity_unit_rad_s=2 * math.pi / 60)
-    assert list(motion.refusals(Stating(), rpm)) == []  # type: ignore[arg-type]
-    assert list(motion.refusals(host.drive, SCALES)) == []
+    assert list(motion.problems(Stating(), rpm)) == []  # type: ignore[arg-type]
+    assert list(motion.problems(host.drive, SCALES)) == []
 
 
 @pytest.mark.parametrize(
@@ -451,7 +454,7 @@ def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
         def read(self, *_: int) -> int:
             return word
 
-    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.problems(Stating(), SCALES)  # type: ignore[arg-type]
     assert str(error).endswith(f"rad/s in the bench file: {words}")
 
 

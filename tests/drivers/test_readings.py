@@ -45,11 +45,11 @@ DOWNLOADS = {0, 1}
 
 def ask_everything(servo: Servo, *others: object) -> list[DeviceError]:
     """Ask for all that `rig check` asks for."""
-    found = list(servo.refusals(0.001)) + list(servo.limit_refusals(LIMITS))
+    found = list(servo.problems(0.001)) + list(servo.limit_problems(LIMITS))
     servo.identity(), servo.state(), servo.read_limits(), servo.readings(), servo.limit_steps()
     for other in others:
         other.identity(), other.reading()  # type: ignore[attr-defined]
-        found += other.refusals(0.001)  # type: ignore[attr-defined]
+        found += other.problems(0.001)  # type: ignore[attr-defined]
     return found
 
 
@@ -147,7 +147,7 @@ def test_a_value_that_the_drive_refuses_is_nan(can: Host, address: int, field: s
     refuse(can.bench, address)
     readings = can.servo.readings()
     assert [name for name, value in readings._asdict().items() if math.isnan(value)] == [field]
-    (error,) = can.servo.refusals(0.001)
+    (error,) = can.servo.problems(0.001)
     assert isinstance(error, ObjectAccessError)
     with pytest.raises(ObjectAccessError, match=f"{address:04X}h") as caught:
         can.servo.prepare(0.001)
@@ -171,7 +171,7 @@ def test_a_silent_drive_is_no_reading(can: Host) -> None:
     with pytest.raises(LinkError):
         can.servo.readings()
     with pytest.raises(LinkError):
-        list(can.servo.refusals(0.001))
+        list(can.servo.problems(0.001))
     with pytest.raises(LinkError):
         can.encoder.reading()
 
@@ -183,7 +183,7 @@ def test_a_silent_drive_is_no_reading(can: Host) -> None:
 )
 def test_preparing_raises_the_first_refusal(wrong: dict[str, float]) -> None:
     host = make_host(scales=dataclasses.replace(SCALES, **wrong))
-    found = [str(error) for error in host.servo.refusals(0.001)]
+    found = [str(error) for error in host.servo.problems(0.001)]
     assert len(found) == len(wrong)
     if found:
         with pytest.raises(ConfigurationError) as caught:
@@ -197,7 +197,7 @@ def test_preparing_raises_the_first_refusal(wrong: dict[str, float]) -> None:
 def test_all_refusals_of_a_drive_are_yielded() -> None:
     scales = ServoScales(4000, 100.0, 14.0, 0.5)
     host = make_host(scales=scales)
-    words = [str(error) for error in host.servo.refusals(0.0015)]
+    words = [str(error) for error in host.servo.problems(0.0015)]
     assert [word.split(":")[0] for word in words] == [
         "rated current, 6075h",
         "rated torque, 6076h",
@@ -210,7 +210,7 @@ def test_all_refusals_of_a_drive_are_yielded() -> None:
 @pytest.mark.parametrize(("turns", "count"), [(1, 0), (0, 1)])
 def test_a_drive_that_claims_no_motor_turn_is_refused(can: Host, turns: int, count: int) -> None:
     can.bench.drive.objects.values[key(0x608F, 2)] = turns
-    assert len(list(can.servo.refusals(0.001))) == count
+    assert len(list(can.servo.problems(0.001))) == count
 
 
 @pytest.mark.parametrize(
@@ -220,14 +220,14 @@ def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(
     torque: float, accepted: bool
 ) -> None:
     host = make_host(scales=dataclasses.replace(SCALES, rated_torque_N_m=torque))
-    assert (not list(host.servo.refusals(0.001))) is accepted
+    assert (not list(host.servo.problems(0.001))) is accepted
     host.link.close()
 
 
 def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
     values = can.bench.encoder.objects.values
     values[key(0x6001)], values[key(0x6503)] = 1000, 0x1
-    resolution, alarm = can.encoder.refusals(0.001)
+    resolution, alarm = can.encoder.problems(0.001)
     assert "6001h reads 1000 counts per turn, but the bench file states 262144" in str(resolution)
     assert "reports the alarms 0001h" in str(alarm)
     with pytest.raises(ConfigurationError) as caught:
@@ -238,7 +238,7 @@ def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
 def test_an_amt21_says_that_its_answers_differ(serial: SerialHost) -> None:
     answers = iter(range(0, 100, 10))
     serial.encoder._ask = lambda offset=0: next(answers)  # type: ignore[method-assign]
-    (error,) = serial.encoder.refusals(0.002)
+    (error,) = serial.encoder.problems(0.002)
     assert "answers of the encoder at rest must agree" in str(error)
 
 
@@ -259,7 +259,7 @@ def test_a_transmitter_is_read(status: int, pressure: float) -> None:
     values = bench.transmitter.objects.values
     values[key(0x9130, 1)], values[key(0x6150, 1)] = 10_000, status
     assert device.reading() == pytest.approx(pressure, nan_ok=True)
-    assert len(list(device.refusals(0.001))) == status
+    assert len(list(device.problems(0.001))) == status
     assert not [frame for frame in sent(link) if frame.data[0] >> 5 in DOWNLOADS]
     link.close()
     host.link.close()
@@ -271,7 +271,7 @@ def test_a_transmitter_in_another_unit_is_refused_as_preparing_refuses_it() -> N
     link = type(host.link)(bench.clock, lambda: bench.bus, "simulated bus")
     device = Cia404Transmitter(link.add_node(4, TRANSMITTER_EDS), 1000.0)
     link.open()
-    (error,) = device.refusals(0.001)
+    (error,) = device.problems(0.001)
     with pytest.raises(ConfigurationError) as caught:
         device.prepare(0.001)
     assert str(caught.value) == str(error)
@@ -289,7 +289,7 @@ def test_a_fault_is_read_with_its_meaning(can: Host) -> None:
 @pytest.mark.parametrize(("current", "count"), [(0xFFFF * 0.015, 0), (0x10000 * 0.015, 1)])
 def test_a_limit_must_fit_its_object(can: Host, current: float, count: int) -> None:
     limits = dataclasses.replace(LIMITS, current_A=current)
-    found = list(can.servo.limit_refusals(limits))
+    found = list(can.servo.limit_problems(limits))
     assert len(found) == count
     if found:
         with pytest.raises(ConfigurationError) as caught:
@@ -317,7 +317,7 @@ def test_a_limit_that_does_not_fit_names_its_key(
     """A wrong ratio or unit shows up as such a limit: the message states limit, range, keys."""
     host = make_host(scales=dataclasses.replace(SCALES, sign=sign))
     limits = dataclasses.replace(LIMITS, **{field: value})
-    (found,) = host.servo.limit_refusals(limits)
+    (found,) = host.servo.limit_problems(limits)
     assert isinstance(found, LimitError)
     assert found.keys[0] == key
     assert all(key in str(found) for key in found.keys)
@@ -333,7 +333,7 @@ def test_a_limit_that_does_not_fit_names_its_key(
 
 def test_a_profile_that_does_not_fit_names_its_key() -> None:
     host = make_host(motion=ProfilePosition(SCALES, 1e7))
-    found = list(host.servo.limit_refusals(LIMITS))
+    found = list(host.servo.limit_problems(LIMITS))
     assert [type(error) for error in found] == [LimitError, LimitError]
     assert {error.keys[0] for error in found if isinstance(error, LimitError)} == {
         "servo.profile_acceleration_deg_s2"
@@ -353,18 +353,18 @@ def test_a_limit_that_the_drive_refuses_names_its_key(can: Host) -> None:
 def test_a_limit_must_fit_its_signal() -> None:
     host = make_dbc_host()
     wide = dataclasses.replace(LIMITS, speed_rad_s=409.6)
-    (error,) = host.servo.limit_refusals(wide)
+    (error,) = host.servo.limit_problems(wide)
     assert isinstance(error, LimitError)
     assert error.keys == ("limits.speed_deg_s", "machine.gear_ratio")
     assert all(key in str(error) for key in error.keys)
-    assert not list(host.servo.limit_refusals(LIMITS))
+    assert not list(host.servo.limit_problems(LIMITS))
     host.link.close()
 
 
 def test_a_watchdog_of_a_drive_of_its_own_kind_must_outlast_two_commands() -> None:
     host = make_dbc_host()
-    assert list(host.servo.refusals(0.05)) == []
-    (error,) = host.servo.refusals(0.051)
+    assert list(host.servo.problems(0.05)) == []
+    (error,) = host.servo.problems(0.051)
     assert "at most half of this time" in str(error)
     host.link.close()
 
