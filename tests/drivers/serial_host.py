@@ -16,8 +16,7 @@ from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, Clock
-from drivers.epos.link import EposSerialLink
-from drivers.epos.node import FASTEST_1_S, EposSerialNode
+from drivers.epos.link import FASTEST_1_S, EposSerialLink, EposSerialNode
 from drivers.interfaces import Encoder, Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS

@@ -103,8 +103,8 @@ def test_a_unit_that_is_not_the_bench_file_s_is_refused() -> None:
         def read(self, *_: int) -> int:
             return 0x00B45700
 
-    (error,) = motion.problems(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.stated_unit_problems(Stating(), SCALES)  # type: ignore[arg-type]
     assert "unit of the acceleration, 60AAh" in str(error)
     assert str(error).endswith("set servo.acceleration_unit_rad_s2: 6.28319")
     told = dataclasses.replace(SCALES, acceleration_unit_rad_s2=2 * math.pi)
-    assert list(motion.problems(Stating(), told)) == []  # type: ignore[arg-type]
+    assert list(motion.stated_unit_problems(Stating(), told)) == []  # type: ignore[arg-type]

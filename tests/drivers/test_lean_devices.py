@@ -381,11 +381,11 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
         def read(self, *_: int) -> int:
             return 0x00B44700
 
-    (error,) = motion.problems(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.stated_unit_problems(Stating(), SCALES)  # type: ignore[arg-type]
     assert str(error).endswith("the unit of 606Ch is rpm: set servo.velocity_unit: rpm")
     rpm = dataclasses.replace(SCALES, velocity_unit_rad_s=2 * math.pi / 60)
-    assert list(motion.problems(Stating(), rpm)) == []  # type: ignore[arg-type]
-    assert list(motion.problems(host.drive, SCALES)) == []
+    assert list(motion.stated_unit_problems(Stating(), rpm)) == []  # type: ignore[arg-type]
+    assert list(motion.stated_unit_problems(host.drive, SCALES)) == []
 
 
 @pytest.mark.parametrize(
@@ -430,7 +430,7 @@ def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
     host: Host, unit: float, factor: float
 ) -> None:
     scales = dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
-    near = motion.nearest_factor(scales, factor, 15.0)
+    near = motion.SpeedUnit(scales).nearest_speed_factor(factor, 15.0)
     assert not 0.5 < near < 2.0
     assert 1 / 15 <= near / factor <= 15.0
 
@@ -454,7 +454,7 @@ def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
         def read(self, *_: int) -> int:
             return word
 
-    (error,) = motion.problems(Stating(), SCALES)  # type: ignore[arg-type]
+    (error,) = motion.stated_unit_problems(Stating(), SCALES)  # type: ignore[arg-type]
     assert str(error).endswith(f"rad/s in the bench file: {words}")
 
 
