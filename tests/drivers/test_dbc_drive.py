@@ -104,16 +104,6 @@ def test_every_order_in_every_state(wire: Wire, state: State, order: Order) -> N
     assert bool(wire.machine._s[loops.MODE] != loops.OFF) is (wanted in POWERED)
 
 
-def test_power_needs_two_orders_in_their_states() -> None:
-    toward = {pair for pair, after in TRANSITIONS.items() if after is State.RUN}
-    assert toward == {(State.READY, Order.RUN)}
-    assert {
-        pair
-        for pair, after in TRANSITIONS.items()
-        if after is State.READY and pair[0] not in POWERED
-    } == {(State.OFF, Order.READY)}
-
-
 def test_its_frames_say_what_the_machine_does(wire: Wire) -> None:
     wire.to(State.RUN)
     for n in range(200):
@@ -181,13 +171,6 @@ def test_the_stop_frame_stops_and_its_code_matters(wire: Wire) -> None:
     for _ in range(60):
         wire.command(Order.RUN)
     assert wire.drive.state is State.OFF
-
-
-def test_it_says_its_state_when_nobody_asks(wire: Wire) -> None:
-    wire.wait(0.5)
-    wire.seen.clear()
-    wire.wait(0.021)
-    assert wire.seen["DRV_Motion"]["State"] == State.OFF
 
 
 def test_a_reset_needs_its_edge(wire: Wire) -> None:

@@ -7,7 +7,7 @@ import pytest
 from drivers.dbc.bind import bind
 from drivers.dbc.file import read_dbc
 from drivers.dbc.link import DbcLink
-from drivers.errors import ConfigurationError, DriveFault, LinkError
+from drivers.errors import ConfigurationError, DriveFault
 from drivers.mock.dbc_drive import DRIVE_DBC, State
 from drivers.mock.encoder import ENCODER_EDS
 
@@ -131,19 +131,6 @@ def test_a_bus_that_was_only_listened_to_is_left_alone(host: DbcHost) -> None:
     assert not [frame for frame in host.link.take_frames() if frame.sent]
 
 
-def test_closing_a_bus_that_is_down_is_safe(host: DbcHost) -> None:
-    prepared(host)
-    host.bench.bus.down = True
-    host.link.close()
-
-
-def test_a_bus_that_is_down_is_a_link_error(host: DbcHost) -> None:
-    enabled(host)
-    host.bench.bus.down = True
-    with pytest.raises(LinkError, match="bus-off"):
-        host.cycles(1)
-
-
 def test_a_fault_while_running_is_raised_once(host: DbcHost) -> None:
     enabled(host)
     host.cycles(10)
@@ -153,14 +140,6 @@ def test_a_fault_while_running_is_raised_once(host: DbcHost) -> None:
     assert caught.value.code == 0x42
     host.cycles(50)
     assert host.bench.drive.state is State.FAULT
-
-
-def test_the_encoder_on_the_same_wire_answers_too(host: DbcHost) -> None:
-    enabled(host)
-    host.cycles(50, lambda t: 0.5 * t)
-    servo, encoder = host.servo.sample(), host.encoder.sample()
-    assert encoder.fresh
-    assert encoder.angle_rad == pytest.approx(servo.motor_angle_rad / 100, abs=5e-4)
 
 
 @pytest.mark.parametrize(

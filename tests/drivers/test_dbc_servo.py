@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc.map import LimitMap, Protection, Quantity
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.dbc.map import LimitMap
+from drivers.errors import ConfigurationError, DeviceError, StateError
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import (
     COMMAND_LOST,
@@ -125,28 +125,6 @@ def test_a_drive_that_ignores_disable_is_found_out(host: DbcHost) -> None:
         host.servo.disable()
 
 
-def test_a_silent_drive_is_found_out(host: DbcHost) -> None:
-    enabled(host)
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == MOTION else (found, data)
-    )
-    with pytest.raises(
-        LinkError,
-        match=r"sent no valid DRV_Motion \(190h\) in 0\.3 s: check the supply and the bus",
-    ):
-        host.servo.state()
-
-
-def test_a_wrong_checksum_in_the_map_is_told_apart_from_silence() -> None:
-    messages = {**MAP.messages, "DRV_Motion": Protection("Life", "Check", "sum8")}
-    host = make_dbc_host(spec=replace(MAP, messages=messages))
-    with pytest.raises(
-        LinkError, match=r"\d+ had a wrong length, checksum or counter: check these in the map"
-    ):
-        host.servo.state()
-    host.link.close()
-
-
 def test_the_state_is_not_that_of_an_old_frame(host: DbcHost) -> None:
     enabled(host)
     host.cycles(20)
@@ -154,59 +132,6 @@ def test_the_state_is_not_that_of_an_old_frame(host: DbcHost) -> None:
     assert host.bench.drive.state is State.FAULT
     assert host.servo.state() is ServoState.FAULT
     assert host.bench.drive.fault_code == COMMAND_LOST
-
-
-def test_a_status_that_the_map_does_not_name_is_an_error() -> None:
-    states = {name: values for name, values in MAP.status.states.items() if name != "ready"}
-    host = make_dbc_host(spec=replace(MAP, status=replace(MAP.status, states=states)))
-    prepared(host)
-    host.bench.drive._obey = lambda order: None
-    host.bench.drive._enter(State.READY)
-    host.cycles(1)
-    assert host.servo.sample().statusword & 0x6F == 0
-    with pytest.raises(StateError, match="reports the status 1, which the map does not contain"):
-        host.servo.state()
-    host.link.close()
-
-
-def test_enabling_does_not_jump_to_an_old_target(host: DbcHost) -> None:
-    enabled(host)
-    host.cycles(100, lambda t: t)
-    host.servo.disable()
-    host.wait(0.2)
-    at = host.bench.machine.truth().angle_rad
-    host.servo.set_target(-0.3)
-    host.servo.enable()
-    host.cycles(50)
-    assert host.bench.machine.truth().angle_rad == pytest.approx(at, abs=2e-4)
-
-
-def test_enabling_a_drive_in_fault_says_so(host: DbcHost) -> None:
-    prepared(host)
-    host.bench.drive.fail(0x42)
-    with pytest.raises(DriveFault, match="0042h"):
-        host.servo.enable()
-    assert host.bench.drive.state is State.FAULT
-
-
-def test_a_drive_that_does_not_reach_power_is_left_without(host: DbcHost) -> None:
-    prepared(host)
-    obey = host.bench.drive._obey
-    host.bench.drive._obey = lambda order: None if order is Order.RUN else obey(order)
-    with pytest.raises(
-        StateError, match="still in state 'ready to switch on', 1 s after the command to enable"
-    ):
-        host.servo.enable()
-    assert host.bench.drive.state is State.OFF
-
-
-def test_a_fault_is_reset_without_power(host: DbcHost) -> None:
-    prepared(host)
-    host.bench.drive.fail(0x42)
-    host.servo.reset_fault()
-    assert host.bench.drive.state is State.OFF
-    assert host.bench.drive.fault_code == 0
-    host.servo.reset_fault()  # nothing to do
 
 
 def test_a_reset_survives_a_lost_frame(host: DbcHost) -> None:
@@ -251,24 +176,6 @@ def test_sign_scale_and_zero_of_a_sample(sign: int) -> None:
     assert (sample.supply_voltage_V, sample.temperature_C) == (60.0, 25.0)
     assert abs(sample.following_error_rad) < 5e-3
     host.link.close()
-
-
-def test_a_torque_signal_gives_the_current() -> None:
-    torque = Quantity("DRV_Motion.Current", 0.03)
-    spec = replace(
-        MAP, inputs=replace(MAP.inputs, current=None, torque=torque, voltage=None, time=None)
-    )
-    host, plain = make_dbc_host(spec=spec), make_dbc_host()
-    for each in (host, plain):
-        enabled(each)
-        each.cycles(100, lambda t: 0.2 * t)
-    first, second = host.servo.sample(), plain.servo.sample()
-    assert first.current_A == pytest.approx(second.current_A)
-    assert math.isnan(first.voltage_V)
-    # Without a time signal the host's time of arrival stands in.
-    assert first.device_time_s == pytest.approx(host.clock.now_ns() * 1e-9, abs=1e-3)
-    for each in (host, plain):
-        each.link.close()
 
 
 def test_a_target_beyond_its_signal_is_named(host: DbcHost) -> None:
@@ -322,25 +229,6 @@ def test_limits_set_with_the_makers_tool_must_leave_room() -> None:
     host.link.close()
 
 
-def test_a_cycle_too_slow_for_the_watchdog_is_refused(host: DbcHost) -> None:
-    with pytest.raises(ConfigurationError, match="every 60 ms, but the drive stops after 100 ms"):
-        host.servo.prepare(0.06)
-
-
-def test_a_drive_without_a_watchdog_says_so(host: DbcHost) -> None:
-    assert host.link.has_watchdog
-    without = make_dbc_host(drive=replace(DRIVE, watchdog_s=None))
-    assert not without.link.has_watchdog
-    without.servo.prepare(0.06)
-    without.link.close()
-
-
-def test_an_energised_drive_is_not_prepared(host: DbcHost) -> None:
-    enabled(host)
-    with pytest.raises(StateError, match="'operation enabled': disable it before"):
-        host.servo.prepare(host.cycle_s)
-
-
 def test_limits_that_a_restart_took_away_are_missed(host: DbcHost) -> None:
     host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
     enabled(host)
@@ -353,12 +241,6 @@ def test_limits_that_a_restart_took_away_are_missed(host: DbcHost) -> None:
     # Told once, so that the drive can be stopped.
     host.cycles(300)
     host.servo.disable()
-
-
-def test_limits_may_be_written_again(host: DbcHost) -> None:
-    host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
-    host.servo.write_limits(replace(HELD, speed_rad_s=0.5))
-    enabled(host).cycles(300)
 
 
 def test_the_exchanges_contain_the_state_after_the_last_order_to_stop(host: DbcHost) -> None:

@@ -17,6 +17,8 @@ from drivers.dbc.servo import DbcServo
 from drivers.errors import ConfigurationError, DriveFault, LinkError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
 
+from .servo_steps import Case, StepsContract
+
 S = ServoState
 OFF, STOP, RESET, READY, RUN = (
     {"Command": word} for word in (b"off", b"stop", b"reset", b"ready", b"run")
@@ -236,6 +238,24 @@ def replaced(drive: DbcDrive = DRIVE, **changes: Any) -> DbcDrive:
     return DbcDrive(**(drive.__dict__ | changes))
 
 
+class TestSteps(StepsContract):
+    @pytest.fixture
+    def case(self) -> Case:
+        bench = Bench()
+
+        def servo(prepare: bool = True, **options: Any) -> DbcServo:
+            return prepared(bench, **options) if prepare else make(bench, **options)
+
+        return Case(
+            bench,
+            servo,
+            lambda state: setattr(bench, "state", state),
+            lambda: bench.take("order", "command", "send", "aim", "exchange"),
+            lambda entry: entry == ("command", b"off"),
+            lambda: setattr(bench, "fails", LinkError("gone")),
+        )
+
+
 @pytest.mark.parametrize(
     ("link", "watchdog_s", "watched"), [(True, 0.1, True), (True, None, False), (False, 0.1, False)]
 )
@@ -319,18 +339,6 @@ def test_a_status_that_the_map_does_not_name() -> None:
     )
 
 
-def test_preparing_under_power_is_refused() -> None:
-    bench = Bench()
-    bench.state = S.OPERATION_ENABLED
-    with pytest.raises(StateError) as caught:
-        make(bench).prepare(CYCLE_S)
-    assert (
-        str(caught.value)
-        == "the drive is in state 'operation enabled': disable it before it is prepared"
-    )
-    assert bench.take() == [("await", "Status", 0.3)]
-
-
 @pytest.mark.parametrize(
     ("cycle_s", "watchdog_s", "slowest"),
     [(0.004, 0.03, "20"), (0.032, 0.063, "32"), (0.004, 0.0399, "20")],
@@ -379,74 +387,6 @@ def test_enabling_step_by_step() -> None:
     assert all(type(entry[1]) is int for entry in log if entry[0] == "exchange")
 
 
-def test_what_was_not_prepared_is_not_enabled() -> None:
-    bench = Bench()
-    with pytest.raises(StateError) as caught:
-        make(bench).enable()
-    assert str(caught.value) == "the drive is not prepared: call prepare() first"
-    assert bench.take() == []
-
-
-@pytest.mark.parametrize("state", [S.FAULT, S.FAULT_REACTION])
-def test_a_drive_in_fault_is_not_enabled(state: ServoState) -> None:
-    bench = Bench()
-    servo = prepared(bench)
-    bench.state = state
-    bench.take()
-    with pytest.raises(DriveFault, match="the fault"):
-        servo.enable()
-    assert bench.take() == [("await", "Status", 0.3)]
-
-
-def test_a_drive_that_brakes_is_not_enabled() -> None:
-    bench = Bench()
-    servo = prepared(bench)
-    bench.state = S.QUICK_STOP_ACTIVE
-    bench.take()
-    with pytest.raises(StateError) as caught:
-        servo.enable()
-    assert (
-        str(caught.value) == "'enable' is not allowed in state 'quick stop active': disable first"
-    )
-    assert bench.take() == [("await", "Status", 0.3)]
-
-
-@pytest.mark.parametrize("state", [S.FAULT, S.FAULT_REACTION])
-def test_a_fault_on_the_way_ends_the_enabling(state: ServoState) -> None:
-    bench = Bench()
-    servo = prepared(bench)
-
-    def fault() -> None:
-        bench.state = state
-        bench.follows = False
-
-    bench.loses[2] = fault
-    bench.clock.call_at(
-        bench.clock.now_ns() + 50_000_000, lambda: setattr(bench, "state", S.SWITCH_ON_DISABLED)
-    )
-    bench.take()
-    with pytest.raises(DriveFault, match="the fault"):
-        servo.enable()
-    log = bench.take("command", "send", "exchange")
-    assert log[0][0] == log[1][0] == "exchange"
-    assert log[2:4] == [("command", b"off"), ("send", *STOP_FRAME)]
-
-
-def test_a_bus_that_fails_on_the_way_is_told_though_the_drive_cannot_be() -> None:
-    bench = Bench()
-    servo = prepared(bench)
-    bench.take()
-
-    def lose() -> None:
-        bench.fails = LinkError("gone")
-        raise LinkError("bus-off")
-
-    bench.loses[2] = lose
-    with pytest.raises(LinkError, match="bus-off"):
-        servo.enable()
-    assert bench.take("command") == [("command", b"off")]
-
-
 def test_an_answer_that_is_missing_or_says_nothing_moves_nothing_on() -> None:
     bench = Bench()
     servo = prepared(bench)
@@ -477,45 +417,6 @@ def test_an_answer_that_is_missing_or_says_nothing_moves_nothing_on() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("state", "shown"), [(S.SWITCH_ON_DISABLED, "switch on disabled"), (None, "unknown")]
-)
-def test_a_drive_that_does_not_come_up_is_given_a_second(
-    state: ServoState | None, shown: str
-) -> None:
-    bench = Bench()
-    servo = prepared(bench)
-
-    def stay() -> None:
-        bench.follows = False
-        bench.state = state
-
-    def leave() -> None:
-        bench.state = S.SWITCH_ON_DISABLED
-
-    bench.loses[1] = stay
-    bench.loses[251] = leave
-    bench.take()
-    began = bench.clock.now_ns()
-    with pytest.raises(StateError) as caught:
-        servo.enable()
-    assert str(caught.value) == (
-        f"the drive is still in state '{shown}', 1 s after the command to enable: check its "
-        "supply and its enable input"
-    )
-    assert bench.cycle == 250
-    assert [entry[1] for entry in bench.take("exchange")][-1] == began + FRAME_NS + NS
-
-
-def test_the_time_to_come_up_can_be_set() -> None:
-    bench = Bench()
-    servo = prepared(bench, state_timeout_s=0.1)
-    bench.follows = False
-    with pytest.raises(StateError, match=r"0\.1 s after the command to enable"):
-        servo.enable()
-    assert bench.cycle == 25
-
-
 def test_disabling() -> None:
     bench = Bench()
     servo = enabled(bench)
@@ -539,14 +440,6 @@ def test_stopping(at_once: bool) -> None:
         ("order", b"stop", False),
         ("command", b"stop"),
     ]
-
-
-def test_before_it_is_prepared_no_exchange_stops_it() -> None:
-    bench = Bench()
-    servo = make(bench)
-    servo.quick_stop()
-    assert not servo.prepared
-    assert bench.image == b"stop"
 
 
 def test_the_order_to_stop_stays_where_the_bus_does_not_take_it() -> None:
@@ -577,57 +470,6 @@ def test_resetting_a_fault() -> None:
     ]
     servo.reset_fault()
     assert bench.take("command") == [("command", b"off")]
-
-
-@pytest.mark.parametrize("state", [S.OPERATION_ENABLED, S.FAULT_REACTION])
-def test_where_there_is_no_fault_nothing_is_sent(state: ServoState) -> None:
-    bench = Bench()
-    servo = prepared(bench)
-    bench.take()
-    bench.state = state
-    with pytest.raises(StateError, match="reset fault"):
-        servo.reset_fault()
-    assert bench.take() == [("await", "Status", 0.3)]
-
-
-@pytest.mark.parametrize(
-    ("verb", "state", "wanted", "orders"),
-    [
-        ("disable", S.OPERATION_ENABLED, "a de-energised state", (b"off",)),
-        ("reset_fault", S.FAULT, "switch on disabled", (b"off", b"reset", b"off")),
-    ],
-)
-def test_a_drive_that_does_not_obey_is_told_for_a_second(
-    verb: str, state: ServoState, wanted: str, orders: tuple[bytes, ...]
-) -> None:
-    bench = Bench()
-    servo = enabled(bench)
-    bench.follows = False
-    bench.state = state
-    began = bench.clock.now_ns()
-    with pytest.raises(StateError) as caught:
-        getattr(servo, verb)()
-    assert str(caught.value) == (
-        f"1 s after the command the drive reports the state '{state.value}', but {wanted} is "
-        "expected: switch the supply of the drive off by hand"
-    )
-    log = bench.take("command", "await")
-    # A status every 10 ms; the orders go out again after each but the last.
-    assert log.count(("await", "Status", 0.3)) == (101 if verb == "reset_fault" else 100)
-    assert [entry[1] for entry in log if entry[0] == "command"] == list(orders) * 100
-    assert bench.clock.now_ns() - began == NS + (FRAME_NS if verb == "reset_fault" else 0)
-
-
-def test_a_target_is_that_of_the_motor() -> None:
-    bench = Bench()
-    servo = prepared(bench)
-    bench.take()
-    servo.set_target(0.5)
-    assert bench.take() == [("aim", 250)]
-    with pytest.raises(ConfigurationError) as caught:
-        servo.set_target(1.5)
-    assert str(caught.value) == "target of 125 rad at the motor: Target is outside; check its scale"
-    assert bench.take() == []
 
 
 def test_a_sample_in_si_units() -> None:
@@ -733,60 +575,3 @@ def test_the_following_error_is_against_the_target_that_the_drive_has_reached_fo
     assert following(servo) == pytest.approx(45.0)
     bench.state = S.QUICK_STOP_ACTIVE
     assert following(servo) == 0.0
-
-
-def test_who_it_is_comes_from_the_bench_file_and_from_its_frames() -> None:
-    bench = Bench(serial_number=Bench.quantity("serial"))
-    bench.values["serial"] = 99.6
-    assert make(bench).identity() == Identity("house servo", 1, 2, 3, 100)
-    assert bench.take() == [("await", "Motion", 0.5)]
-
-
-def limit(gain: float) -> Any:
-    quantity = SimpleNamespace(
-        message="Limits",
-        gain=gain,
-        bias=0.0,
-        signal=SimpleNamespace(real=False, pack=round, insert=lambda data, bits: data),
-    )
-    return SimpleNamespace(
-        set=quantity, held=SimpleNamespace(message="Motion", signal=SimpleNamespace(name="Held"))
-    )
-
-
-def test_limits_are_written_awaited_verified_and_watched() -> None:
-    bench = Bench()
-    bench.values |= {"speed": 200.0, "current": 20.0}
-    bench.wiring.settings = {"Limits": SimpleNamespace(size=8)}
-    bench.wiring.limits = {"speed": limit(0.1), "current": limit(0.1)}
-    servo = make(bench)
-    servo.write_limits(HELD)
-    # Both are in one message, which is waited for once, and after the writing.
-    assert bench.take() == [
-        ("pin", {}),
-        ("send", 0x120, b"limits"),
-        ("await", "Motion", 0.5),
-        ("pin", {"speed": 200.0, "current": 20.0}),
-    ]
-    assert servo.read_limits() == HELD
-    bench.values["speed"] = 250.0
-    with pytest.raises(ConfigurationError, match="house servo does not accept these limits"):
-        servo.write_limits(HELD)
-    assert bench.take("pin") == [("pin", {})]
-
-
-def test_limits_of_the_makers_tool_must_leave_room() -> None:
-    bench = Bench()
-    bench.values |= {"speed": 300.0}
-    bench.wiring.settings = {"Limits": SimpleNamespace(size=8)}
-    bench.wiring.limits = {"speed": limit(0.1)}
-    servo = make(bench)
-    wider = ServoLimits(-0.5, 0.5, 3.0, 60.0, 20.0, 0.02, 2, 35.0)
-    # The speed can be written; the current cannot.
-    servo.write_limits(wider)
-    bench.values["speed"] = 200.0
-    with pytest.raises(
-        ConfigurationError,
-        match=r"than in house servo: current \(limits.torque_N_m or limits.current_A\) 25 A",
-    ):
-        servo.write_limits(ServoLimits(-0.5, 0.5, 2.0, 90.0, 25.0, 0.02, 2, 35.0))

@@ -5,12 +5,9 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia404 import Cia404Transmitter
@@ -24,7 +21,6 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, TRANSMITTER_EDS
 from drivers.units import EncoderScales
 
-from . import eds_shapes
 from .host import SCALES
 
 TEXT = DRIVE_EDS.read_text()
@@ -61,16 +57,6 @@ def test_a_damaged_file_is_said_in_words(tmp_path: Path, content: str, link: str
     ) as e:
         made.add_node(5, eds)
     assert "\n" not in str(e.value)
-
-
-@given(st.integers(0, len(TEXT)), st.integers(0, 40), st.text(max_size=20))
-def test_a_file_damaged_anywhere_is_read_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, at: int, length: int, instead: str
-) -> None:
-    eds = tmp_path_factory.getbasetemp() / "damaged.eds"
-    eds.write_text(TEXT[:at] + instead + TEXT[at + length :], encoding="utf-8", errors="replace")
-    with suppress(ConfigurationError):
-        assert len(read_eds(eds, 1)) > 0
 
 
 def servo(eds: Path) -> Cia402Servo:
@@ -257,39 +243,6 @@ def test_a_fault_in_an_object_that_is_not_used_does_no_harm(tmp_path: Path) -> N
     eds.write_text(TEXT[:at] + TEXT[at:].replace("DataType", "Datatyp", 1))
     assert list(servo(eds).description_problems()) == []
     assert read_eds(eds, 1).faults
-
-
-VALUES = st.sampled_from(eds_shapes.VALUES)
-KEYS = st.sampled_from(eds_shapes.KEYS)
-NAMES = st.sampled_from(eds_shapes.NAMES)
-LINES = st.one_of(
-    st.builds("[{}]".format, NAMES),
-    st.builds("{}={}".format, KEYS, VALUES),
-    st.text(max_size=12),
-)
-
-
-@given(st.lists(LINES, max_size=40))
-def test_no_text_breaks_the_reader(
-    tmp_path_factory: pytest.TempPathFactory, lines: list[str]
-) -> None:
-    eds = tmp_path_factory.getbasetemp() / "lines.eds"
-    eds.write_text("\n".join(lines), encoding="utf-8", errors="replace")
-    with suppress(ConfigurationError):
-        link = can_link()
-        node = link.add_node(1, eds)
-        list(Cia402Servo(node, link, SCALES).description_problems())
-        list(Cia406Encoder(node, EncoderScales(1)).description_problems())
-
-
-@given(st.binary(max_size=200))
-def test_no_bytes_break_the_reader(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    eds = tmp_path_factory.getbasetemp() / "bytes.eds"
-    eds.write_bytes(content)
-    with suppress(ConfigurationError):
-        read_eds(eds, 1)
 
 
 def test_members_that_one_section_describes(tmp_path: Path) -> None:

@@ -18,12 +18,6 @@ def node(host: Host):
     return host.encoder._channel
 
 
-def test_identity_and_units(host: Host, node) -> None:
-    assert host.encoder.identity().product_code == 0x406
-    assert node.read(0x6001) == node.read(0x6501) == TURN
-    assert node.read(0x6500) == node.read(0x6000)
-
-
 def test_preset_sets_the_position_shown(host: Host, node) -> None:
     node.write(0x6003, 0, 1000)
     assert node.read(0x6004) == 1000
@@ -71,9 +65,3 @@ def test_an_alarm_stops_preparation(host: Host) -> None:
     host.bench.encoder.objects.values[0x6503 << 8] = 1
     with pytest.raises(ConfigurationError, match="alarms 0001h"):
         prepared(host)
-
-
-@pytest.mark.parametrize("scales", [{"counts_per_turn": 0}, {"counts_per_turn": 1, "sign": 2}])
-def test_impossible_scales(scales: dict[str, int]) -> None:
-    with pytest.raises(ConfigurationError):
-        EncoderScales(**scales)

@@ -9,14 +9,12 @@ import can
 import pytest
 
 from drivers.can.port import REMOTE_FLAG, PythonCanPort
-from drivers.can.slcan import encode
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, DeviceError, LinkError, ObjectAccessError
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.power_state import POWERED, Command, State
-from drivers.mock.wires.slcan import LawicelAdapter
 from drivers.objects import ObjectAddress
 
 from .host import SCALES, Host, drive_eds, enabled, make_host, prepared
@@ -364,18 +362,6 @@ def test_a_guarded_drive_that_ignores_the_quick_stop_is_not_kept_alive(tmp_path:
 # Guard requests on the wire.
 
 
-def test_a_guard_request_has_a_length_and_no_data() -> None:
-    assert encode(GUARD_REQUEST, bytes(1)) == b"r7011\r"
-    with (
-        can.Bus(interface="virtual", channel="guard") as near,
-        can.Bus(interface="virtual", channel="guard") as far,
-    ):
-        PythonCanPort(near, SimulatedClock(0)).transmit(GUARD_REQUEST, bytes(1))
-        message = far.recv(1.0)
-    assert message is not None
-    assert (message.is_remote_frame, message.dlc, bytes(message.data)) == (True, 1, b"")
-
-
 def test_an_interface_that_would_send_data_instead_is_refused() -> None:
     class Socketcand(can.BusABC):
         """As python-can 4.6, which drops the flag of a remote frame."""
@@ -391,14 +377,6 @@ def test_an_interface_that_would_send_data_instead_is_refused() -> None:
     with pytest.raises(OSError, match="sends no remote frames"):
         PythonCanPort(bus, SimulatedClock(0)).transmit(GUARD_REQUEST, bytes(1))
     bus.shutdown()
-
-
-def test_a_simulated_adapter_passes_guard_requests_on(host: Host) -> None:
-    adapter = LawicelAdapter(host.bench.bus)
-    adapter.receive(b"O\r")
-    assert adapter.receive(b"r7011\rr70110\r") == b"\a"
-    host.wait(0.001)
-    assert b"t7011" in adapter.receive(b"")
 
 
 @pytest.mark.parametrize("lacks", [(), GUARDED])

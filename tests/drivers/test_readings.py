@@ -17,7 +17,6 @@ from drivers.epos.frames import FrameDecoder, Opcode
 from drivers.errors import (
     ConfigurationError,
     DeviceError,
-    DriveFault,
     LimitError,
     LinkError,
     ObjectAccessError,
@@ -29,7 +28,7 @@ from drivers.mock.canopen.dictionary import key
 from drivers.mock.encoder import TRANSMITTER_EDS
 from drivers.mock.plant.parts.constants import Machine
 from drivers.servo_limits import OBJECTS, decode, encode, named
-from drivers.units import EncoderScales, ServoScales
+from drivers.units import ServoScales
 
 from .dbc_host import DRIVE, make_dbc_host
 from .host import SCALES, Host, make_host
@@ -265,27 +264,6 @@ def test_a_transmitter_is_read(status: int, pressure: float) -> None:
     host.link.close()
 
 
-def test_a_transmitter_in_another_unit_is_refused_as_preparing_refuses_it() -> None:
-    bench = simulated_bench(Machine(), 0, transmitter_node=4)
-    host = make_host()
-    link = type(host.link)(bench.clock, lambda: bench.bus, "simulated bus")
-    device = Cia404Transmitter(link.add_node(4, TRANSMITTER_EDS), 1000.0)
-    link.open()
-    (error,) = device.problems(0.001)
-    with pytest.raises(ConfigurationError) as caught:
-        device.prepare(0.001)
-    assert str(caught.value) == str(error)
-    link.close()
-    host.link.close()
-
-
-def test_a_fault_is_read_with_its_meaning(can: Host) -> None:
-    can.bench.drive.fail(0x3220)
-    fault = can.servo.fault()
-    assert isinstance(fault, DriveFault)
-    assert "DC link under-voltage" in str(fault)
-
-
 @pytest.mark.parametrize(("current", "count"), [(0xFFFF * 0.015, 0), (0x10000 * 0.015, 1)])
 def test_a_limit_must_fit_its_object(can: Host, current: float, count: int) -> None:
     limits = dataclasses.replace(LIMITS, current_A=current)
@@ -361,14 +339,6 @@ def test_a_limit_must_fit_its_signal() -> None:
     host.link.close()
 
 
-def test_a_watchdog_of_a_drive_of_its_own_kind_must_outlast_two_commands() -> None:
-    host = make_dbc_host()
-    assert list(host.servo.problems(0.05)) == []
-    (error,) = host.servo.problems(0.051)
-    assert "at most half of this time" in str(error)
-    host.link.close()
-
-
 @pytest.mark.parametrize("address", OBJECTS)
 def test_the_step_of_a_limit_is_one_unit_of_its_object(address: tuple[int, int]) -> None:
     values = encode(LIMITS, SCALES)
@@ -400,15 +370,3 @@ def test_the_steps_of_signals() -> None:
     assert steps.angle_rad == pytest.approx(0.01 * math.tau / 100.0)
     assert steps.following_error_rad == pytest.approx(0.001 * math.tau / 100.0)
     assert steps.quick_stop_deceleration_rad_s2 == 0.0
-
-
-def test_who_stops_a_drive_is_known_beforehand() -> None:
-    can, dbc = make_host(), make_dbc_host(drive=dataclasses.replace(DRIVE, watchdog_s=None))
-    assert (can.servo.watch_s, dbc.servo.watch_s) == (0.1, None)
-    can.link.close()
-    dbc.link.close()
-
-
-def test_another_encoder_zero_is_seen(can: Host) -> None:
-    encoder = type(can.encoder)(can.link._nodes[2], EncoderScales(262144, -1, 0.5))
-    assert encoder.reading() == pytest.approx(0.5)

@@ -200,23 +200,6 @@ def test_a_line_that_never_falls_silent_does_not_hold_the_loop(garbage: bytes) -
     assert clock.now_ns() <= NS // 1000 + 1000
 
 
-def test_closing_never_raises_and_closes_the_line() -> None:
-    class Dead(Script):
-        def write(self, data: bytes) -> None:
-            if self.written and self.written[-1] == slcan.OPEN:
-                raise ValueError(data)
-            super().write(data)
-
-        def close(self) -> None:
-            super().close()
-            raise TypeError
-
-    line = Dead(SimulatedClock())
-    port = SlcanPort(line, SimulatedClock(), 1_000_000)
-    port.shutdown()
-    assert line.closed == 1
-
-
 @pytest.fixture
 def adapter() -> Iterator[Pty]:
     with pty_line() as far:
@@ -250,19 +233,6 @@ def test_a_garbled_line_does_not_stop_a_link_on_a_pty(adapter: Pty, garbage: byt
     adapter.say(b"t70117F\r")
     assert link.pump(lambda: node.nmt_state == 127, 1.0)
     link.close()
-
-
-@given(st.lists(PIECES, min_size=1, max_size=6))
-def test_any_bytes_on_a_pty_leave_the_port_able_to_read(pieces: list[bytes]) -> None:
-    with pty_line() as far:
-        port = open_slcan(far.path, RealClock(), 1_000_000, sleep_after_open=0)
-        far.say(b"".join(pieces) + b"\rt7771AA\r")
-        found = []
-        until = time.monotonic() + 5.0
-        while (0x777, b"\xaa") not in found and time.monotonic() < until:
-            found += [(f.identifier, f.data) for f in port.collect(0.1)]
-        assert found[-1] == (0x777, b"\xaa")
-        port.shutdown()
 
 
 def test_reading_waits_no_longer_than_is_asked(adapter: Pty) -> None:

@@ -98,14 +98,6 @@ def test_slcan_answers_what_it_cannot_do_with_a_bell() -> None:
     assert adapter.receive(b"t0800\r") == b""
 
 
-def test_slcan_passes_frames_on_as_text() -> None:
-    bench = simulated_bench(MACHINE, 1)
-    adapter = LawicelAdapter(bench.bus)
-    adapter.receive(b"O\rt60184041600000000000\rt60384041600000000000\r")
-    bench.clock.sleep_until_ns(NS // 100)
-    assert b"t58184B416000" in adapter.receive(b"")
-
-
 def test_socketcand_answers_what_it_cannot_do_with_an_error() -> None:
     server = SocketcandServer(simulated_bench(MACHINE, 1).bus)
     assert server.receive(b"") == b"< hi >"
