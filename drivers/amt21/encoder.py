@@ -95,14 +95,14 @@ class Amt21Line:
             "wiring of the encoder, the bit rate, and the address"
         )
 
-    def ask(self, offset: int = 0, *command: int) -> None:
+    def ask(self) -> None:
         """Send a request; the encoder latches its position when it receives the request.
 
         Raises:
             LinkError: The line is gone.
         """
         port = self._opened()
-        request = bytes([self.address + offset, *command])
+        request = bytes([self.address])
         try:
             port.discard()
             port.write(request)
@@ -332,35 +332,6 @@ class Amt21Encoder(Encoder):
         self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
 
-    def turns(self) -> int | None:
-        """Read the turn counter of a multi-turn encoder, as a signed number; return None if the
-        answer is bad.
-
-        Raises:
-            LinkError: The line is gone.
-        """
-        value = self._ask(TURNS)
-        return None if value is None else (value ^ 0x2000) - 0x2000
-
-    def set_zero(self) -> None:
-        """Make the present position the zero of a single-turn encoder, which then restarts and must
-        be prepared again.
-
-        Raises:
-            LinkError: The line is gone.
-        """
-        self.line.ask(EXTENDED, SET_ZERO)
-        self._fresh = False
-
-    def reset(self) -> None:
-        """Restart the encoder, which must then be prepared again.
-
-        Raises:
-            LinkError: The line is gone.
-        """
-        self.line.ask(EXTENDED, RESET)
-        self._fresh = False
-
     def ask(self) -> None:
         """Request the position for this cycle.
 
@@ -413,8 +384,8 @@ class Amt21Encoder(Encoder):
             )
         return good[-1]
 
-    def _ask(self, offset: int = 0) -> int | None:
-        self.line.ask(offset)
+    def _ask(self) -> int | None:
+        self.line.ask()
         self.line.collect()
         return decode(self.line.answer)
 

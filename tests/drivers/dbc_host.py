@@ -33,6 +33,8 @@ from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales
 
+from .host import OPENED
+
 CYCLE_S = 0.001
 ORDER = "DRV_Command.Order"
 
@@ -136,6 +138,7 @@ def make_dbc_host(
     servo = DbcServo(link, channel, drive)
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(262144))
     link.open()
+    OPENED.append(link)
     host = DbcHost(bench, link, channel, servo, encoder, cycle_s)
     switch = bench.machine.power
 

@@ -17,6 +17,7 @@ from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.canopen.motion import CyclicPosition, Motion
 from drivers.canopen.sdo import ONE_AXIS, Axis
 from drivers.clock import NS
+from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
@@ -74,6 +75,10 @@ MEMBERS = (0x6064, 0x606C, 0x6071, 0x6077, 0x6078, 0x607A, 0x6081, 0x60FF)
 """Objects with a member for each axis in some drives with several axes."""
 
 
+OPENED: list[Link] = []
+"""Links of the hosts of a test, which are closed at its end."""
+
+
 @dataclass
 class Host:
     bench: SimulatedBench
@@ -127,6 +132,7 @@ def make_host(
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))
     link.open()
+    OPENED.append(link)
     host = Host(bench, link, drive, servo, encoder, cycle_s)
     switch = bench.machine.power
 

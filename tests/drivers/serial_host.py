@@ -29,7 +29,7 @@ from drivers.serial_port import BytePort
 from drivers.units import EncoderScales
 
 from .contract import Rig
-from .host import SCALES
+from .host import OPENED, SCALES
 from .lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile
 
 BAUD = 1_000_000
@@ -93,6 +93,7 @@ def make_serial_host(
     link = EncoderLink(epos, encoder, epos.call_at_instant)
     servo = Cia402Servo(drive, link, SCALES)
     link.open()
+    OPENED.append(link)
     return SerialHost(bench, link, epos, drive, servo, encoder, line, encoder_line, amt21, cycle_s)
 
 

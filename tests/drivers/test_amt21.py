@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from drivers.amt21.encoder import (
 )
 from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import ServoState
-from drivers.mock.encoder import RESTART_S
 from drivers.units import EncoderScales
 
 from .serial_host import GATE, SerialHost, make_serial_host
@@ -28,10 +26,8 @@ COUNT_RAD = math.tau / COUNTS_PER_TURN
 
 
 @pytest.fixture
-def host() -> Iterator[SerialHost]:
-    made = make_serial_host()
-    yield made
-    made.link.close()
+def host(serial: SerialHost) -> SerialHost:
+    return serial
 
 
 def live(host: SerialHost) -> SerialHost:
@@ -137,7 +133,6 @@ def test_follows_the_joint_below_zero(echo: bool) -> None:
     sample = host.encoder.sample()
     assert sample.fresh
     assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
-    host.link.close()
 
 
 @pytest.mark.parametrize("pause_s", [0.022, 3.0])
@@ -152,7 +147,6 @@ def test_answers_are_used_again_after_a_pause_of_the_host(pause_s: float, cycle_
     sample = host.encoder.sample()
     assert sample.fresh
     assert sample.angle_rad == pytest.approx(before, abs=0.01)
-    host.link.close()
 
 
 def test_the_stamp_is_the_instant_of_asking(host: SerialHost) -> None:
@@ -219,33 +213,6 @@ def test_a_silent_encoder_is_not_fresh_and_the_servo_goes_on(host: SerialHost) -
     host.cycles(3)
     assert not host.encoder.sample().fresh
     assert host.servo.sample().fresh
-
-
-def test_turns_count_whole_turns_with_sign(host: SerialHost) -> None:
-    assert host.encoder.turns() == 0
-    host.amt21.distort = lambda counts: counts - 1
-    assert host.encoder.turns() == -1
-    assert not host.encoder.sample().fresh
-
-
-def test_zero_is_where_it_was_set(host: SerialHost) -> None:
-    host.amt21.distort = lambda counts: counts + 777
-    host.encoder.prepare(host.cycle_s)
-    assert host.encoder.sample().angle_rad == pytest.approx(777 * COUNT_RAD)
-    host.encoder.set_zero()
-    clock = host.bench.clock
-    clock.sleep_until_ns(clock.now_ns() + round(RESTART_S * 1e9))
-    host.encoder.prepare(host.cycle_s)
-    assert host.encoder.sample().angle_rad == 0.0
-
-
-def test_reset_keeps_the_zero(host: SerialHost) -> None:
-    host.amt21.distort = lambda counts: counts + 5
-    host.encoder.reset()
-    clock = host.bench.clock
-    clock.sleep_until_ns(clock.now_ns() + round(RESTART_S * 1e9) + 1)
-    host.encoder.prepare(host.cycle_s)
-    assert host.encoder.sample().angle_rad == pytest.approx(5 * COUNT_RAD)
 
 
 def test_no_encoder_is_a_link_error(host: SerialHost) -> None:

@@ -17,10 +17,8 @@ COMMAND, MOTION, POWER, STATUS, STOP = 0x110, 0x190, 0x191, 0x1A0, 0x010
 
 
 @pytest.fixture
-def host():
-    made = make_dbc_host()
-    yield made
-    made.link.close()
+def host(dbc: DbcHost) -> DbcHost:
+    return dbc
 
 
 def lose(host: DbcHost, identifier: int, cycles: int) -> None:
@@ -185,4 +183,3 @@ def test_a_command_may_go_less_often_than_the_cycle() -> None:
         host.cycles(1, lambda t: 0.01)
         assert host.servo.sample().fresh
     assert sum(frame.identifier == COMMAND for frame in host.link.take_frames()) == 10
-    host.link.close()

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc.map import LimitMap
 from drivers.errors import ConfigurationError, DeviceError, StateError
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import (
@@ -38,10 +37,8 @@ VERBS: dict[str, Callable[[DbcHost], object]] = {
 
 
 @pytest.fixture
-def host():
-    made = make_dbc_host()
-    yield made
-    made.link.close()
+def host(dbc: DbcHost) -> DbcHost:
+    return dbc
 
 
 def orders(host: DbcHost) -> list[int]:
@@ -175,7 +172,6 @@ def test_sign_scale_and_zero_of_a_sample(sign: int) -> None:
     assert sample.voltage_V > 1.0
     assert (sample.supply_voltage_V, sample.temperature_C) == (60.0, 25.0)
     assert abs(sample.following_error_rad) < 5e-3
-    host.link.close()
 
 
 def test_a_target_beyond_its_signal_is_named(host: DbcHost) -> None:
@@ -216,17 +212,6 @@ def test_a_limit_beyond_its_signal_is_named(host: DbcHost) -> None:
         ConfigurationError, match=r"limit angle_max: AngleMax = .* outside -327\.68 to 327\.67"
     ):
         host.servo.write_limits(replace(HELD, angle_max_rad=100.0))
-
-
-def test_limits_set_with_the_makers_tool_must_leave_room() -> None:
-    host = make_dbc_host(spec=replace(MAP, limits=LimitMap()))
-    assert host.servo.read_limits() == HELD
-    host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
-    with pytest.raises(
-        ConfigurationError, match=r"speed \(limits\.speed_deg_s\) 3 rad/s \(drive: 2\.0944 rad/s\)"
-    ):
-        host.servo.write_limits(replace(HELD, speed_rad_s=3.0))
-    host.link.close()
 
 
 def test_limits_that_a_restart_took_away_are_missed(host: DbcHost) -> None:

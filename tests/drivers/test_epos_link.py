@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import count
 
 import pytest
@@ -19,10 +18,8 @@ from .serial_host import SerialHost, make_serial_host
 
 
 @pytest.fixture
-def host() -> Iterator[SerialHost]:
-    made = make_serial_host()
-    yield made
-    made.link.close()
+def host(serial: SerialHost) -> SerialHost:
+    return serial
 
 
 def prepared(host: SerialHost) -> SerialHost:

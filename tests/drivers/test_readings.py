@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Iterator
 
 import pytest
 
@@ -32,7 +31,7 @@ from drivers.units import ServoScales
 
 from .dbc_host import DRIVE, make_dbc_host
 from .host import SCALES, Host, make_host
-from .serial_host import SerialHost, make_serial_host
+from .serial_host import SerialHost
 
 LIMITS = ServoLimits(-0.5, 0.5, 2.0, 75.0, 25.0, 0.03, 2, 35.0)
 READS = {Opcode.READ_OBJECT, Opcode.INITIATE_SEGMENTED_READ, Opcode.SEGMENT_READ}
@@ -57,17 +56,8 @@ def sent(link: Link) -> list[RawFrame]:
 
 
 @pytest.fixture
-def can() -> Iterator[Host]:
-    host = make_host()
-    yield host
-    host.link.close()
-
-
-@pytest.fixture
-def serial() -> Iterator[SerialHost]:
-    host = make_serial_host()
-    yield host
-    host.link.close()
+def can(host: Host) -> Host:
+    return host
 
 
 def test_a_canopen_bench_is_only_read(can: Host) -> None:
@@ -94,7 +84,6 @@ def test_a_drive_with_frames_of_its_own_is_only_heard() -> None:
     host = make_dbc_host()
     assert ask_everything(host.servo) == []
     assert sent(host.link) == []
-    host.link.close()
 
 
 @pytest.mark.parametrize("kind", ["can", "serial"])
@@ -118,7 +107,6 @@ def test_readings_carry_sign_and_zero_of_the_bench_file() -> None:
     host = make_host(scales=scales)
     host.bench.drive.objects.values[key(0x6064)] = 4096
     assert host.servo.readings().motor_angle_rad / scales.gear_ratio == pytest.approx(0.25)
-    host.link.close()
 
 
 def test_an_encoder_below_zero_is_read_as_negative(can: Host) -> None:
@@ -136,7 +124,6 @@ def test_a_drive_with_frames_of_its_own_shows_what_comes_by_itself() -> None:
         0.0,
     )
     assert math.isnan(readings.velocity_rad_s)  # it only comes as an answer to a command
-    host.link.close()
 
 
 @pytest.mark.parametrize(
@@ -190,7 +177,6 @@ def test_preparing_raises_the_first_refusal(wrong: dict[str, float]) -> None:
         assert str(caught.value) == found[0]
     else:
         host.servo.prepare(0.001)
-    host.link.close()
 
 
 def test_all_refusals_of_a_drive_are_yielded() -> None:
@@ -203,7 +189,6 @@ def test_all_refusals_of_a_drive_are_yielded() -> None:
         "encoder resolution, 608Fh",
         "the cycle time is 1.5 ms; it must be a whole number of milliseconds (60C2h)",
     ]
-    host.link.close()
 
 
 @pytest.mark.parametrize(("turns", "count"), [(1, 0), (0, 1)])
@@ -220,7 +205,6 @@ def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(
 ) -> None:
     host = make_host(scales=dataclasses.replace(SCALES, rated_torque_N_m=torque))
     assert (not list(host.servo.problems(0.001))) is accepted
-    host.link.close()
 
 
 def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
@@ -236,13 +220,13 @@ def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
 
 def test_an_amt21_says_that_its_answers_differ(serial: SerialHost) -> None:
     answers = iter(range(0, 100, 10))
-    serial.encoder._ask = lambda offset=0: next(answers)  # type: ignore[method-assign]
+    serial.encoder._ask = lambda: next(answers)  # type: ignore[method-assign]
     (error,) = serial.encoder.problems(0.002)
     assert "answers of the encoder at rest must agree" in str(error)
 
 
 def test_a_bad_answer_of_an_amt21_is_nan(serial: SerialHost) -> None:
-    serial.encoder._ask = lambda offset=0: None  # type: ignore[method-assign]
+    serial.encoder._ask = lambda: None  # type: ignore[method-assign]
     assert math.isnan(serial.encoder.reading())
 
 
@@ -261,7 +245,6 @@ def test_a_transmitter_is_read(status: int, pressure: float) -> None:
     assert len(list(device.problems(0.001))) == status
     assert not [frame for frame in sent(link) if frame.data[0] >> 5 in DOWNLOADS]
     link.close()
-    host.link.close()
 
 
 @pytest.mark.parametrize(("current", "count"), [(0xFFFF * 0.015, 0), (0x10000 * 0.015, 1)])
@@ -306,7 +289,6 @@ def test_a_limit_that_does_not_fit_names_its_key(
     with pytest.raises(LimitError) as caught:
         host.servo.write_limits(limits)
     assert caught.value.keys == found.keys
-    host.link.close()
 
 
 def test_a_profile_that_does_not_fit_names_its_key() -> None:
@@ -316,7 +298,6 @@ def test_a_profile_that_does_not_fit_names_its_key() -> None:
     assert {error.keys[0] for error in found if isinstance(error, LimitError)} == {
         "servo.profile_acceleration_deg_s2"
     }
-    host.link.close()
 
 
 def test_a_limit_that_the_drive_refuses_names_its_key(can: Host) -> None:
@@ -336,7 +317,6 @@ def test_a_limit_must_fit_its_signal() -> None:
     assert error.keys == ("limits.speed_deg_s", "machine.gear_ratio")
     assert all(key in str(error) for key in error.keys)
     assert not list(host.servo.limit_problems(LIMITS))
-    host.link.close()
 
 
 @pytest.mark.parametrize("address", OBJECTS)

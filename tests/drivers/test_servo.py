@@ -45,7 +45,6 @@ def test_limits_survive_the_way_to_the_drive_and_back(sign: int, window: float |
     assert_within(held, limits)
     host.servo.write_limits(held)
     assert host.servo.read_limits() == held
-    host.link.close()
 
 
 def test_limits_are_in_the_units_of_the_drive(host: Host) -> None:
@@ -88,7 +87,6 @@ def test_sign_and_zero_of_a_sample(sign: int) -> None:
     assert sample.voltage_V > 1.0
     assert sample.supply_voltage_V == 60.0
     assert sample.temperature_C == 25.0
-    host.link.close()
 
 
 def test_the_watch_runs_before_power_comes(host: Host) -> None:

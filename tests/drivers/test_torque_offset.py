@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -17,10 +16,8 @@ UNIT_N_M = 0.045
 
 
 @pytest.fixture
-def host() -> Iterator[Host]:
-    host = make_host(torque_offset=True)
-    yield host
-    host.link.close()
+def host() -> Host:
+    return make_host(torque_offset=True)
 
 
 def held(host: Host) -> int:

@@ -121,7 +121,6 @@ def test_a_drive_runs_by_its_xdd_file(tmp_path: Path, encoding: str) -> None:
     host.cycles(50)
     assert host.servo.sample().fresh
     host.servo.disable()
-    host.link.close()
 
 
 def test_an_object_may_refer_to_a_parameter(tmp_path: Path) -> None:
