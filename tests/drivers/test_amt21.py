@@ -16,7 +16,6 @@ from drivers.amt21.encoder import (
     encode,
 )
 from drivers.errors import ConfigurationError, LinkError
-from drivers.interfaces import ServoState
 from drivers.units import EncoderScales
 
 from .serial_host import GATE, SerialHost, make_serial_host
@@ -197,14 +196,14 @@ def test_random_words_hardly_pass(host: SerialHost) -> None:
         lambda _now, data, sent: rng.bytes(2) if not sent and rng.random() < 0.1 else data
     )
     passed = 0
-    for _ in range(2000):
+    for _ in range(500):
         host.cycles(1)
         sample = host.encoder.sample()
         passed += sample.fresh
         # A quarter of random words passes the check bits; what passes the gate as well is near the
         # truth.
         assert abs(sample.angle_rad) < 0.02
-    assert 1700 < passed < 1900
+    assert 420 < passed < 480
 
 
 def test_a_silent_encoder_is_not_fresh_and_the_servo_goes_on(host: SerialHost) -> None:
@@ -234,23 +233,6 @@ def test_another_resolution_is_refused(host: SerialHost) -> None:
         ConfigurationError, match="has 16384 counts per turn, but the bench file states 4096"
     ):
         Amt21Encoder(line, EncoderScales(4096), GATE)
-
-
-def test_the_servo_exchanges_its_values_although_the_line_of_the_encoder_is_gone(
-    host: SerialHost,
-) -> None:
-    live(host)
-
-    def gone(_data: bytes) -> None:
-        raise OSError(5, "gone")
-
-    host.encoder_line.write = gone  # type: ignore[method-assign]
-    host.servo.quick_stop(at_once=False)
-    with pytest.raises(LinkError, match="gone"):
-        host.cycles(1)
-    assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
-    assert host.servo.sample().fresh
-    assert not host.encoder.sample().fresh
 
 
 @pytest.mark.parametrize("use", ["write", "read"])

@@ -96,15 +96,6 @@ def test_every_frame_is_sent_with_a_time_limit() -> None:
         assert bus.limits == [SEND_LIMIT_S]
 
 
-def test_who_ends_the_program_is_not_held_up() -> None:
-    class Interrupted(Interface):
-        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-            raise KeyboardInterrupt
-
-    with Interrupted() as bus, pytest.raises(KeyboardInterrupt):
-        PythonCanPort(bus, SimulatedClock()).collect(0.0)
-
-
 @pytest.mark.parametrize(
     ("found", "identifier"),
     [

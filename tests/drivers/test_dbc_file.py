@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import cantools.database
 import pytest
 
 from drivers.dbc.file import read_dbc
@@ -59,26 +57,6 @@ def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
     path.write_bytes(b"VERSION \0")
     with pytest.raises(ConfigurationError, match=r"bad\.dbc: is not a text file: byte 8 is zero"):
         read_dbc(path)
-
-
-def test_a_wrong_text_in_ascii_is_parsed_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    texts: list[str] = []
-    parse = cantools.database.load_string
-
-    def counted(text: str, **options: Any) -> Any:
-        texts.append(text)
-        return parse(text, **options)
-
-    monkeypatch.setattr(cantools.database, "load_string", counted)
-    path = tmp_path / "bad.dbc"
-    for wrong, parses in (("BO_ wrong", 1), ("BO_ größer", 5)):
-        path.write_text(wrong, encoding="utf-8")
-        with pytest.raises(ConfigurationError):
-            read_dbc(path)
-        assert len(set(texts)) == len(texts) == parses
-        texts.clear()
 
 
 @pytest.mark.parametrize(

@@ -118,14 +118,6 @@ def test_answers_whose_toggle_bit_does_not_alternate_do_not_count(tmp_path: Path
         host.cycles(400)
 
 
-def test_a_guarded_drive_that_leaves_operational_is_noticed(tmp_path: Path) -> None:
-    host = enabled(guarded(tmp_path))
-    host.cycles(50)
-    host.link.send(0x000, bytes([0x80, 1]))
-    with pytest.raises(LinkError, match="node 1 left the NMT state OPERATIONAL"):
-        host.cycles(100)
-
-
 def test_without_remote_frames_the_remedy_is_named(tmp_path: Path) -> None:
     host = guarded(tmp_path)
     assert not list(host.servo.problems(host.cycle_s))
@@ -285,16 +277,6 @@ def test_an_object_without_which_a_run_fails_is_found_by_the_check(
         found += failed
         host.link.close()
     assert found >= 15
-
-
-def test_the_state_of_a_slow_drive_is_read_under_power(tmp_path: Path) -> None:
-    host = enabled(make_host(eds=drive_eds(tmp_path)))
-    host.bench.drive.sdo_delay_ns = 100_000_000
-    for _ in range(3):
-        host.cycles(30)
-        assert host.servo.state() is ServoState.OPERATION_ENABLED
-    host.servo.disable()
-    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
 
 
 def test_requests_without_an_answer_do_not_keep_power_on(tmp_path: Path) -> None:

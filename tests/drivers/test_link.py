@@ -177,11 +177,11 @@ def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:
     prepared(host)
     host.cycles(20)
     host.link.take_frames()
-    host.cycles(1000)
+    host.cycles(200)
     frames = [f for f in host.link.take_frames() if f.identifier & 0x780 != 0x700]
     planned = cycle_bits((*cia402_objects.FRAMES, *cia406.FRAMES))
     assert sum(frame_bits(len(f.data)) for f in frames) == pytest.approx(
-        1000 * planned, abs=frame_bits(8)
+        200 * planned, abs=frame_bits(8)
     )
     assert planned < 700
 

@@ -109,11 +109,6 @@ def test_readings_carry_sign_and_zero_of_the_bench_file() -> None:
     assert host.servo.readings().motor_angle_rad / scales.gear_ratio == pytest.approx(0.25)
 
 
-def test_an_encoder_below_zero_is_read_as_negative(can: Host) -> None:
-    can.bench.encoder.distort = lambda counts: counts - 100
-    assert can.encoder.reading() == pytest.approx(-100 * math.tau / 262144)
-
-
 def test_a_drive_with_frames_of_its_own_shows_what_comes_by_itself() -> None:
     host = make_dbc_host(drive=dataclasses.replace(DRIVE, offset_rad=0.5))
     readings = host.servo.readings()
