@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Final
@@ -19,7 +19,7 @@ from drivers.port_errors import close_all
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
 _ASK_S: Final = 0.02
-"""Time after which a remote frame is repeated if no answer has arrived, s."""
+"""Time after which a drive is asked again if no answer has arrived, s."""
 
 
 class DbcLink(CanopenLink):
@@ -145,21 +145,32 @@ class DbcLink(CanopenLink):
         if slot.message.remote:
             self.send(slot.message.identifier | REMOTE_FLAG, b"")
 
-    def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
+    def await_frame(
+        self,
+        channel: DbcChannel,
+        slot: Slot,
+        timeout_s: float,
+        ask: Callable[[], object] | None = None,
+    ) -> bool:
         """Wait for a valid frame that arrives after this call; return False after the time-out.
 
-        A message that the drive sends in answer to remote frames is requested repeatedly.
+        Args:
+            channel: The drive.
+            slot: The message.
+            timeout_s: Time-out, s.
+            ask: Function that asks for the message, called until the message arrives; None for a
+                message that the drive sends by itself.
 
         Raises:
             LinkError: The bus failed.
         """
         self.drain(channel)
         count = slot.count
-        if not slot.message.remote:
+        if ask is None:
             return self.pump(lambda: slot.count != count, timeout_s)
         deadline = self.clock.now_ns() + round(timeout_s * NS)
         while (left := deadline - self.clock.now_ns()) > 0:
-            self.request(slot)
+            ask()
             if self.pump(lambda: slot.count != count, min(_ASK_S, left / NS)):
                 return True
         return False

@@ -34,7 +34,6 @@ from drivers.units import Unwrapper
 _ANSWER_S: Final = 0.3
 _BRAKING_S: Final = 0.04
 """Time-out of an answer while the drive brakes, s; no cycle is sent meanwhile."""
-_RETRY_S: Final = 0.02
 
 
 class Feedback:
@@ -149,50 +148,29 @@ class Feedback:
         self.await_frame(quantity.message)
         return round(self.value(name))
 
-    def await_frame(self, name: str) -> None:
-        """Wait for the next valid frame of a message.
+    def await_frame(self, name: str, *, ask: bool = False) -> None:
+        """Wait for the next valid frame of a message; with ``ask``, send the current order until it
+        arrives, because a drive may send a message only as an answer.
 
         Raises:
-            LinkError: The drive sends no frames.
+            LinkError: The message is not received, or never without error.
         """
         slot = self._channel.slot(name)
         refused = slot.refused
-        if not self._await(slot):
+        if not self._await(slot, ask):
             raise self._silent(slot, refused)
 
-    def _await(self, slot: Slot) -> bool:
-        """Wait for the next valid frame of a slot; if the drive sends frames only in answer to a
-        command, repeat the current order.
-        """
+    def _await(self, slot: Slot, ask: bool = False) -> bool:
         link, channel, message = self._link, self._channel, slot.message
-        patience_s = self._patience_s(slot)
-        if not channel.wiring.asked or message.remote or message.period_s:
-            return link.await_frame(channel, slot, patience_s)
-        deadline = self._clock.now_ns() + round(patience_s * NS)
-        link.drain(channel)
-        count = slot.count
-        while (left := deadline - self._clock.now_ns()) > 0:
-            link.command(channel)
-            if link.pump(lambda: slot.count != count, min(_RETRY_S, left / NS)):
-                return True
-        return False
 
-    def hear(self, name: str) -> None:
-        """Send the current order until a message is received; a drive may send a message only as an
-        answer.
+        def prompt() -> None:
+            if ask or not message.remote:
+                link.command(channel)
+            link.request(slot)
 
-        Raises:
-            LinkError: The message is not received, or is never complete.
-        """
-        slot = self._channel.slot(name)
-        count, refused = slot.count, slot.refused
-        deadline = self._clock.now_ns() + self._patience_s(slot) * NS
-        while slot.count == count:
-            if self._clock.now_ns() >= deadline:
-                raise self._silent(slot, refused)
-            self._link.command(self._channel)
-            self._link.request(slot)
-            self._link.pump(lambda: slot.count != count, _RETRY_S)
+        alone = message.period_s or not channel.wiring.asked
+        asked = ask or message.remote or not alone
+        return link.await_frame(channel, slot, self._patience_s(slot), prompt if asked else None)
 
     def _silent(self, slot: Slot, refused: int) -> LinkError:
         bad = slot.refused - refused
@@ -380,7 +358,7 @@ class DbcServo(Servo):
         channel.set_cycle(cycle_s)
         channel.order(self._wiring.disable)
         for name in (*self._wiring.received, *self._wiring.pages):
-            self._feedback.hear(name)
+            self._feedback.await_frame(name, ask=True)
         self._cycle_ns = round(cycle_s * NS)
         self.prepared = True
         self._feedback.restart_time()

@@ -284,24 +284,11 @@ def test_a_cycle_of_whole_milliseconds(cycle_s: float) -> None:
     assert drive.take()[0] == ("write", (0x60C2, 1), round(cycle_s * 1e3))
 
 
-@pytest.mark.parametrize(
-    ("cycle_s", "shown"),
-    [
-        (0.0, "0"),
-        (0.0005, "0.5"),
-        (0.0015, "1.5"),
-        (0.001 + 1.2e-9, "1"),
-        (0.001 - 1.2e-9, "0.999999"),
-    ],
-)
-def test_a_cycle_of_a_part_of_a_millisecond_is_refused(cycle_s: float, shown: str) -> None:
+@pytest.mark.parametrize("cycle_s", [0.0, 0.0005, 0.0015, 0.001 + 1.2e-9, 0.001 - 1.2e-9])
+def test_a_cycle_of_a_part_of_a_millisecond_is_refused(cycle_s: float) -> None:
     drive = Drive()
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match="60C2h"):
         make(drive).prepare(cycle_s)
-    assert (
-        str(caught.value)
-        == f"the cycle time is {shown} ms; it must be a whole number of milliseconds (60C2h)"
-    )
     assert drive.take() == []
 
 
@@ -312,11 +299,8 @@ def test_a_drive_without_the_torque_offset_is_refused(error: Exception) -> None:
     drive = Drive()
     drive.refuses[TORQUE_OFFSET] = error
     prepared(drive)
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises(ConfigurationError, match="60B2h") as caught:
         prepared(drive, torque_offset=True)
-    assert (
-        str(caught.value) == f"drive 1: no torque offset 60B2h ({error}): run without feed-forward"
-    )
     assert caught.value.__cause__ is error
 
 
@@ -390,13 +374,8 @@ def test_a_drive_whose_mode_does_not_come_is_switched_on_and_not_enabled() -> No
     drive.loses = {
         exchange: lambda: drive.objects.update({MODE_DISPLAY: 3}) for exchange in range(1, 1000)
     }
-    with pytest.raises(StateError) as caught:
+    with pytest.raises(StateError, match="6061h still reads 3, 1 s after mode 8"):
         servo.enable()
-    assert str(caught.value) == (
-        "in state 'switched on' the active mode 6061h still reads 3, 1 s after mode 8 (cyclic "
-        "synchronous position) was written to 6060h: check in the drive's manual how this mode is "
-        "selected"
-    )
     words = {entry[2][0] for entry in drive.take("stage")}
     assert 0x07 in words
     assert 0x0F not in words
@@ -429,15 +408,6 @@ def test_a_drive_without_the_mode_stays_as_it_is(offered: int, good: bool) -> No
         servo.enable()
     assert drive.take("exchange") == []
     assert drive.state is State.SWITCH_ON_DISABLED
-
-
-def test_a_mode_that_comes_late_is_waited_for() -> None:
-    drive = Drive()
-    servo = prepared(drive)
-    drive.loses[1] = lambda: drive.objects.update({MODE_DISPLAY: 0})
-    drive.loses[3] = lambda: drive.objects.update({MODE_DISPLAY: 8})
-    servo.enable()
-    assert drive.cycle == 7
 
 
 @pytest.mark.parametrize("offset", [False, True])
