@@ -8,11 +8,10 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self, TypeVar
 
-import canopen
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoCommunicationError
 
@@ -31,7 +30,7 @@ from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, accessed, co
 from drivers.canopen.sdo import (
     ONE_AXIS,
     Axis,
-    PumpedNode,
+    PumpedSdoClient,
     described,
     translated,
     unfit,
@@ -119,7 +118,7 @@ class CanopenNode:
 
     Attributes:
         node_id: Node identifier, 1 to 127.
-        remote: Object of the library canopen for the device.
+        sdo: SDO client for the device.
         outputs: Data of each RPDO for the next exchange, by CAN identifier.
         inputs: Last frame of each TPDO, by CAN identifier.
         expected: Number of TPDOs that the device sends with every SYNC.
@@ -138,7 +137,7 @@ class CanopenNode:
     ) -> None:
         self.node_id = node_id
         self._axis = axis
-        self.remote = PumpedNode(node_id, dictionary, wire)
+        self.sdo = PumpedSdoClient(node_id, dictionary, wire)
         self.outputs: dict[int, bytes] = {}
         self.inputs: dict[int, Input] = {}
         self.expected = 0
@@ -193,7 +192,7 @@ class CanopenNode:
     def write(self, index: int, subindex: int, value: int) -> None:
         index, subindex = self._at(index, subindex)
         data = self._packed(index, subindex, value)
-        self._access(index, subindex, lambda: self.remote.sdo.download(index, subindex, data))
+        self._access(index, subindex, lambda: self.sdo.download(index, subindex, data))
 
     @property
     def sync_us(self) -> int:
@@ -395,7 +394,7 @@ class CanopenNode:
         no heartbeat is sent meanwhile; None restores the time-out of the link.
         """
         self._braking = self._watched and limit_s is not None
-        self.remote.limit_wait(limit_s if self._braking else None)
+        self.sdo.limit_s = limit_s if self._braking else None
 
     def _at(self, index: int, subindex: int) -> ObjectAddress:
         """Return the address of an object of the first axis in the objects of the axis used."""
@@ -466,7 +465,7 @@ class CanopenNode:
             raise unfit(self.label, item, value) from error
 
     def _upload(self, index: int, subindex: int) -> bytes:
-        return self._access(index, subindex, lambda: bytes(self.remote.sdo.upload(index, subindex)))
+        return self._access(index, subindex, lambda: bytes(self.sdo.upload(index, subindex)))
 
     def _access(self, index: int, subindex: int, act: Callable[[], V]) -> V:
         """Make an SDO transfer. A device in the NMT state STOPPED, which 1029h may select after the
@@ -592,20 +591,6 @@ _SDO_ANSWER: Final = 0x580
 _HIGHEST_ID: Final = 0x7FF
 
 
-class _Network(canopen.Network):
-    """Dispatcher of the library canopen, which sends through the link."""
-
-    def __init__(self, send: Callable[[int, bytes], None]) -> None:
-        super().__init__()
-        self._send = send
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a frame of a request of the library canopen."""
-        if remote:
-            raise NotImplementedError("this program does not send remote frames")
-        self._send(can_id, bytes(data))
-
-
 class CanopenLink(Link):
     """A CANopen network with this program as its only master.
 
@@ -643,7 +628,6 @@ class CanopenLink(Link):
         self._connect = connect
         self._port: FramePort | None = None
         self._lost = False
-        self._network = _Network(self.send)
         self._nodes: dict[int, CanopenNode] = {}
         self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
         self._cycle_s: float | None = None
@@ -694,7 +678,6 @@ class CanopenLink(Link):
         require_node(node_id, {self.master_id, *self._nodes})
         dictionary = read_eds(eds, node_id)
         node = CanopenNode(node_id, dictionary, self, axis)
-        self._network.add_node(node.remote)
         self._nodes[node_id] = node
         return node
 
@@ -883,11 +866,7 @@ class CanopenLink(Link):
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0], time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
-            # Only these frames need the dispatcher of the library canopen, whose callbacks raise
-            # errors on shorter frames. A frame that a callback rejects counts as lost; a request
-            # that waits for it has a time-out.
-            with suppress(Exception):
-                self._network.notify(identifier, bytearray(data), time_ns / NS)
+            node.sdo.on_response(identifier, data, time_ns / NS)
 
     def _emergency(self, node: CanopenNode, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little")

@@ -76,7 +76,7 @@ def test_text_and_numbers_through_the_link(host: Host) -> None:
 
 
 def test_canopen_can_force_a_segmented_download(host: Host) -> None:
-    host.drive.remote.sdo.download(0x607A, 0, struct.pack("<i", -123456), force_segment=True)
+    host.drive.sdo.download(0x607A, 0, struct.pack("<i", -123456), force_segment=True)
     assert host.drive.read(0x607A) == -123456
 
 
@@ -110,8 +110,6 @@ class LateWire:
     """A wire that delivers the given responses one by one, whatever was asked."""
 
     sdo_timeout_s = 0.3
-    cycle = 0
-    master_id = 127
     alive_until_ns = 0
 
     def keep_alive(self) -> None:
@@ -126,14 +124,13 @@ class LateWire:
             self.client.responses.put(self._left.pop(0))
         return ready()
 
-    def send_message(self, identifier: int, data: bytes) -> None:
+    def send(self, identifier: int, data: bytes) -> None:
         """The frame goes nowhere."""
 
 
 def late_client(*responses: bytes) -> PumpedSdoClient:
     wire = LateWire(*responses)
-    wire.client = client = PumpedSdoClient(0x601, 0x581, canopen.ObjectDictionary(), wire)
-    client.network = wire
+    wire.client = client = PumpedSdoClient(1, canopen.ObjectDictionary(), wire)
     return client
 
 
