@@ -8,7 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Literal, NamedTuple
 
 from drivers import servo_limits
@@ -48,25 +48,6 @@ class LoopGains:
     reset_1_s: float = 0.0
 
 
-@dataclass(frozen=True)
-class LoopLimits:
-    """Limits of the command that the loop computes.
-
-    Attributes:
-        angle_min_rad: Lower end of the range of the joint angle.
-        angle_max_rad: Upper end of this range.
-        speed_rad_s: Greatest speed.
-        torque_N_m: Greatest torque.
-        deceleration_rad_s2: Deceleration with which the joint stops before an end of the range.
-    """
-
-    angle_min_rad: float
-    angle_max_rad: float
-    speed_rad_s: float
-    torque_N_m: float
-    deceleration_rad_s2: float
-
-
 class LoopState(NamedTuple):
     """State of the loop: the last target, rad (NaN without a target), and the integral of the speed
     controller, N m.
@@ -103,7 +84,7 @@ def derived(
 def step(
     state: LoopState,
     gains: LoopGains,
-    limits: LoopLimits,
+    limits: ServoLimits,
     cycle_s: float,
     target_rad: float,
     angle_rad: float,
@@ -118,7 +99,8 @@ def step(
     Args:
         state: State after the last cycle.
         gains: Gains; without a speed gain the torque command is 0.
-        limits: Limits of the commands.
+        limits: Limits of the commands; the joint stops before an end of the angle range with the
+            deceleration of the quick stop.
         cycle_s: Control cycle, s.
         target_rad: Joint angle to follow.
         angle_rad: Joint angle as last measured.
@@ -151,15 +133,22 @@ def step(
     return LoopState(target_rad, integral), speed, torque
 
 
-def _stopping(distance_rad: float, limits: LoopLimits) -> float:
+def _stopping(distance_rad: float, limits: ServoLimits) -> float:
     """Return the greatest speed toward an end of the angle range at this distance from it,
     rad/s.
     """
     if distance_rad <= 0.0:
         return 0.0
-    return min(limits.speed_rad_s, math.sqrt(2.0 * limits.deceleration_rad_s2 * distance_rad))
+    return min(
+        limits.speed_rad_s, math.sqrt(2.0 * limits.quick_stop_deceleration_rad_s2 * distance_rad)
+    )
 
 
+_ENFORCED: Final = (
+    *("angle_min_rad", "angle_max_rad", "speed_rad_s", "torque_N_m"),
+    "quick_stop_deceleration_rad_s2",
+)
+"""Fields of the limits that the position loop enforces."""
 ModeName = Literal["csp", "csv", "cst", "pp"]
 OUTPUT_PDO: Final = 1
 TARGET_POSITION: Final = (0x607A, 0)
@@ -325,7 +314,7 @@ class _HostLoop(Motion):
         self._stated = gains
         self._inertia = inertia_kg_m2
         self._gains = gains
-        self._limits: LoopLimits | None = None
+        self._limits: ServoLimits | None = None
         self._state: LoopState = AT_REST
         self._before: LoopState = AT_REST
         self._stepped_in = -1
@@ -337,20 +326,11 @@ class _HostLoop(Motion):
         self._gains = derived(cycle_s, self._inertia, self._stated)
 
     def take_limits(self, limits: ServoLimits) -> None:
-        held = self._limits
-        fields = {
-            "angle_min_rad": limits.angle_min_rad,
-            "angle_max_rad": limits.angle_max_rad,
-            "speed_rad_s": limits.speed_rad_s,
-            "torque_N_m": limits.torque_N_m,
-            "deceleration_rad_s2": limits.quick_stop_deceleration_rad_s2,
-        }
-        found = {
-            name: getattr(held, name, math.nan) if math.isnan(value) else value
-            for name, value in fields.items()
-        }
-        if not any(map(math.isnan, found.values())):
-            self._limits = LoopLimits(**found)
+        stated = {name: getattr(limits, name) for name in _ENFORCED}
+        known = {name: value for name, value in stated.items() if not math.isnan(value)}
+        found = replace(self._limits or limits, **known)
+        if not any(math.isnan(getattr(found, name)) for name in _ENFORCED):
+            self._limits = found
 
     def reset(self) -> None:
         if self._limits is None:

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from drivers.canopen.motion import (
     AT_REST,
     LoopGains,
-    LoopLimits,
     LoopState,
     derived,
     step,
 )
 from drivers.errors import ConfigurationError
+from drivers.interfaces import ServoLimits
 
-LIMITS = LoopLimits(-0.5, 0.5, 2.0, 75.0, 35.0)
+LIMITS = ServoLimits(-0.5, 0.5, 2.0, 75.0, 25.0, 0.03, 2, 35.0)
 CYCLE_S = 0.001
 ANGLES = st.floats(-3.0, 3.0)
 SPEEDS = st.floats(-20.0, 20.0)
@@ -36,7 +36,7 @@ def test_no_command_leads_over_a_limit(
         angle, angle * asked
     )
     if asked:
-        assert asked * asked <= 2 * LIMITS.deceleration_rad_s2 * left * (1 + 1e-9)
+        assert asked * asked <= 2 * LIMITS.quick_stop_deceleration_rad_s2 * left * (1 + 1e-9)
     assert abs(torque) <= LIMITS.torque_N_m
     if abs(speed) > LIMITS.speed_rad_s:
         assert torque * speed <= 0.0
