@@ -32,9 +32,7 @@ def enabled(host: SerialHost) -> SerialHost:
     return host
 
 
-def test_segments_both_ways(host: SerialHost) -> None:
-    host.drive.write_bytes(0x607D, 1, (77).to_bytes(4, "little"))
-    assert host.drive.read(0x607D, 1) == 77
+def test_a_text_comes_in_segments(host: SerialHost) -> None:
     long = "x" * 700
     host.bench.drive.objects.texts[0x1008 << 8] = long
     assert host.drive.read_text(0x1008) == long

@@ -153,7 +153,6 @@ def epos(make: Make, good: int = 0) -> Bench:
         "read_bytes": lambda: node.read_bytes(0x1008),
         "write": lambda: node.write(0x6040, 0, 0),
         "insist": lambda: node.insist(0x6040, 0, 0),
-        "write_bytes": lambda: node.write_bytes(0x607D, 1, bytes(4)),
         "map": lambda: node.map_process_data([], [], 0.002),
     }
     return Bench(link, Cia402Servo(node, link, SCALES), uses, port)
