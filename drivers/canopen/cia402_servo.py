@@ -51,6 +51,7 @@ from drivers.interfaces import (
 from drivers.objects import (
     VENDOR,
     ObjectAddress,
+    PdoLayout,
     ProcessChannel,
     access_problems,
     identity_problems,
@@ -589,7 +590,7 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         return self._values.sample(following)
 
     @property
-    def _outputs(self) -> list[objects.PdoLayout]:
+    def _outputs(self) -> list[PdoLayout]:
         return objects.outputs(self._motion)
 
     def _stage(self, counts: int) -> None:

@@ -866,7 +866,7 @@ class CanopenLink(Link):
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0], time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
-            node.sdo.on_response(identifier, data, time_ns / NS)
+            node.sdo.responses.put(data)
 
     def _emergency(self, node: CanopenNode, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -101,7 +101,7 @@ def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
     """Return the limits of the drive at the joint: the reported value, or the value in the bench
     file for a limit that the drive does not report.
     """
-    gear, found = drive.gear_ratio, dict[str, float]()
+    gear, found = drive.gear_ratio, dict[str, Any]()
     for name, value in told.items():
         if name == "current":
             found |= {"current_A": value, "torque_N_m": value * drive.torque_constant_N_m_A * gear}
