@@ -60,18 +60,6 @@ class Interface(can.BusABC):
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
-def test_whatever_an_interface_raises_is_an_os_error(make: Callable[[], Exception]) -> None:
-    bus = Interface(make(), on_send=make())
-    port = PythonCanPort(bus, SimulatedClock())
-    with pytest.raises(OSError, match=r"\w"):
-        port.transmit(1, b"")
-    with pytest.raises(OSError, match=r"\w"):
-        port.collect(0.0)
-    bus.on_shutdown = make()
-    port.shutdown()
-
-
-@pytest.mark.parametrize("make", ERRORS, ids=name)
 def test_a_link_over_any_interface_raises_link_errors_and_goes_on(
     make: Callable[[], Exception],
 ) -> None:

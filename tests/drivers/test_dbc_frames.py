@@ -227,18 +227,6 @@ def test_a_silent_drive_is_asked_with_its_disable_order(tmp_path: Path, verb: st
         assert servo.state() is ServoState.SWITCH_ON_DISABLED
 
 
-def test_what_a_drive_does_not_report_is_not_a_number(tmp_path: Path) -> None:
-    wire, _, servo = motor(tmp_path)
-    answering(wire, 1, REPLY)
-    servo.prepare(CYCLE_S)
-    servo.enable()
-    sample = servo.sample()
-    assert sample.fresh
-    assert all(map(math.isnan, (sample.temperature_C, sample.supply_voltage_V, sample.voltage_V)))
-    wire.say(REPLY, reply())
-    assert math.isnan(servo.readings().temperature_C)
-
-
 def test_a_torque_offset_needs_its_signal(tmp_path: Path) -> None:
     _, _, servo = motor(tmp_path)
     with pytest.raises(ConfigurationError, match="has no torque offset"):

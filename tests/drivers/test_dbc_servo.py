@@ -162,15 +162,6 @@ def test_no_verb_but_enable_leads_toward_power(host: DbcHost, state: State, verb
 
 
 @pytest.mark.parametrize("verb", ["disable", "quick_stop"])
-def test_every_way_of_stopping_sends_the_stop_frame(host: DbcHost, verb: str) -> None:
-    enabled(host)
-    host.link.take_frames()
-    VERBS[verb](host)
-    sent = [(frame.identifier, frame.data) for frame in host.link.take_frames() if frame.sent]
-    assert (STOP, b"\xa5") in sent
-
-
-@pytest.mark.parametrize("verb", ["disable", "quick_stop"])
 def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
     enabled(host)
     left = [2]

@@ -213,13 +213,6 @@ def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
     assert str(caught.value) == str(resolution)
 
 
-def test_an_amt21_says_that_its_answers_differ(serial: SerialHost) -> None:
-    answers = iter(range(0, 100, 10))
-    serial.encoder._ask = lambda: next(answers)  # type: ignore[method-assign]
-    (error,) = serial.encoder.problems(0.002)
-    assert "answers of the encoder at rest must agree" in str(error)
-
-
 def test_a_bad_answer_of_an_amt21_is_nan(serial: SerialHost) -> None:
     serial.encoder._ask = lambda: None  # type: ignore[method-assign]
     assert math.isnan(serial.encoder.reading())

@@ -68,13 +68,6 @@ def test_refusals(request_: bytes, code: int) -> None:
     assert abort_code(make_server().answer(request_)) == code
 
 
-def test_text_and_numbers_through_the_link(host: Host) -> None:
-    assert host.drive.read_text(0x1008) == "loadrig simulated drive"
-    host.drive.write(0x607D, 1, -5)
-    assert host.drive.read(0x607D, 1) == -5
-    assert host.drive.read(0x1018, 2) == 0x402
-
-
 def test_canopen_can_force_a_segmented_download(host: Host) -> None:
     host.drive.sdo.download(0x607A, 0, struct.pack("<i", -123456), force_segment=True)
     assert host.drive.read(0x607A) == -123456

@@ -73,22 +73,6 @@ def test_a_limit_that_does_not_read_back_is_named() -> None:
         servo_limits.write(Deaf(), SCALES, LIMITS)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_sign_and_zero_of_a_sample(sign: int) -> None:
-    host = make_host(scales=replace(SCALES, sign=sign, offset_rad=0.1))
-    enabled(host)
-    host.cycles(400, lambda t: 0.1 + 0.2 * t)
-    sample = host.servo.sample()
-    assert sample.motor_angle_rad / 100.0 == pytest.approx(0.18, abs=2e-3)
-    assert host.bench.machine.truth().angle_rad == pytest.approx(sign * 0.08, abs=2e-3)
-    assert sample.velocity_rad_s == pytest.approx(0.2, rel=0.1)
-    # Pushing against friction takes current and voltage in the direction of motion.
-    assert sample.current_A > 1.0
-    assert sample.voltage_V > 1.0
-    assert sample.supply_voltage_V == 60.0
-    assert sample.temperature_C == 25.0
-
-
 def test_the_watch_runs_before_power_comes(host: Host) -> None:
     prepared(host)
     host.link.take_frames()

@@ -46,19 +46,6 @@ def test_a_resting_joint_takes_the_torque_as_current(host: Host) -> None:
     assert host.bench.machine.truth().angle_rad == 0.0
 
 
-def test_it_is_whole_per_mille_of_the_rated_torque(host: Host) -> None:
-    enabled(host)
-    for torque, units in (
-        (6.0, 133),
-        (-6.0, -133),
-        (0.5 * UNIT_N_M + 1e-6, 1),
-        (0.49 * UNIT_N_M, 0),
-    ):
-        host.servo.set_torque_offset(torque)
-        host.cycles(1)
-        assert held(host) == units
-
-
 def test_it_does_not_pass_the_limit_of_the_current(host: Host) -> None:
     prepared(host)
     host.servo.write_limits(replace(host.servo.read_limits(), current_A=3.0))
@@ -82,14 +69,6 @@ def test_it_is_gone_with_the_stop(host: Host, stop: str) -> None:
     host.cycles(30)
     assert held(host) == 0
     assert abs(host.bench.machine.truth().current_A) < 0.1
-
-
-def test_switched_off_without_another_cycle_the_drive_has_none_left(host: Host) -> None:
-    enabled(host)
-    host.servo.set_torque_offset(8.0)
-    host.cycles(5)
-    host.servo.disable()
-    assert held(host) == 0
 
 
 def test_the_drive_adds_nothing_to_a_ramp_of_its_own(host: Host) -> None:
