@@ -200,13 +200,6 @@ def enabled(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia40
     return servo
 
 
-def fail(error: BaseException) -> Callable[[], None]:
-    def action() -> None:
-        raise error
-
-    return action
-
-
 class TestSteps(StepsContract):
     @pytest.fixture
     def case(self) -> Case:

@@ -11,9 +11,6 @@ from drivers.mock.drive import FOLLOWING_ERROR
 
 from .host import Host, enabled, make_host, prepared
 
-UNIT_N_M = 0.045
-"""One per mille of 0.45 N m at the motor, behind a gear of 100."""
-
 
 @pytest.fixture
 def host() -> Host:
