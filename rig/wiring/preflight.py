@@ -12,8 +12,8 @@ from datetime import date
 from typing import Literal, NoReturn, Protocol
 
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import MASTER_ID, CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import SimulatedClock
 from drivers.dbc.link import DbcLink
 from drivers.epos.link import EposSerialLink

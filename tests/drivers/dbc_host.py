@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from drivers.can.port import PythonCanPort
-from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel

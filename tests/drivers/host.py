@@ -11,11 +11,11 @@ import can
 
 from drivers.can.port import PythonCanPort
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.canopen.motion import CyclicPosition, Motion
 from drivers.canopen.sdo import ONE_AXIS, Axis
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS
 from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench

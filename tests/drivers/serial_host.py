@@ -13,8 +13,8 @@ import can
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.can.slcan import SlcanPort
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS, Clock
 from drivers.epos.link import FASTEST_1_S, EposSerialLink, EposSerialNode
 from drivers.interfaces import Encoder, Link

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia404 import Cia404Transmitter
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.eds_file import addresses, read_eds
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia404Transmitter, Cia406Encoder
 from drivers.clock import SimulatedClock
 from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.errors import ConfigurationError
 from drivers.units import EncoderScales
 

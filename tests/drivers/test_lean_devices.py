@@ -13,9 +13,9 @@ import pytest
 from drivers.canopen import motion
 from drivers.canopen.cia402_objects import cyclic, inputs
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
 from drivers.canopen.motion import RPM
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.interfaces import ServoState

@@ -6,7 +6,7 @@ import can
 import pytest
 
 from drivers.can.port import cycle_bits, frame_bits
-from drivers.canopen import cia402_objects, cia406
+from drivers.canopen import cia402_objects, sensors
 from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.mock.drive import DRIVE_EDS
@@ -179,7 +179,7 @@ def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:
     host.link.take_frames()
     host.cycles(200)
     frames = [f for f in host.link.take_frames() if f.identifier & 0x780 != 0x700]
-    planned = cycle_bits((*cia402_objects.FRAMES, *cia406.FRAMES))
+    planned = cycle_bits((*cia402_objects.FRAMES, *sensors.ENCODER_FRAMES))
     assert sum(frame_bits(len(f.data)) for f in frames) == pytest.approx(
         200 * planned, abs=frame_bits(8)
     )

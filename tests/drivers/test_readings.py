@@ -10,8 +10,8 @@ import re
 
 import pytest
 
-from drivers.canopen.cia404 import Cia404Transmitter
 from drivers.canopen.motion import ProfilePosition
+from drivers.canopen.sensors import Cia404Transmitter
 from drivers.epos.frames import FrameDecoder, Opcode
 from drivers.errors import (
     ConfigurationError,
