@@ -16,10 +16,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.port import ANSWER_SHARE, cycle_bits
-from drivers.canopen import cia402_objects, cia404, cia406
-from drivers.canopen.cia404 import Cia404Transmitter
+from drivers.canopen import cia402_objects, sensors
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.sdo import Axis, described
+from drivers.canopen.sensors import Cia404Transmitter
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from drivers.objects import ProcessChannel
@@ -539,7 +539,9 @@ def in_force(document: Document[Bench]) -> Document[Bench]:
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:
     """Yield a problem if the frames of a control cycle exceed the capacity of the bus."""
     bitrate, cycle_s = bus.bitrate, bench.cycle_s
-    bits = cycle_bits((*servo, *cia406.FRAMES, *(cia404.FRAMES if bench.pressure else ())))
+    bits = cycle_bits(
+        (*servo, *sensors.ENCODER_FRAMES, *(sensors.PRESSURE_FRAMES if bench.pressure else ()))
+    )
     share = bits / (bitrate * cycle_s)
     if share > ANSWER_SHARE:
         shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))
