@@ -20,7 +20,7 @@ from canopen.objectdictionary import (
 
 from drivers.canopen import xdd_text
 from drivers.canopen.eds_text import Section, decode, integer, sections
-from drivers.errors import ConfigurationError, require_plain
+from drivers.errors import ConfigurationError
 
 _OBJECT: Final = re.compile(r"([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?")
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
@@ -63,7 +63,8 @@ def read_eds(eds: Path, node_id: int) -> Described:
         ConfigurationError: The file cannot be read, or describes no object.
     """
     try:
-        require_plain(eds)
+        if eds.exists() and not eds.is_file():
+            raise OSError("the path leads to a pipe or a device; state the path of a file")
         content = eds.read_bytes()
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
