@@ -16,8 +16,13 @@ from identification.model.parameters import LOAD_PARAMETERS
 from rig.common.errors import InputError
 from rig.common.text import stored_path
 from rig.common.yaml_tree import DocumentError, Node, csv_rows, read_text, row
-from rig.config.campaign_columns import ChannelSection
-from rig.config.campaign_sections import ANGLE_TIME, BenchSection, ModelSection, RecordingSection
+from rig.config.campaign_sections import (
+    ANGLE_TIME,
+    BenchSection,
+    ChannelSection,
+    ModelSection,
+    RecordingSection,
+)
 from rig.config.configuration import Document, Loc, Schema, load_located
 
 

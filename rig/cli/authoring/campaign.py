@@ -16,8 +16,14 @@ from rig.cli.authoring.yaml_text import Block, render
 from rig.common.errors import InputError
 from rig.config.bench import Constants
 from rig.config.campaign import Campaign
-from rig.config.campaign_columns import ChannelSection, ReadSection
-from rig.config.campaign_sections import FITTED_TERMS, BenchSection, ModelSection, RecordingSection
+from rig.config.campaign_sections import (
+    FITTED_TERMS,
+    BenchSection,
+    ChannelSection,
+    ModelSection,
+    ReadSection,
+    RecordingSection,
+)
 from rig.sources.columns import Guess, channel_unit, guess_channels, guess_mass, is_linear, scale_of
 from rig.sources.formats import format_of
 from rig.sources.readers import FORMATS, open_table, unknown_format

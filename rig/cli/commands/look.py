@@ -108,7 +108,7 @@ def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
     from pydantic import ValidationError
 
     from rig.common.places import is_folder
-    from rig.config.campaign_columns import ReadSection
+    from rig.config.campaign_sections import ReadSection
     from rig.sources import load_source
     from rig.sources.look import look_at_file, look_at_recording
 
