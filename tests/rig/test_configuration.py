@@ -12,7 +12,7 @@ from pydantic import Field, PositiveFloat
 import rig
 from rig.common.errors import InputError
 from rig.common.yaml_tree import MAX_BYTES, DocumentError, parse
-from rig.config.configuration import Schema, load, load_located
+from rig.config.configuration import Schema, load_located
 
 
 class Move(Schema):

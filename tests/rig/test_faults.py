@@ -110,9 +110,9 @@ def test_every_error_is_at_its_place(row: str, words: str) -> None:
         ("phase,target,fault\nhold,bus,lost\nhold,bus,lots\n", "3:1", "did you mean 'lost'"),
         ("phase,target,fault,count\nhold,bus,lost,many\n", "2:15", "valid integer"),
         ("phase,target,fault\nhold,bus\n", "2:1", "2 cells under 3 columns"),
-        ("phase,target,phase\n", "1:1", "name the columns, each once"),
-        ("", "1:1", "name the columns"),
-        ("phase,target,fault\n", "1:1", "has 0 entries, needs 1"),
+        ("phase,target,phase\nhold,bus,hold\n", "1:1", "two columns"),
+        ("", "1:1", "names its columns"),
+        ("phase,target,fault\n", "1:1", "at least one row"),
         ('phase,target,fault\nhold,"bus"x,lost\n', "2:1", "not valid CSV"),
     ],
 )
