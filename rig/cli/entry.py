@@ -72,7 +72,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Watch, stop and start runs on a page in the browser.",
     ),
     "schema": (
-        "rig.cli.commands.schema:command",
+        "rig.cli.commands.new:schema",
         "Write JSON Schemas, by which editors complete and check files.",
     ),
 }

@@ -15,7 +15,8 @@ Decorator = Callable[[Any], Any]
 
 
 class Number(click.FloatRange):
-    """Type of every option that takes a real number: NaN and infinity are bad input.
+    """Type of every option that takes a real number: NaN and infinity are bad input, and a decimal
+    comma is accepted.
 
     The comparisons of :class:`click.FloatRange` let NaN pass, and infinity where an end is open.
     """
@@ -35,7 +36,8 @@ class Number(click.FloatRange):
         Raises:
             click.BadParameter: The value is not a finite number inside the range.
         """
-        number = float(super().convert(value, param, ctx))
+        written = value.strip().replace(",", ".") if isinstance(value, str) else value
+        number = float(super().convert(written, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number

@@ -79,17 +79,17 @@ class DocumentError(Exception):
 
 
 # libyaml is eight times as fast, but PyYAML may be built without it.
-_Base: Any = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
+_Parser: Any = (Composer, yaml.CSafeLoader) if yaml.__with_libyaml__ else (yaml.SafeLoader,)
 
 
-class _Loader(Composer, _Base):  # type: ignore[misc]
+class _Loader(*_Parser):  # type: ignore[misc]
     """Composes nodes with limited depth; scalars are those of the YAML 1.2 core schema."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
     depth = 0
 
     def __init__(self, text: str) -> None:
-        _Base.__init__(self, text)
+        _Parser[-1].__init__(self, text)
         Composer.__init__(self)
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
