@@ -61,7 +61,7 @@ PACKAGED = sorted(Path(rig.__file__).parent.rglob("*.yaml"))
 def test_without_libyaml_the_trees_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(yaml, "__with_libyaml__", False)
     slow = runpy.run_path(yaml_tree.__file__)["parse"]
-    assert len(PACKAGED) > 20
+    assert len(PACKAGED) > 10
     for path in PACKAGED:
         assert repr(slow(path.read_text())) == repr(parse(path.read_text())), path
 
