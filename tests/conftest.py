@@ -21,7 +21,6 @@ from hypothesis import settings
 
 from identification.numerics.compiled import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
-from rig.common.start_up import keep_freed_memory
 
 _GRACE_S = 1.0
 _FOREIGN = Path(__file__).with_name("worlds")
@@ -31,7 +30,6 @@ _MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
 # As the command line sets its own process up, before numpy is loaded: threads of the linear algebra
 # would spin in the way of the tests that run beside these.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-keep_freed_memory()
 gc.set_threshold(GARBAGE_THRESHOLD)
 
 # Every process of a test would compile the program anew, and pytest all tests.

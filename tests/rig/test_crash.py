@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from rig.cli import crash
-from rig.cli import entry as cli
 from rig.cli.crash import drive_words, note_drive, noting_folder
 from rig.cli.entry import BAD_INPUT, CRASHED, DEVICE_FAILED, STOPPED, status
 from rig.common.errors import InputError, StorageError
@@ -168,15 +167,6 @@ def test_the_words_are_found_on_what_led_to_an_exception() -> None:
     assert drive_words(ValueError("other")) is None
 
 
-def test_the_words_of_a_later_exception_come_first() -> None:
-    first, second = KeyError("first"), ValueError("second")
-    note_drive(first, "not known")
-    note_drive(second, OFF)
-    second.__context__ = first
-    first.__context__ = second
-    assert drive_words(second) == OFF
-
-
 def test_an_exception_that_carries_the_state_of_the_drive_says_it() -> None:
     error = ValueError("unforeseen")
     error.safe = SafeState(verified=True, state="switch on disabled")  # type: ignore[attr-defined]
@@ -266,11 +256,6 @@ def test_an_object_that_fails_as_it_goes_is_not_shown(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "all\n", "")
 
 
-def test_every_status_has_a_name_of_its_own() -> None:
-    names = ("DONE", "BAD_VERDICT", "BAD_INPUT", "STOPPED", "DEVICE_FAILED", "CRASHED")
-    assert [getattr(cli, name) for name in names] == [0, 1, 2, 3, 4, 5]
-
-
 def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     touch = Path.touch
 
@@ -280,13 +265,3 @@ def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
         touch(file, mode, exist_ok)
 
     monkeypatch.setattr(Path, "touch", refuse)
-
-
-def test_the_documents_list_every_status() -> None:
-    root = Path(cli.__file__).parents[2]
-    page = (root / "docs" / "guides" / "command_line.md").read_text(encoding="utf-8")
-    assert [
-        line[2] for line in page.splitlines() if line.startswith("| ") and line[2].isdigit()
-    ] == list("012345")
-    readme = (root / "README.md").read_text(encoding="utf-8")
-    assert "5 the\nprogram itself failed" in readme

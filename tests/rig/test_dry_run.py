@@ -12,7 +12,6 @@ import pytest
 
 from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
-from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
@@ -135,19 +134,6 @@ def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
     ]
 
 
-def test_the_table_is_aligned_and_the_bench_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
-    assert dry()[0] == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"simulated bench practical ({load_bench('practical').path})"
-    start = next(k for k, line in enumerate(lines) if line.startswith("stage  part"))
-    assert len({len(line) for line in lines[start : start + 4]}) == 1
-    assert (
-        "watched by: the drive itself: it stops when it hears nothing of this program for 100 ms"
-        in lines
-    )
-    assert not Path("runs").exists()
-
-
 def test_the_acceptance_limits_are_listed_with_their_units(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -182,13 +168,6 @@ def test_a_file_of_limits_replaces_those_of_the_sequence(
         ("lost samples", "<= 3"),
     ]
     assert "judged by 3 limits of limits.yaml" in capsys.readouterr().out
-
-
-def test_a_run_without_limits_will_not_be_judged(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert dry()[1]["acceptance"] == []
-    assert "states limits, so the run will not be judged" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
@@ -248,14 +227,6 @@ def test_what_an_identification_leaves_open_is_said() -> None:
     assert dict(model.values) == dict(NOMINAL)
 
 
-@pytest.mark.parametrize("option", ["--identification", "--feedforward", "--faults"])
-def test_a_file_that_is_not_there_is_bad_input(
-    option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert dry(option, "none.json")[0] == 2
-    assert "none.json" in capsys.readouterr().err
-
-
 def test_an_identification_without_a_load_does_not_fit_the_weight_check(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -265,13 +236,6 @@ def test_an_identification_without_a_load_does_not_fit_the_weight_check(
     path.write_text(json.dumps(raw))
     assert dry("--identification", str(path))[0] == 2
     assert "parameters.mu_c: not identified; the weight check needs" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("text", ["{", '{"schema": "loadrig.identify/1", "motion": "rotary"}'])
-def test_a_damaged_identification_is_said(text: str) -> None:
-    Path("bad.json").write_text(text)
-    with pytest.raises(InputError, match=r"bad\.json"):
-        friction_model(bench_constants(load_bench("practical").value), Path("bad.json"))
 
 
 def test_the_newest_identification_of_the_same_bench_is_found(

@@ -125,11 +125,6 @@ def test_errors_in_csv_have_a_place_too(text: str, place: str, words: str) -> No
     assert words in caught.value.problems[0]
 
 
-def test_a_schedule_that_is_not_there() -> None:
-    with pytest.raises(InputError, match="no such file"):
-        load_faults(Path("none.csv"))
-
-
 def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None:
     assert set(ACTIONS) | set(BENCH_ACTIONS) == set(FAULTS)
     assert not set(ACTIONS) & set(BENCH_ACTIONS)
@@ -351,13 +346,3 @@ def test_fuzzed_frames(decoder: str) -> None:
 def test_fuzzed_recordings(tmp_path: Path) -> None:
     counts = fuzz.fuzz_recording(5_000, np.random.default_rng(1), tmp_path)
     assert counts["damage reported"] > 50
-
-
-def test_what_is_left_out_has_its_default() -> None:
-    row = FaultRow(phase="hold", target="bus", fault="late")
-    assert (row.amount, row.count, row.when) == (0.003, 1, "hold")
-    assert FaultRow(time_s=1.0, after_s=0.5, target="bus", fault="late").when == "1.5 s"
-    assert (
-        FaultRow(state="fault", after_s=0.5, target="bus", fault="late").when
-        == "state fault + 0.5 s"
-    )

@@ -129,13 +129,6 @@ def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[s
     assert load(result_file()).remark is None
 
 
-@pytest.mark.parametrize("text", ["{", "[]", '{"schema": "loadrig.paper/1"}'])
-def test_other_files_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    Path("other.json").write_text(text)
-    assert status(["run", "ramps.yaml", "--feedforward", "other.json", "--dry-run"]) == 2
-    assert "other.json" in capsys.readouterr().err
-
-
 def test_the_torque_of_a_cycle_goes_with_its_target() -> None:
     """Forward: eq. 15 for the period in which the target is reached.
 
@@ -251,15 +244,6 @@ def test_more_torque_than_the_limit_is_refused_beforehand(
     err = capsys.readouterr().err
     assert "stages[1].weight_kg: feed-forward needs" in err
     assert "limit torque_N_m 75 N m" in err
-
-
-def test_the_plan_says_what_is_added(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["run", "ramps.yaml", "--feedforward", str(result_file()), "--dry-run"]) == 0
-    out = capsys.readouterr().out
-    assert "slow: feed-forward up to 1" in out
-    assert "damping 78.9 N m s/rad, stiffness 5463 N m/rad up to 16.5 N m" in out
-    assert status(["run", "ramps.yaml", "--dry-run"]) == 0
-    assert "feed-forward" not in capsys.readouterr().out
 
 
 def tracking_rms(recording: Recording) -> float:

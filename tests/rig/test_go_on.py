@@ -52,15 +52,6 @@ def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -
     ]
 
 
-def test_a_stop_needs_nothing_first(stopped: RunRecord) -> None:
-    words = go_on_words(changed(stopped, state="stopped", trip=None), Path("runs/x"))
-    assert words == "go on with: rig resume runs/x"
-
-
-def test_a_run_that_is_done_needs_no_words(stopped: RunRecord) -> None:
-    assert go_on_words(changed(stopped, state="done"), Path("runs/x")) == ""
-
-
 @pytest.mark.parametrize("folder", ["my runs/it's", "-x", "runs/$(date)", "läufe/x"])
 def test_the_folder_is_quoted_for_the_shell(stopped: RunRecord, folder: str) -> None:
     command = go_on_words(stopped, Path(folder)).rpartition("go on with: ")[2]
@@ -193,12 +184,3 @@ def test_the_ending_of_the_stage_is_written_with_that_of_the_run(
     folder.record.stages[0].state = "running"
     folder.ended("tripped", "words", de_energised=True)
     assert json.loads((folder.path / "run.json").read_text())["stages"][0]["state"] == "tripped"
-
-
-@pytest.mark.parametrize(
-    ("run", "stage"), [*STAGE_ENDS.items(), ("done", "failed"), ("running", "failed")]
-)
-def test_only_the_stage_that_went_on_is_ended(stopped: RunRecord, run: str, stage: str) -> None:
-    stopped.stages[0].state, stopped.stages[1].state = "done", "running"
-    stopped.stage_ended(run)
-    assert [s.state for s in stopped.stages] == ["done", stage]

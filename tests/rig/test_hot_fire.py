@@ -26,7 +26,7 @@ from rig.control.operator import AutomaticOperator
 from rig.control.remote import RunProgress
 from rig.control.safety import Check
 from rig.control.session import Inputs, execute
-from rig.planning.plan import describe, make_plan
+from rig.planning.plan import make_plan
 from rig.planning.reference import Reference
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record
@@ -128,25 +128,6 @@ def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
     events = [event["event"] for event in read_run(fired / "recording.mcap").events]
     assert events.count("ignition") == 2
     assert events.index("prompt") < events.index("ignition") < events.index("stage start")
-
-
-def test_the_operator_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["run", "hot.yaml", *BENCH, "--yes", "--out", "told"]) == 0
-    words = (
-        "Stage sine is a hot firing: a gas generator loads the valve, and no weight is hung. "
-        "This program ignites the gas generator."
-    )
-    assert words in capsys.readouterr().err
-
-
-def test_the_plan_shows_load_and_limits() -> None:
-    text = describe(
-        make_plan(load_sequence("hot.yaml"), load_bench("practical_hot"), first_pass=True)
-    )
-    assert "2964.5" in text
-    assert "the gas generator loads the valve, no weight is hung" in text
-    assert "chamber pressure       6" in text
-    assert "contact force          4000" in text
 
 
 def test_a_bench_without_transmitter_says_what_it_lacks() -> None:
@@ -254,15 +235,6 @@ def test_a_transmitter_in_another_unit_stops_before_power() -> None:
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "unit"]) == 4
     told = read_record(Path("unit")).message
     assert "one unit of the pressure is 100 Pa, but the bench file states 1000 Pa" in told
-
-
-def test_check_names_the_transmitter(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["check", "practical_hot"]) == 0
-    assert "loadrig simulated pressure transmitter" in capsys.readouterr().out
-
-
-def test_a_bench_with_a_transmitter_is_jogged() -> None:
-    assert status(["jog", "practical_hot", "--to", "1"]) == 0
 
 
 def test_hot_firings_are_not_planned_as_experiments(capsys: pytest.CaptureFixture[str]) -> None:

@@ -134,13 +134,6 @@ def test_in_motion(tmp_path: Path, number: signal.Signals) -> None:
     assert np.count_nonzero(segment) >= 200
 
 
-def test_while_the_motion_fades_out(tmp_path: Path) -> None:
-    with running(tmp_path, "--yes", ramp_out=60) as child:
-        wait_for(child, "cycles 1\n", times=3)
-        child.send_signal(signal.SIGINT)
-        assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
-
-
 def test_a_second_one_while_braking_takes_the_power_off_at_once(tmp_path: Path) -> None:
     with running(tmp_path, "--yes", hold=True) as child:
         wait_for(child, "cycles 1\n")

@@ -129,15 +129,6 @@ def test_the_second_program_is_told_who_the_first_is(kind: str, tmp_path: Path) 
         assert free(kind, tmp_path)
 
 
-def test_a_refusal_disturbs_nothing(kind: str, tmp_path: Path) -> None:
-    with program(kind, tmp_path) as first:
-        before = lock_file(kind, tmp_path).read_bytes()
-        for _ in range(3):
-            with pytest.raises(InUseError, match=f"process {first.pid}"):
-                hold(kind, tmp_path)
-        assert lock_file(kind, tmp_path).read_bytes() == before
-
-
 def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: Path) -> None:
     with program(kind, tmp_path) as first:
         first.kill()
@@ -284,23 +275,6 @@ def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None
         for part in (OTHER, PART):
             with pytest.raises(InUseError):
                 hold_bench("one", [part], "rig run", tmp_path)
-
-
-def test_parts_are_taken_in_one_order_by_everyone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    taken: list[str] = []
-    take = locks._take
-    monkeypatch.setattr(locks, "_take", lambda place: taken.append(place.file) or take(place))
-    for parts in ([PART, OTHER], [OTHER, PART]):
-        hold_bench("two", parts, "rig jog", tmp_path).release()
-    assert taken == [file_name(PART.key), file_name(OTHER.key)] * 2
-
-
-def test_a_bench_without_parts_locks_nothing(tmp_path: Path) -> None:
-    with hold_bench("mock", [], "rig run", tmp_path / "none") as lock:
-        assert lock.descriptors == ()
-    assert not (tmp_path / "none").exists()
 
 
 def test_the_folder_of_all_users_is_open_to_all_users(tmp_path: Path) -> None:
@@ -599,12 +573,3 @@ def test_every_channel_has_a_safe_file_name_of_its_own(one: str, other: str) -> 
         assert len(name) < 100
     assert (file_name(one) == file_name(other)) is (one == other)
     assert file_name(one).lower() != file_name(other).lower() or one == other
-
-
-@pytest.mark.parametrize(
-    "key", ["../../etc/passwd", "a\0b", "\ud800", "/", "x" * 5000, "ein Kanal: ü"]
-)
-def test_awkward_channels_can_be_locked(tmp_path: Path, key: str) -> None:
-    with hold_bench("odd", [Resource(key, "channel")], "rig run", tmp_path):
-        (file,) = tmp_path.iterdir()
-        assert Holder.parse(file.read_bytes()) is not None

@@ -321,7 +321,7 @@ def _once(document: Document[Bench], say: Callable[[str], None]) -> off.Off:
 def test_a_bench_whose_port_is_missing_is_not_proved_off(
     wired: PtyBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.cli.commands.off.make_off", _once)
+    monkeypatch.setattr("rig.cli.commands.bench.make_off", _once)
     file = tmp_path / "off.json"
     text = wired.path.read_text().replace(wired.port, str(tmp_path / "gone"))
     wired.path.write_text(text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.mock.plant.parts import constants
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import names, resolve
@@ -240,11 +238,6 @@ def test_all_problems_at_once(tmp_path: Path) -> None:
     assert {problem.split(":")[0] for problem in problems} == {"4", "5", "6"}
 
 
-def test_repeated_names_are_refused(tmp_path: Path) -> None:
-    stage = f"  - {{name: a, stage: unloaded, {GOOD}}}\n"
-    assert "a is used more than once" in problems_of(tmp_path / "s.yaml", HEAD + stage + stage)[0]
-
-
 def test_a_sequence_tightens_a_limit(tmp_path: Path) -> None:
     text = (
         f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{speed_deg_s: 50, "
@@ -293,34 +286,6 @@ def test_bad_benches(tmp_path: Path, old: str, new: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
         load_bench(path)
     assert any(words in problem for problem in caught.value.problems), caught.value.problems
-
-
-def test_mock_without_a_machine_follows_the_bench(tmp_path: Path) -> None:
-    path = tmp_path / "b.yaml"
-    path.write_text(resolve("practical", "benches").read_text().split("mock:  ")[0])
-    machine = load_bench(path).value.mock
-    assert machine is not None
-    assert machine.motor.gear_ratio == 100
-
-
-def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> None:
-    """A default that changes in the plant must not silently change a packaged bench."""
-    records = (
-        constants.Motor,
-        constants.Joint,
-        constants.Loops,
-        constants.Sensing,
-        constants.Machine,
-    )
-    gas = (constants.GasGenerator, constants.Valve, constants.Transmitter)
-    for name, written, left_out in (
-        ("practical", records, {"gas"}),
-        ("practical_hot", (*records, *gas), set()),
-    ):
-        text = resolve(name, "benches").read_text()
-        for record in written:
-            for item in dataclasses.fields(record):
-                assert f"{item.name}:" in text or item.name in left_out
 
 
 def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:

@@ -128,13 +128,6 @@ def test_the_automatic_operator_waits_for_the_second_signal() -> None:
     assert clock.now_ns() >= 3_000_000_000
 
 
-def test_a_pause_names_only_what_the_operator_has(capsys: pytest.CaptureFixture[str]) -> None:
-    clock, stop = SimulatedClock(), StopButton()
-    AutomaticOperator(clock=clock).paused("empty", stop)
-    words = "Paused after stage empty; the drive is off. To continue, send SIGUSR1; to stop the run"
-    assert words in capsys.readouterr().err
-
-
 @pytest.mark.skipif(PAUSE_SIGNAL is None, reason="no SIGUSR1 here")
 def test_the_signal_asks_for_a_pause_and_ends_it() -> None:
     assert PAUSE_SIGNAL is not None

@@ -1,4 +1,4 @@
-"""``rig jog``: moves a bench by hand."""
+"""``rig check``, ``rig off`` and ``rig jog``: read a bench, make it safe, move it by hand."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ import click
 from rig.cli import options as shared
 from rig.cli.aftermath import status_of
 from rig.cli.crash import note_drive
-from rig.cli.entry import DONE
-from rig.common.errors import InputError
+from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED, DONE
+from rig.common.errors import Cause, InputError
 from rig.common.places import require_file, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.control.attendance import connected
+from rig.control.check import describe, examine, require_connectable
 from rig.control.jog import Jog, held_only_here, move, plan_jog
+from rig.control.off import make_off
 from rig.control.remote import RunProgress, stoppable
 from rig.control.sequencer import Outcome
 from rig.planning.plan import bench_limits
@@ -26,13 +28,77 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
-from rig.wiring.bench_text import unprotected
+from rig.wiring.bench_text import bench_line, unprotected, watcher
+from rig.wiring.connect import connect
 from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
 from rig.wiring.teardown import observed
 
-SCHEMA = "loadrig.jog/1"
+JOG_SCHEMA = "loadrig.jog/1"
+
+
+@click.command("check")
+@click.argument("bench")
+@shared.simulated_seed
+@shared.record_file("Also write the findings to this file.")
+def check(bench: str, seed: int, json_file: Path | None) -> int:
+    """Connect to BENCH, and read identities, live values, state and limits.
+
+    Nothing moves, nothing is energised, and no value is written to a device.
+
+    The exit status is 1 if `rig run` would refuse to start on this bench; the reasons are printed:
+    a limit looser than the drive's own limit, units that differ between file and device, an overdue
+    calibration, implausible constants, a drive that is energised or in fault, or a reading beyond
+    its limit. If the drive reports off, but current flows or the joint moves, the exit status is 4.
+    If the connection to the bench fails, the exit status is 2 or 4.
+
+    \b
+    Example:
+      rig check practical
+    """
+    require_file(json_file, "--json")
+    document = load_bench(bench)
+    click.echo(bench_line(document))
+    found = require_connectable(document)
+    with connect(document, seed, realtime=False, purpose="rig check") as devices:
+        say_taken_over(devices.lock)
+        findings, readings = examine(document, devices, seed, found)
+        watching = watcher(devices)
+    click.echo(describe(findings, readings, watching))
+    write_asked(json_file, findings)
+    if Cause.OFF.value in findings["causes"]:
+        return DEVICE_FAILED
+    return DONE if findings["good"] else BAD_VERDICT
+
+
+@click.command("off")
+@click.argument("bench")
+@shared.record_file("Also write the result to this file.")
+def off(bench: str, json_file: Path | None) -> int:
+    """Make BENCH safe, whoever uses it and whatever has died: brake, take the power off, and prove
+    by state, current and motion that the drive is off.
+
+    A program that uses the bench is asked to stop. If it does not leave the bench within 5 s, or is
+    suspended, it is killed; `rig recover` repairs its recording. A guardian that is still trying to
+    stop the drive hands it over.
+
+    The exit status is 0 if the drive is proved off, and 4 if it is not; the message then says what
+    to do by hand. On a simulated bench there is nothing to switch off. `rig off` is not an
+    emergency stop.
+
+    \b
+    Example:
+      rig off practical
+    """
+    require_file(json_file, "--json")
+    document = load_bench(bench)
+    with closing(Screen()) as screen:
+        screen.say(bench_line(document), err=False)
+        done = make_off(document, screen.say)
+        screen.say(done.message, err=not done.proved)
+    write_asked(json_file, done.record())
+    return DONE if done.proved else DEVICE_FAILED
 
 
 @click.command("jog")
@@ -55,7 +121,7 @@ SCHEMA = "loadrig.jog/1"
 @shared.simulated_seed
 @shared.reset_fault()
 @shared.record_file("Also write the outcome to this file.")
-def command(
+def jog(
     bench: str,
     angles: tuple[float, ...],
     speed: float,
@@ -96,17 +162,20 @@ def command(
         batches = [angles] if angles else _asked(prompt, stop, screen)
         for batch in batches:
             try:
-                jog = plan_jog(document.value, batch, speed)
+                planned = plan_jog(document.value, batch, speed)
             except InputError as error:
                 screen.say(str(error))
                 continue
-            if not agreed and (words := held_only_here(jog, document.value, devices)) is not None:
+            if (
+                not agreed
+                and (words := held_only_here(planned, document.value, devices)) is not None
+            ):
                 screen.say(words)
                 agreed = _agreed(prompt, stop, screen, document.value.simulated)
                 if not agreed:
                     outcome = _unmoved(devices, document.value)
                     break
-            outcome = _move(document.value, jog, devices, stop, screen, reset_fault)
+            outcome = _move(document.value, planned, devices, stop, screen, reset_fault)
             if outcome.ending is not Ending.DONE:
                 break
     write_asked(json_file, _record(bench, outcome))
@@ -168,12 +237,17 @@ def _unmoved(devices: Devices, bench: Bench) -> Outcome:
 
 
 def _move(
-    bench: Bench, jog: Jog, devices: Devices, stop: StopButton, screen: Screen, reset_fault: bool
+    bench: Bench,
+    planned: Jog,
+    devices: Devices,
+    stop: StopButton,
+    screen: Screen,
+    reset_fault: bool,
 ) -> Outcome:
     span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
-    with RunProgress(bench.cycle_s, len(jog.angles) * span / jog.speed, screen) as progress:
+    with RunProgress(bench.cycle_s, len(planned.angles) * span / planned.speed, screen) as progress:
         return move(
-            jog,
+            planned,
             bench,
             devices,
             stop,
@@ -185,7 +259,7 @@ def _move(
 
 def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:
     return {
-        "schema": SCHEMA,
+        "schema": JOG_SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
         "bench": bench,
         "state": "done" if outcome is None else outcome.ending.value,
