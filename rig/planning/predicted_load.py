@@ -6,7 +6,6 @@ Friction and load follow eq. 9 to 13.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from rig.config.sequence import Array, approach
 from rig.planning.hot_fire import steady_force
 from rig.planning.limits import Limits
 from rig.planning.plan import Plan, PlannedStage
-from rig.planning.reference import moment_per_kg, read_identification
+from rig.planning.reference import moment_per_kg, read_values
 from rig.runs.run_file import read_record, recorded_bench
 
 NOMINAL_ALPHA = 2.0
@@ -141,17 +140,7 @@ def _newest_first(runs: Path) -> list[Path]:
 
 
 def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
-    raw = read_identification(path)
-    try:
-        values = {name: raw["parameters"].get(name, {}).get("value") for name in NOMINAL}
-        known = {
-            name: float(value)
-            for name, value in values.items()
-            if value is not None and math.isfinite(value)
-        }
-        alpha = float(raw["alpha"])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    known, alpha = read_values(path, NOMINAL)
     missing = [name for name in NOMINAL if name not in known]
     words = f"the identification {path}"
     if missing:

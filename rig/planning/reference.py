@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,23 @@ def read_identification(path: Path) -> dict[str, Any]:
             f"{path}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha!r})"
         )
     return raw
+
+
+def read_values(path: Path, names: Iterable[str]) -> tuple[dict[str, float], float]:
+    """Return the determined values of parameters, SI units, and the Stribeck exponent, of the result
+    file of ``rig identify`` on a rotary bench.
+
+    Raises:
+        InputError: The file cannot be read, is not such a result, or is damaged.
+    """
+    raw = read_identification(path)
+    try:
+        stated = {name: raw["parameters"].get(name, {}).get("value") for name in names}
+        values = {name: float(value) for name, value in stated.items() if value is not None}
+        alpha = float(raw["alpha"])
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    return {name: value for name, value in values.items() if math.isfinite(value)}, alpha
 
 
 def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
