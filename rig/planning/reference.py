@@ -105,8 +105,8 @@ def read_identification(path: Path) -> dict[str, Any]:
 
 
 def read_values(path: Path, names: Iterable[str]) -> tuple[dict[str, float], float]:
-    """Return the determined values of parameters, SI units, and the Stribeck exponent, of the result
-    file of ``rig identify`` on a rotary bench.
+    """Return the determined values of parameters, SI units, and the Stribeck exponent, from a
+    result file of ``rig identify``.
 
     Raises:
         InputError: The file cannot be read, is not such a result, or is damaged.

@@ -190,17 +190,6 @@ def test_moves_to_the_start_take_time() -> None:
     assert dry()[1]["moves_s"] == pytest.approx(2 * 3.14159 / 2 * 10 / 30, abs=0.01)
 
 
-def test_the_paper_s_values_stand_in_for_an_identification(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    record = dry()[1]
-    assert record["identified"] is False
-    assert (
-        "Predicted from the paper's friction and the inertia 0.204 kg m^2"
-        in capsys.readouterr().out
-    )
-
-
 @pytest.mark.parametrize("option", ["--identification", "--feedforward"])
 def test_what_is_named_is_used(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     plain = heavy(dry()[1])
@@ -210,21 +199,6 @@ def test_what_is_named_is_used(option: str, capsys: pytest.CaptureFixture[str]) 
     assert record["identified"] is True
     assert heavy(record) > plain + 2.0
     assert "Predicted from the identification known.json" in capsys.readouterr().out
-
-
-def test_what_an_identification_leaves_open_is_said() -> None:
-    bench = bench_constants(load_bench("practical").value)
-    path = Path("open.json")
-    raw = json.loads(result(path).read_text())
-    raw["parameters"]["J"]["value"] = None
-    del raw["parameters"]["mu_2"]
-    path.write_text(json.dumps(raw))
-    model = friction_model(bench, path)
-    assert (
-        model.source
-        == "the identification open.json; J, mu_2, not determined by the result, from the paper"
-    )
-    assert dict(model.values) == dict(NOMINAL)
 
 
 def test_an_identification_without_a_load_does_not_fit_the_weight_check(
