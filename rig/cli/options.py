@@ -36,7 +36,7 @@ class Number(click.FloatRange):
         Raises:
             click.BadParameter: The value is not a finite number inside the range.
         """
-        written = value.strip().replace(",", ".") if isinstance(value, str) else value
+        written: Any = value.strip().replace(",", ".") if isinstance(value, str) else value
         number = float(super().convert(written, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)

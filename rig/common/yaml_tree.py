@@ -99,7 +99,8 @@ class _Loader(*_Parser):  # type: ignore[misc]
             raise DocumentError(f"nested deeper than {MAX_DEPTH} levels; use fewer levels", mark)
         self.depth += 1
         try:
-            return super().compose_node(parent, index)
+            node: yaml.Node | None = super().compose_node(parent, index)
+            return node
         finally:
             self.depth -= 1
 

@@ -167,7 +167,9 @@ def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[s
 
 
 if TYPE_CHECKING:
-    Known = KnownMass = KnownNumber = float
+    Known = float
+    KnownMass = float
+    KnownNumber = float
 else:
 
     def _known(exact, uncertain):

@@ -306,7 +306,9 @@ def _resolve(root: Node, loc: Loc) -> tuple[Node, Mark, Loc, Mark | None]:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an
         index).
     """
-    node, path, key_mark = root, (), None
+    node = root
+    path: Loc = ()
+    key_mark: Mark | None = None
     for element in loc:
         children, child = node.value, None
         if isinstance(children, dict):

@@ -86,18 +86,21 @@ def test_what_is_not_foreseen_ends_in_words(
     effects_raise: Raise, tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException
 ) -> None:
     effects_raise(error)
+    note_drive(error, OFF)
     assert status(["effects"]) == CRASHED == 5
     said = capsys.readouterr().err
+    assert OFF in said.splitlines()
     assert said.startswith(f"rig effects: the program broke down: {type(error).__name__}")
     assert "test_crash.py, line" in said.splitlines()[0]
     assert "Traceback" not in said
-    assert len(said.splitlines()) == 2
+    assert len(said.splitlines()) == 3
     file = next(tmp_path.glob("crash-*.txt"))
     assert str(file) in said
     kept = file.read_text(encoding="utf-8")
     assert "Traceback (most recent call last)" in kept
     assert "arguments: 'effects'" in kept
     assert "loadrig 0" in kept
+    assert f"drive: {OFF}\n" in kept
 
 
 @pytest.mark.parametrize(
@@ -144,17 +147,6 @@ def test_a_program_that_ends_itself_is_let_go(effects_raise: Raise) -> None:
     assert ended.value.code == 7
 
 
-def test_how_the_drive_was_left_travels_with_the_exception(
-    effects_raise: Raise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    error = ValueError("unforeseen")
-    note_drive(error, OFF)
-    effects_raise(error)
-    assert status(["effects"]) == CRASHED
-    assert OFF in capsys.readouterr().err.splitlines()
-    assert f"drive: {OFF}\n" in next(tmp_path.glob("crash-*.txt")).read_text(encoding="utf-8")
-
-
 def test_the_words_are_found_on_what_led_to_an_exception() -> None:
     first = KeyError("first")
     note_drive(first, "earlier")
@@ -197,21 +189,23 @@ def test_a_run_folder_on_the_command_line_is_the_place_too(tmp_path: Path) -> No
     assert crash.RUN_FILE == RUN_FILE
 
 
-def test_two_in_one_second_do_not_write_over_each_other(tmp_path: Path) -> None:
+def test_files_of_one_second_are_kept_apart_and_a_folder_that_is_read_only_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for _ in range(2):
         crash.report(ValueError("unforeseen"), ["effects"], "effects")
     assert len(list(tmp_path.glob("crash-*.txt"))) == 2
-
-
-def test_where_the_folder_cannot_be_written_it_is_a_temporary_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = tmp_path / "temporary"
+    place, touch = tmp_path / "temporary", Path.touch
     place.mkdir()
+
+    def refuse(file: Path, mode: int = 0o666, exist_ok: bool = True) -> None:
+        if file.parent == Path():
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(file))
+        touch(file, mode, exist_ok)
+
     monkeypatch.setattr(tempfile, "tempdir", str(place))
-    refuse_to_write_in(monkeypatch, Path())
-    words = crash.report(ValueError("unforeseen"), ["effects"], "effects")
-    assert str(place) in words
+    monkeypatch.setattr(Path, "touch", refuse)
+    assert str(place) in crash.report(ValueError("unforeseen"), ["effects"], "effects")
     assert len(list(place.glob("crash-*.txt"))) == 1
 
 
@@ -254,14 +248,3 @@ def test_an_object_that_fails_as_it_goes_is_not_shown(tmp_path: Path) -> None:
     ended = rig("effects", folder=tmp_path, entry=EFFECTS.format(body=body))
     assert_in_words(ended)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "all\n", "")
-
-
-def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    touch = Path.touch
-
-    def refuse(file: Path, mode: int = 0o666, exist_ok: bool = True) -> None:
-        if file.parent == folder:
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(file))
-        touch(file, mode, exist_ok)
-
-    monkeypatch.setattr(Path, "touch", refuse)

@@ -74,14 +74,6 @@ def test_the_limits_are_tighter_meanwhile(short_sequence: Path) -> None:
     )
 
 
-def test_the_default_is_one_period_of_the_slowest_tone(short_sequence: Path) -> None:
-    path = short_sequence
-    path.write_text(path.read_text().replace("duration_s: 0.5", "duration_s: 4"))
-    low = plan_of(path, first_pass=True).stages[0].first_passes[0]
-    assert low.duration_s == pytest.approx(0.5 + 0.1 + 0.1)
-    assert low.amplitude == 0.1
-
-
 def test_of_ramps_there_and_back_it_is_one(short_sequence: Path) -> None:
     text = short_sequence.read_text()
     tones = next(line for line in text.splitlines() if "tones" in line)

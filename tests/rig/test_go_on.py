@@ -89,13 +89,6 @@ def test_every_trip_has_a_remedy_without_a_second_command(stopped: RunRecord, ch
     assert (f"note: {NEW_RUN}" in lines) is by_file
 
 
-def test_nothing_is_left_where_only_the_ending_failed(stopped: RunRecord) -> None:
-    for stage in stopped.stages:
-        stage.state = "done"
-    words = go_on_words(changed(stopped, state="failed", trip=None), Path("x"))
-    assert words == "every stage is done; there is no stage to resume"
-
-
 def test_the_words_end_the_message_and_the_command_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,17 +126,6 @@ def test_the_stage_that_went_on_ends_as_the_run_did(
     bench.faults["exchange", 700] = lambda: fault(bench)
     folder, _ = runner(bench)
     assert [s.state for s in read_record(folder.path).stages] == [state, "planned"]
-
-
-def test_a_program_that_breaks_down_leaves_no_stage_running(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-
-    def defect() -> None:
-        raise ZeroDivisionError
-
-    bench.faults["exchange", 700] = defect
-    runner(bench)
-    assert [s.state for s in read_record(runner.folder).stages] == ["failed", "planned"]
 
 
 def test_a_lost_link_leaves_the_drive_unknown(runner: Any, fake_bench: Any) -> None:

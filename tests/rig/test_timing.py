@@ -32,7 +32,7 @@ def test_quantiles(share: float, expected: float) -> None:
     assert histogram.quantile_us(share) == pytest.approx(expected, rel=RESOLUTION)
 
 
-@pytest.mark.parametrize("true_us", np.geomspace(1.1, 900_000.0, 40))
+@pytest.mark.parametrize("true_us", np.geomspace(1.1, 900_000.0, 12))
 def test_no_quantile_is_off_by_more_than_the_resolution(true_us: float) -> None:
     """Judged by a bin's end, a true 11 ms was 20 ms."""
     histogram = Histogram()

@@ -96,14 +96,6 @@ def test_repeat_at_the_prompt_goes_back_one_stage(runner: Any, fake_bench: Any) 
     assert bench.hung == [0.0, 0.0, 10.0]
 
 
-def test_there_is_nothing_before_the_first_stage(runner: Any, fake_bench: Any) -> None:
-    operator = Scripted(prompts=[Verb.REPEAT])
-    _, outcome = runner(fake_bench(), operator)
-    assert outcome.ending is Ending.DONE
-    assert operator.asked == ["empty", "empty", "heavy"]
-    assert operator.told == ["there is no stage before this one"]
-
-
 def test_recovery_knows_which_attempt_counts(runner: Any, fake_bench: Any) -> None:
     bench, stop = fake_bench(), StopButton()
     pausing(bench, stop, 700)
