@@ -208,32 +208,24 @@ class Constants(Schema):
     gravity_m_s2: Positive = 9.80665
 
 
-def _servo_kind(section: object) -> object:
-    """Return the kind of servo of a section; CANopen if the section states none."""
-    return (
-        section.get("kind", "canopen")
-        if isinstance(section, dict)
-        else getattr(section, "kind", None)
-    )
+def _stated(section: object, key: str, default: str | None = None) -> object:
+    """Return the value of a key of a section, which may be a mapping or a record."""
+    if isinstance(section, dict):
+        return section.get(key, default)
+    return getattr(section, key, default)
 
 
-def _bus_kind(section: object) -> object:
+def _bus_kind(section: object) -> str:
     """Return the kind of bus of a section: CAN (with many interface names) or serial."""
-    name = (
-        section.get("interface")
-        if isinstance(section, dict)
-        else getattr(section, "interface", None)
-    )
-    return "serial" if name == "epos_serial" else "can"
+    return "serial" if _stated(section, "interface") == "epos_serial" else "can"
+
+
+def _servo_kind(section: object) -> object:
+    return _stated(section, "kind", "canopen")
 
 
 def _encoder_kind(section: object) -> object:
-    """Return the kind of encoder of a section; CiA 406 if the section states none."""
-    return (
-        section.get("kind", "cia406")
-        if isinstance(section, dict)
-        else getattr(section, "kind", None)
-    )
+    return _stated(section, "kind", "cia406")
 
 
 class Calibration(Schema):
@@ -290,7 +282,9 @@ class Bench(Schema):
     servo: Annotated[
         Annotated[ServoSection, Tag("canopen")] | Annotated[DbcServoSection, Tag("dbc")],
         Discriminator(
-            _servo_kind, "servo_kind", "kind is unknown; known are canopen (the default) and dbc"
+            lambda section: _stated(section, "kind", "canopen"),
+            "servo_kind",
+            "kind is unknown; known are canopen (the default) and dbc",
         ),
     ] = ServoSection()
     encoder: Annotated[

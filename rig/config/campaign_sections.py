@@ -50,22 +50,16 @@ ANGLE_TIME = "angle_time"
 """
 
 
-def _known_friction(name: str) -> str:
-    if name not in LADDER:
-        raise ValueError(f"unknown friction; {nearest(name, list(LADDER))}")
-    return name
+def _one_of(names: Iterable[str], what: str) -> AfterValidator:
+    """Return the check that a name is one of the given names."""
+    known = list(names)
 
+    def check(name: str) -> str:
+        if name not in known:
+            raise ValueError(f"unknown {what}; {nearest(name, known)}")
+        return name
 
-def _known_parameter(name: str) -> str:
-    if name not in PARAMETERS:
-        raise ValueError(f"unknown parameter; {nearest(name, list(PARAMETERS))}")
-    return name
-
-
-def _known_channel(name: str) -> str:
-    if name not in (*CHANNELS, ANGLE_TIME):
-        raise ValueError(f"unknown channel; {nearest(name, [*CHANNELS, ANGLE_TIME])}")
-    return name
+    return AfterValidator(check)
 
 
 def _not_nothing(value: float) -> float:
@@ -396,9 +390,9 @@ class ModelSection(Schema):
             which is combined with the estimate from the recordings.
     """
 
-    friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
+    friction: Annotated[str, _one_of(LADDER, "friction")] = NOMINAL
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
-    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], KnownNumber] = Field(
+    fixed: dict[Annotated[str, _one_of(PARAMETERS, "parameter")], KnownNumber] = Field(
         default_factory=dict
     )
 
@@ -436,6 +430,9 @@ class ModelSection(Schema):
         if set(FITTED_EFFECTS) & set(self.terms):
             return _BEARING_LOAD.get(self.friction, self.friction)
         return self.friction
+
+
+ChannelName = Annotated[str, _one_of((*CHANNELS, ANGLE_TIME), "channel")]
 
 
 class GravitySection(Schema):
@@ -579,9 +576,7 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection] = Field(
-        default_factory=dict
-    )
+    channels: dict[ChannelName, ChannelSection] = Field(default_factory=dict)
 
     @property
     def exported(self) -> bool:

@@ -48,7 +48,7 @@ def test_a_child_says_more_and_keeps_the_rest() -> None:
 
 
 def test_a_summary_ends_where_the_fields_begin() -> None:
-    assert summary(Parent) == "A record.\n\nWith a second paragraph."
+    assert summary(Parent.__doc__ or "") == "A record.\n\nWith a second paragraph."
 
 
 def test_the_longest_ending_of_a_name_is_its_unit() -> None:
