@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -23,7 +23,6 @@ from identification.numerics.compiled import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
 
 _GRACE_S = 1.0
-_FOREIGN = Path(__file__).with_name("worlds")
 _MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
 """Files in memory, and the room that the tests want there."""
 
@@ -59,37 +58,6 @@ def pytest_xdist_auto_num_workers() -> int:
     browser, or for real time.
     """
     return 1 + (os.cpu_count() or 1)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(
-    collector: pytest.Collector,
-) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Have every second worker go through the files from the last one to the first.
-
-    After a clean clone all modules must be compiled. Two workers in the same order would each
-    compile all of them; from both ends, each compiles half and reads the other half.
-    """
-    report = yield
-    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    if int(number) % 2 and isinstance(collector, pytest.Directory):
-        report.result.reverse()
-    return report
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests into one order for all workers, whichever way each went through the files.
-
-    After a clean clone, two workers that both begin on the simulated bench would both compile its
-    kernels. So the second worker, which xdist starts at its share of the list, begins with the
-    tests on foreign plants.
-    """
-    items.sort(key=lambda item: item.path)
-    foreign = [item for item in items if item.path.is_relative_to(_FOREIGN)]
-    others = [item for item in items if not item.path.is_relative_to(_FOREIGN)]
-    start = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    items[:] = [*others[:start], *foreign, *others[start:]]
 
 
 def pytest_collection_finish() -> None:

@@ -246,17 +246,3 @@ def test_the_newest_identification_of_the_same_bench_is_found(
     assert "other constants (moment_arm 0.1, here 0.095)" in capsys.readouterr().err
     assert dry("--feedforward", "runs/old/identify.json")[0] == 0
     assert "other constants" not in capsys.readouterr().err
-
-
-def test_a_folder_in_use_is_refused_in_a_dry_run_too(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("used").mkdir()
-    assert dry("--out", "used")[0] == 0
-    assert list(Path("used").iterdir()) == []
-    Path("used/notes.txt").write_text("mine")
-    assert dry("--out", "used")[0] == 2
-    assert "used: not empty (holds notes.txt)" in capsys.readouterr().err
-
-
-def test_a_bench_without_a_bus_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert dry("--bench", "literal")[0] == 2
-    assert "this bench has no bus" in capsys.readouterr().err
