@@ -160,7 +160,7 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
         stand_in["rate"] = 1000.0
     if given["voltage"] != NONE and given["current"] == given["torque"] == NONE:
         stand_in["resistance"] = 1.0
-    answers = ask_all(questions([file]), given | stand_in, None, str, {})
+    answers = ask_all(questions([file]), given | stand_in, None, lambda _: None, {})
     told = {key: value for key, value in read.items() if value not in (None, 0, ".")}
     told |= _beside(campaign, told)
     try:

@@ -376,7 +376,8 @@ def _write(
         RefusedError: The answers give no valid file, and no answer to a question can change this.
     """
     require_new(path, kind)
-    asked, answers = questions(), {}
+    asked = questions()
+    answers: Answers = {}
     with closing(Screen()) as screen:
         asker = None if yes else Prompt(screen)
         while True:
