@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 
@@ -10,19 +9,6 @@ import pytest
 from click.shell_completion import BashComplete
 
 from rig.cli.entry import COMMANDS, cli, status
-
-CODE = "import sys; from rig.cli.entry import main; main()"
-
-
-def shell(**environment: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", CODE],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-    )
-    assert done.returncode in (0, 1), done.stderr
-    return done.stdout
 
 
 def variables(*words: str) -> dict[str, str]:
@@ -32,11 +18,6 @@ def variables(*words: str) -> dict[str, str]:
 def answered(text: str) -> list[str]:
     """Return the words that are offered in an answer to bash."""
     return [line.partition(",")[2] for line in text.splitlines()]
-
-
-def test_the_program_answers_the_shell() -> None:
-    text = shell(_RIG_COMPLETE="bash_complete", **variables("rig", "ru"))
-    assert answered(text) == ["run", "runs"]
 
 
 @pytest.mark.parametrize(

@@ -78,16 +78,3 @@ def test_what_is_no_plain_file_is_written_through(command: tuple[str, ...]) -> N
     finally:
         os.close(reader)
     assert stat.S_ISFIFO(Path("pipe").stat().st_mode)
-
-
-def test_a_link_to_what_is_no_plain_file_is_written_through() -> None:
-    """As ``/dev/stdout`` is, which leads to a pipe that has no name of its own."""
-    ours, theirs = os.pipe()
-    try:
-        Path("link").symlink_to(f"/proc/self/fd/{theirs}")
-        assert status([*CHECK, "--json", "link"]) == 0
-        assert json.loads(os.read(ours, 1 << 16))["schema"] == "loadrig.check/1"
-    finally:
-        os.close(ours)
-        os.close(theirs)
-    assert Path("link").is_symlink()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
-from rig.config.configuration import names, resolve
+from rig.config.configuration import resolve
 from rig.config.sequence import Ramp, StageSection, Tone, approach, excitation, load_sequence
 from rig.planning.plan import Plan, make_plan
 
@@ -29,29 +29,6 @@ def problems_of(path: Path, text: str) -> list[str]:
     with pytest.raises(InputError) as caught:
         plan_of(path, text)
     return [problem.removeprefix(f"{path}:") for problem in caught.value.problems]
-
-
-@pytest.mark.parametrize("name", names("benches"))
-def test_packaged_benches_load(name: str) -> None:
-    bench = load_bench(name).value
-    assert bench.name == name
-    assert bench.mock is not None
-
-
-def test_the_literal_bench_has_the_printed_values() -> None:
-    mock = load_bench("literal").value.mock
-    assert mock is not None
-    assert (mock.motor.gear_ratio, mock.joint.inertia_kg_m2, mock.joint.omega_sf_rad_s) == (
-        1.0,
-        0.000204,
-        0.0557,
-    )
-    assert (
-        mock.sensing.motor_counts_per_turn
-        == mock.sensing.joint_counts_per_turn
-        == mock.sensing.current_noise_A
-        == 0
-    )
 
 
 def test_figure10_is_the_papers_two_cases() -> None:
