@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -203,7 +204,7 @@ def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[
     """
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
-    described = TypeAdapter(schema).json_schema()
+    described = _described(schema)
     for details in errors:
         loc = details["loc"]
         if details["type"] == "too_short" and any(
@@ -219,6 +220,12 @@ def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[
                 places.setdefault((mark, below), ([message], _ABSENT))
     for (mark, path), (messages, value) in places.items():
         yield mark, _dotted(path), " or ".join(messages), value
+
+
+@cache
+def _described(schema: type[Any]) -> _Described:
+    """Return the JSON Schema of a record."""
+    return TypeAdapter(schema).json_schema()
 
 
 def _place(
