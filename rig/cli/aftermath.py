@@ -101,9 +101,7 @@ def conclude(
 
 
 def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
-    """Record the stages whose load changed, and those whose measured mass differs from the label;
-    return the number of these stages.
-    """
+    """Record the stages with another load than planned or stated; return their number."""
     record = folder.record
     if not any(stage.stage == "loaded" for stage in record.stages) and reference is None:
         return 0

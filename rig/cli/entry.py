@@ -279,9 +279,7 @@ class _Threads:
 
 
 def _ended(error: BaseException, words: str, code: int) -> int:
-    """Print why a command ended and, if known, the final state of the drive; return the exit
-    status.
-    """
+    """Print why a command ended and, if known, how the drive was left."""
     complain(words)
     drive = crash.drive_words(error)
     if drive is not None:

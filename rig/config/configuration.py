@@ -188,9 +188,7 @@ def _json_tree(path: Path, text: str) -> Node:
 
 
 def _lines(path: Path, found: list[_Found]) -> list[str]:
-    """Format the problems in the order of the file; a default that was merged into many recordings
-    is reported once.
-    """
+    """Format the problems in the order of the file, one of a merged default only once."""
     unique: dict[tuple[Mark, str, str], _Found] = {}
     for item in sorted(found, key=lambda item: (item[0].line, item[0].column)):
         unique.setdefault((item[0], _INDEX.sub("", item[1]), item[2]), item)
@@ -198,9 +196,7 @@ def _lines(path: Path, found: list[_Found]) -> list[str]:
 
 
 def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[_Found]:
-    """Convert pydantic's errors to messages with places in the file; the errors of several branches
-    of a union at one place become one message.
-    """
+    """Convert pydantic's errors to messages with places; branches of a union make one message."""
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
     described = _described(schema)
@@ -263,9 +259,7 @@ def nearest(name: str, known: list[str]) -> str:
 
 
 def _required_below(described: _Described, loc: Loc) -> Iterator[Loc]:
-    """Yield the required keys of a missing section, so that all missing keys are reported
-    together.
-    """
+    """Yield the required keys of a missing section, which are reported with the section."""
     records = _records_at(described, loc)
     if len(records) == 1:
         for name in (name for name, required in records[0].items() if required):

@@ -278,9 +278,7 @@ def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:
 
 
 def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
-    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static friction at
-    speed 0.
-    """
+    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m."""
     # The sign function in eq. 9 and 12 is 0 at rest; therefore the smallest speed replaces zero.
     speed = np.maximum(speed, np.finfo(np.float64).tiny)
     return np.asarray(

@@ -154,11 +154,7 @@ def ask_all(
 
 
 def _ask(question: Question, default: Any, asker: Asker, tell: Callable[[str], None]) -> Any:
-    """Ask one question until a valid answer is given.
-
-    Raises:
-        InputError: The input has ended.
-    """
+    """Ask one question until a valid answer is given."""
     kind = question.kind
     choices = f" ({', '.join(kind.choices)})" if isinstance(kind, click.Choice) else ""
     proposed = "" if default is None else f" [{shown(default)}]"

@@ -193,9 +193,7 @@ def json_schema(kind: str) -> Tree:
 
 
 def _describe(node: Tree) -> None:
-    """Add descriptions and units to a record and its keys, from its docstring, and forbid unknown
-    keys.
-    """
+    """Add descriptions and units from a record's docstring, and forbid unknown keys."""
     docstring = node.get("description", "")
     node["description"] = _plain(summary(docstring))
     node["additionalProperties"] = False

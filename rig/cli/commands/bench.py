@@ -186,11 +186,7 @@ def jog(
 
 
 def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[float, ...]]:
-    """Yield the angles typed at the terminal until an empty answer or the end of the input.
-
-    Raises:
-        KeyboardInterrupt: The operator stopped the command at the prompt; the drive is off.
-    """
+    """Yield the angles typed at the terminal until an empty answer or the end of the input."""
     while True:
         try:
             with stop.interruptible():
@@ -208,14 +204,7 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
 
 
 def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -> bool:
-    """Ask whether to move although only this program checks the limits; return True only for the
-    answer yes.
-
-    On a real bench only a person at a terminal can agree.
-
-    Raises:
-        KeyboardInterrupt: The operator stopped the command at the prompt; the drive is off.
-    """
+    """Ask whether to move although only this program checks the limits."""
     if not (simulated or at_terminal()):
         screen.say("there is no terminal to ask at: run at a terminal")
         return False

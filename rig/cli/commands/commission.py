@@ -202,12 +202,7 @@ def command(
 def _home(
     document: Document[Bench], method: int | None, angle_deg: float | None, time_s: float | None
 ) -> HomeRequest | None:
-    """Return the requested homing, or None without ``--home``.
-
-    Raises:
-        InputError: An option of a homing is given without --home, or the home position is outside
-            the angle limits of the bench.
-    """
+    """Return the requested homing, or None without ``--home``."""
     for given, name in ((angle_deg, "--home-angle"), (time_s, "--home-time")):
         if method is None and given is not None:
             raise InputError(f"{name}: is an option of a homing; give --home METHOD as well")
@@ -232,11 +227,7 @@ def _status(result: Commissioning) -> int:
 
 
 def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) -> None:
-    """Refuse options that only a simulated bench permits, and refuse a real bench without a person.
-
-    Raises:
-        InputError: An option is not permitted, or nobody attends a real bench.
-    """
+    """Refuse options for simulated benches only, and a real bench without a person."""
     if document.value.simulated:
         any_drive = mistake is None or MISTAKES[mistake].any_drive
         if not any_drive and document.value.servo.kind != "canopen":
@@ -257,9 +248,7 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
 
 
 def _new_file(document: Document[Bench], folder: Path) -> Path:
-    """Return the path of the corrected bench file: beside the original file, because a bench file
-    names other files by relative paths; for a packaged bench, in the folder of the protocol.
-    """
+    """Return the path of the corrected bench file, beside a file of the user."""
     path = document.path
     if path == packaged(path.stem, "benches"):
         return folder / "bench.yaml"
@@ -270,9 +259,7 @@ Connect = Callable[[Document[Bench]], Any]
 
 
 def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
-    """Return the function that opens a bench; the function builds a mistake into the simulated
-    devices if one is requested.
-    """
+    """Return the function that opens a bench, with a mistake built in if one is requested."""
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
         chosen = MISTAKES[mistake or ""]
@@ -297,9 +284,7 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
 
 
 def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_file: Path) -> str:
-    """Write the corrections; return the path of the new bench file, or an empty text if nothing was
-    corrected.
-    """
+    """Write the corrections; return the path of the new bench file, empty if there is none."""
     before = document.path.read_text(encoding="utf-8-sig")
     if not result.changes:
         write_texts({"bench.yaml": before}, folder)

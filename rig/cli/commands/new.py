@@ -359,22 +359,7 @@ def _write(
     following: str,
     notes: Callable[[Answers], list[str]] = lambda answers: [],
 ) -> None:
-    """Ask until the answers give a valid file, write the file, and print the next command.
-
-    Args:
-        path: The file.
-        kind: Kind of file.
-        questions: Returns the questions.
-        text: Returns the file's text for answers.
-        load: Reads the file, and raises InputError if it is not valid.
-        given: Answers given as options.
-        yes: Whether the other answers are the defaults.
-        following: The next command.
-        notes: Returns remarks on the answers.
-
-    Raises:
-        RefusedError: The answers give no valid file, and no answer to a question can change this.
-    """
+    """Ask until the answers give a valid file, write the file, and print the next command."""
     require_new(path, kind)
     asked = questions()
     answers: Answers = {}

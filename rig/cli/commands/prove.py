@@ -197,11 +197,7 @@ def _show(
 
 
 def _require_one_task(home: Path | None, source: Path | None, gas: bool) -> None:
-    """Check that options do not contradict each other.
-
-    Raises:
-        InputError: Two options contradict each other.
-    """
+    """Check that options do not contradict each other."""
     if home is not None and source is not None:
         raise InputError(
             "--seal writes trials and --from reads trials; give only one of these options"

@@ -278,9 +278,7 @@ def _carry_out(
     json_file: Path | None,
     injector: FaultInjector | None = None,
 ) -> int:
-    """Connect, run into a new folder or continue in the folder of a stopped run, and report the
-    outcome; return the exit status.
-    """
+    """Connect, run or continue, and report the outcome; return the exit status."""
     bench, purpose = inputs.bench, "rig run" if inputs.resumed is None else "rig resume"
     screen = Screen()
     screen.silence()
