@@ -1,4 +1,4 @@
-"""The table from the paper to the code: no equation or figure is left out, and every name exists."""
+"""The table from the paper to the code: nothing is left out, every name exists."""
 
 from __future__ import annotations
 
