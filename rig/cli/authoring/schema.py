@@ -127,8 +127,6 @@ def _meaning(name: str, text: str) -> Meaning:
     before, _, unit = head.rpartition(", ")
     if unit in UNITS:
         return Meaning(before + text[len(head) :], unit)
-    if head in UNITS:
-        return Meaning(text, head)
     return Meaning(text, unit_of(name))
 
 
