@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -21,17 +21,14 @@ from hypothesis import settings
 
 from identification.numerics.compiled import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
-from rig.common.start_up import keep_freed_memory
 
 _GRACE_S = 1.0
-_FOREIGN = Path(__file__).with_name("worlds")
 _MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
 """Files in memory, and the room that the tests want there."""
 
 # As the command line sets its own process up, before numpy is loaded: threads of the linear algebra
 # would spin in the way of the tests that run beside these.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-keep_freed_memory()
 gc.set_threshold(GARBAGE_THRESHOLD)
 
 # Every process of a test would compile the program anew, and pytest all tests.
@@ -61,37 +58,6 @@ def pytest_xdist_auto_num_workers() -> int:
     browser, or for real time.
     """
     return 1 + (os.cpu_count() or 1)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(
-    collector: pytest.Collector,
-) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Have every second worker go through the files from the last one to the first.
-
-    After a clean clone all modules must be compiled. Two workers in the same order would each
-    compile all of them; from both ends, each compiles half and reads the other half.
-    """
-    report = yield
-    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    if int(number) % 2 and isinstance(collector, pytest.Directory):
-        report.result.reverse()
-    return report
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests into one order for all workers, whichever way each went through the files.
-
-    After a clean clone, two workers that both begin on the simulated bench would both compile its
-    kernels. So the second worker, which xdist starts at its share of the list, begins with the
-    tests on foreign plants.
-    """
-    items.sort(key=lambda item: item.path)
-    foreign = [item for item in items if item.path.is_relative_to(_FOREIGN)]
-    others = [item for item in items if not item.path.is_relative_to(_FOREIGN)]
-    start = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    items[:] = [*others[:start], *foreign, *others[start:]]
 
 
 def pytest_collection_finish() -> None:

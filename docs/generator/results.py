@@ -66,7 +66,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.simulate.document:_errors",
     ),
     "rig check --json": (
-        "rig.cli.commands.check:examine",
+        "rig.cli.commands.bench:examine",
         "rig.wiring.off:Proof.record",
         "rig.config.bench:calibration_records",
     ),
@@ -80,7 +80,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.commissioning.record:StepRecord.record",
         "rig.wiring.teardown:SafeState.record",
     ),
-    "rig jog --json": ("rig.cli.commands.jog:_record", "rig.wiring.teardown:SafeState.record"),
+    "rig jog --json": ("rig.cli.commands.bench:_record", "rig.wiring.teardown:SafeState.record"),
     "rig off --json": ("rig.control.off:Off.record", "rig.wiring.teardown:SafeState.record"),
     "rig run --faults: faults.json": (),
     "rig effects --json": (

@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
-from drivers.errors import ConfigurationError, require_plain
+from drivers.errors import ConfigurationError
 
 
 @dataclass
@@ -271,7 +271,8 @@ def read_eds(eds: Path, node_id: int) -> Described:
         ConfigurationError: The file cannot be read, or describes no object.
     """
     try:
-        require_plain(eds)
+        if eds.exists() and not eds.is_file():
+            raise OSError("the path leads to a pipe or a device; state the path of a file")
         content = eds.read_bytes()
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__

@@ -17,7 +17,6 @@ from click.shell_completion import CompletionItem
 from drivers.errors import DeviceError
 from rig.cli import crash
 from rig.common.errors import InputError, InUseError, StorageError
-from rig.common.start_up import keep_freed_memory
 from rig.terminal.output import Streams, complain
 from rig.terminal.stop_button import ignore_stops
 
@@ -26,10 +25,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.new:command",
         "Write a bench, sequence or campaign file to start from.",
     ),
-    "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
-    "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
-    "off": ("rig.cli.commands.off:command", "Make a bench safe, whoever uses it."),
-    "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
+    "run": ("rig.cli.commands.run:run", "Run a sequence on a bench."),
+    "resume": ("rig.cli.commands.run:resume", "Continue a run that stopped."),
+    "off": ("rig.cli.commands.bench:off", "Make a bench safe, whoever uses it."),
+    "jog": ("rig.cli.commands.bench:jog", "Move a bench by hand, at low limits."),
     "watch": (
         "rig.cli.commands.watch:command",
         "Show a recording live in Foxglove or PlotJuggler.",
@@ -39,7 +38,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Go through a new bench with the operator, step by step.",
     ),
     "check": (
-        "rig.cli.commands.check:command",
+        "rig.cli.commands.bench:check",
         "Connect to a bench and read its values; nothing moves.",
     ),
     "identify": (
@@ -55,9 +54,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Find physics that the model lacks, and add it to the model.",
     ),
     "effects": ("rig.cli.commands.effects:command", "List the effects of a diagnosis."),
-    "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
+    "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
     "prove": (
-        "rig.cli.commands.prove:command",
+        "rig.cli.commands.prove:prove",
         "Test the diagnosis on blind trials with injected effects.",
     ),
     "runs": (
@@ -72,7 +71,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Watch, stop and start runs on a page in the browser.",
     ),
     "schema": (
-        "rig.cli.commands.schema:command",
+        "rig.cli.commands.new:schema",
         "Write JSON Schemas, by which editors complete and check files.",
     ),
 }
@@ -188,7 +187,6 @@ def main() -> None:
     # A handler that cannot write must not print a traceback of its own.
     logging.raiseExceptions = False
     gc.set_threshold(GARBAGE_THRESHOLD)
-    keep_freed_memory()
     arguments = sys.argv[1:]
     with _Threads(arguments) as threads:
         try:
@@ -281,9 +279,7 @@ class _Threads:
 
 
 def _ended(error: BaseException, words: str, code: int) -> int:
-    """Print why a command ended and, if known, the final state of the drive; return the exit
-    status.
-    """
+    """Print why a command ended and, if known, how the drive was left."""
     complain(words)
     drive = crash.drive_words(error)
     if drive is not None:

@@ -11,10 +11,12 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from drivers.errors import require_plain
-from identification.recording import Recording
+from rig.common.places import require_plain
+
+if TYPE_CHECKING:
+    from identification.recording import Recording
 
 
 def sha256(content: bytes) -> str:

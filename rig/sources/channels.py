@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign import Campaign
-from rig.config.campaign_columns import ChannelSection
-from rig.config.campaign_sections import RecordingSection
+from rig.config.campaign_sections import ChannelSection, RecordingSection
 from rig.config.configuration import Document, Loc, nearest
 from rig.sources.formats import Table
 from rig.sources.repair import GAP_PERIODS

@@ -16,7 +16,7 @@ import numpy as np
 
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.channels import on_one_time, unwrapped, unwrapped_counts
 from rig.sources.columns import UNITS, Guess, channel_unit, doubts, guess_channels, split_unit
 from rig.sources.formats import Table, format_of

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable, ParquetTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.hdf5 import Hdf5Table, is_hdf5

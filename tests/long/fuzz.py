@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.amt21.encoder import encoder as amt21
+from drivers.amt21 import encoder as amt21
 from drivers.can import slcan
 from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FramePort
 from drivers.canopen.cia402_servo import Cia402Servo

@@ -19,7 +19,7 @@ from random import Random
 import numpy as np
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.readers import open_table
 from tests.rig.formats.shapes import PROPERTIES
 

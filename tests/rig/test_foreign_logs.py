@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from identification.recording import Recording
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources import load_source
 from rig.sources.formats.arrays import MatTable, ParquetTable
 from rig.sources.formats.delimited import DelimitedTable

@@ -349,7 +349,7 @@ def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> Non
 
         return Context()
 
-    monkeypatch.setattr("rig.cli.commands.check.connect", watched)
+    monkeypatch.setattr("rig.cli.commands.bench.connect", watched)
     assert status(["check", name]) == 0
     assert powered == [False]
     can = [frame for frame in frames if frame.identifier < 0x800]

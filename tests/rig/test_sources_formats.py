@@ -17,7 +17,7 @@ from mcap.writer import Writer
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats import format_of
 from rig.sources.formats.arrays import MatTable, NpzTable, ParquetTable
 from rig.sources.formats.delimited import DelimitedTable

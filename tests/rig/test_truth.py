@@ -9,8 +9,8 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.config.bench import load_bench
-from rig.config.configuration import redacted, resolve
+from rig.config.bench import load_bench, redacted
+from rig.config.configuration import resolve
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
 from rig.sources import load_source

@@ -167,8 +167,8 @@ def _identify_source(options: _Options, source: Path) -> None:
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import is_folder, require_file, require_folder, source_name
     from rig.common.provenance import RESULT_FILE
-    from rig.common.start_up import imported_ahead
     from rig.results.document import PAGE_FILE, text, write_page, write_record
+    from rig.results.identify.document import identify_document
     from rig.results.identify.identify import Request, compare_methods, identify_source
     from rig.results.identify.record import outcome_record
     from rig.results.measured import facts_of
@@ -189,10 +189,7 @@ def _identify_source(options: _Options, source: Path) -> None:
         options.partial,
     )
     with ShareBar() as bar:
-        with imported_ahead("rig.results.identify.document"):  # imports the plotting library
-            outcome = identify_source(source, request, bar)
-        from rig.results.identify.document import identify_document
-
+        outcome = identify_source(source, request, bar)
         truth = truth_of(source)
         if options.compared:
             outcome = compare_methods(source, outcome, truth, bar)

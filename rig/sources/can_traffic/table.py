@@ -11,7 +11,7 @@ import numpy as np
 from drivers.can.port import EXTENDED_FLAG, hexadecimal
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.can_traffic.bench_map import (
     BusMessage,
     BusSignal,

@@ -18,7 +18,7 @@ import numpy as np
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.table import EXACT, Table, damaged
 from rig.sources.formats.text_layout import (
     BLANKS,

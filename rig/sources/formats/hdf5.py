@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import require_plain
 from rig.common.errors import InputError
+from rig.common.places import require_plain
 from rig.sources.formats.arrays import ArrayTable
 from rig.sources.formats.table import damaged, library, open_binary
 

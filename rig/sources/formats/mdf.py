@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import require_plain
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.common.places import require_plain
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.table import (
     NotNumbersError,
     Table,

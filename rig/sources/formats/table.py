@@ -20,9 +20,9 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import require_plain
 from identification.recording import Array
 from rig.common.errors import InputError
+from rig.common.places import require_plain
 
 
 class Table(ABC):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.table import (
     NotNumbersError,
     Table,

@@ -12,7 +12,7 @@ from datetime import date
 from pathlib import Path
 from typing import TextIO, cast
 
-from drivers.errors import require_plain
+from rig.common.places import require_plain
 
 BLANKS = " "
 """Symbol for the delimiter of aligned columns: any number of blanks or tabs."""

@@ -22,7 +22,7 @@ from cantools.database.conversion import BaseConversion
 from nptdms import ChannelObject, TdmsWriter
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.can_traffic import CanTable
 from rig.sources.formats import Table
 from rig.sources.readers import open_table

@@ -13,7 +13,7 @@ import pytest
 from asammdf import MDF, Signal
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.can_traffic import CanTable
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 

@@ -11,7 +11,7 @@ import pytest
 import scipy.io.matlab
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.hdf5 import Hdf5Table
 from rig.sources.readers import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.readers import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 

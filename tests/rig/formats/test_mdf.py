@@ -11,7 +11,7 @@ import pytest
 from asammdf import MDF, Signal
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.mdf import MdfTable
 from rig.sources.look import look_at_file
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
