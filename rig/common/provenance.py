@@ -13,8 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import require_plain
 from identification.recording import Recording
+from rig.common.places import require_plain
 
 
 def sha256(content: bytes) -> str:

@@ -25,7 +25,7 @@ from yaml.reader import Reader
 from yaml.resolver import Resolver
 from yaml.scanner import Scanner
 
-from drivers.errors import require_plain
+from rig.common.places import require_plain
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 40

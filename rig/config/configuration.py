@@ -17,9 +17,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from drivers.errors import require_plain
 from rig.common.errors import InputError
-from rig.common.places import is_file
+from rig.common.places import is_file, require_plain
 from rig.common.yaml_tree import DocumentError, Mark, Node, parse, read_text
 
 Loc = tuple[str | int, ...]

@@ -18,10 +18,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from drivers.errors import require_plain
 from identification.model.friction import load_coefficient, system_friction
 from identification.recording import Array
 from rig.common.errors import InputError
+from rig.common.places import require_plain
 from rig.console.decimation import Decimation
 from rig.planning.predicted_load import friction_model
 from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict

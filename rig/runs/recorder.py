@@ -10,9 +10,8 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import (
@@ -28,6 +27,9 @@ from rig.runs.mcap.layout import (
     sample_descriptor,
 )
 from rig.runs.mcap.writer import McapWriter
+
+if TYPE_CHECKING:
+    from drivers.interfaces import RawFrame
 
 FLUSH_NS = 100_000_000
 LOOK_NS = 500_000_000

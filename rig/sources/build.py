@@ -20,9 +20,8 @@ from rig.config.configuration import Document
 from rig.runs.alignment import aligned
 from rig.sources.channels import read_channels
 from rig.sources.columns import doubts, unit_row_doubts
-from rig.sources.formats import Table
+from rig.sources.formats import open_table
 from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
-from rig.sources.readers import open_table
 from rig.sources.repair import (
     MIN_SAMPLES,
     MISSING_SHARE,
@@ -33,6 +32,7 @@ from rig.sources.repair import (
     examine_time,
     fill_missing,
 )
+from rig.sources.table import Table
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_columns import ChannelSection
 from rig.config.campaign_sections import RecordingSection
 from rig.config.configuration import Document, Loc, nearest
-from rig.sources.formats import Table
 from rig.sources.repair import GAP_PERIODS
+from rig.sources.table import Table
 
 SLOWER, FASTER = 0.9, 1.5
 """Ratio of the rate of a channel to the rate of the result: below the first value, a note states

@@ -12,7 +12,7 @@ import numpy as np
 from identification.model.parameters import unit_on
 from identification.recording import CHANNELS, Array
 from rig.config.campaign_sections import RecordingSection
-from rig.sources.formats import Table
+from rig.sources.table import Table
 
 UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "s": ("s", 1.0),

@@ -19,11 +19,10 @@ from rig.common.text import stored_path
 from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
-from rig.runs.export import read_back
-from rig.runs.export.tables import sidecar
+from rig.runs.exported import read_back, sidecar
 from rig.sources.build import Read, build, on_session_clock
-from rig.sources.formats import format_of
-from rig.sources.readers import FORMATS, unknown_format
+from rig.sources.formats import FORMATS, unknown_format
+from rig.sources.table import format_of
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:

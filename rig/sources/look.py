@@ -19,10 +19,10 @@ from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
 from rig.sources.channels import on_one_time, unwrapped, unwrapped_counts
 from rig.sources.columns import UNITS, Guess, channel_unit, doubts, guess_channels, split_unit
-from rig.sources.formats import Table, format_of
+from rig.sources.formats import FORMATS, open_table, unknown_format
 from rig.sources.plausible import sign_errors, unit_hints, value_errors
-from rig.sources.readers import FORMATS, open_table, unknown_format
 from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
+from rig.sources.table import Table, format_of
 
 STRIP = 40
 """Greatest number of values in the small picture of a column."""

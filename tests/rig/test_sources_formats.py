@@ -18,22 +18,19 @@ from mcap.writer import Writer
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 from rig.config.campaign_columns import ReadSection
-from rig.sources.formats import format_of
-from rig.sources.formats.arrays import MatTable, NpzTable, ParquetTable
-from rig.sources.formats.delimited import DelimitedTable
-from rig.sources.formats.mcap_log import McapTable
-from rig.sources.readers import open_table
+from rig.sources.formats import open_table
+from rig.sources.table import Table, format_of
 
 PLAIN = ReadSection()
 
 
 def delimited(
     folder: Path, text: str | bytes, options: ReadSection = PLAIN, name: str = "a.csv"
-) -> DelimitedTable:
+) -> Table:
     path = folder / name
     raw = text if isinstance(text, bytes) else text.encode()
     path.write_bytes(gzip.compress(raw) if name.endswith(".gz") else raw)
-    return DelimitedTable(path, options)
+    return open_table(path, options)
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.txt", "dir with space.tsv"])
@@ -147,10 +144,10 @@ def test_a_cut_gzip_file(tmp_path: Path) -> None:
     rows = "".join(f"{value}\n" for value in np.random.default_rng(1).random(5000))
     path.write_bytes(gzip.compress(f"x\n{rows}".encode())[:-5000])
     with pytest.raises(InputError, match=r"cannot be read .*; check that the file was copied"):
-        DelimitedTable(path, PLAIN).read([0])
+        open_table(path, PLAIN).read([0])
     path.write_bytes(b"not gzip at all")
     with pytest.raises(InputError, match="cannot be read"):
-        DelimitedTable(path, PLAIN)
+        open_table(path, PLAIN)
 
 
 @settings(deadline=None)
@@ -218,7 +215,7 @@ def test_mat_in_any_orientation(tmp_path: Path) -> None:
         "text": "abc",
          "count": np.arange(6, dtype=np.uint8)},
     )  # fmt: skip
-    table = MatTable(path)
+    table = open_table(path, PLAIN)
     assert set(table.names) == {
         "row",
         "column",
@@ -247,33 +244,33 @@ def test_mat_that_is_hdf5_broken_or_complex(tmp_path: Path) -> None:
         open_table(path, ReadSection())
     path.write_bytes(b"garbage" * 40)
     with pytest.raises(InputError, match="cannot be read"):
-        MatTable(path)
+        open_table(path, PLAIN)
     path.write_bytes(b"")
     with pytest.raises(InputError, match="cannot be read"):
-        MatTable(path)
+        open_table(path, PLAIN)
     scipy.io.savemat(path, {"x": VALUE * 1j})
     with pytest.raises(InputError, match="not contain real numbers"):
-        MatTable(path).read([0])
+        open_table(path, PLAIN).read([0])
 
 
 def test_npz(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez_compressed(path, t=TIME, m=np.column_stack([VALUE, -VALUE]), scalar=1.0)
-    table = NpzTable(path)
+    table = open_table(path, PLAIN)
     assert table.names == ("t", "m[0]", "m[1]")
     np.testing.assert_array_equal(table.read([2])[0], -VALUE)
     np.savez(path, x=np.array([object()] * 6, dtype=object))
     with pytest.raises(InputError, match="cannot be read"):
-        NpzTable(path).read([0])
+        open_table(path, PLAIN).read([0])
     path.write_bytes(b"PK nothing")
     with pytest.raises(InputError, match="without object arrays"):
-        NpzTable(path)
+        open_table(path, PLAIN)
     np.savez(path, t=TIME)
     data = bytearray(path.read_bytes())
     data[data.index(b"PK\1\2") + 8] |= 1  # says that the member is encrypted
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"cannot be read \(File 't\.npy' is encrypted"):
-        NpzTable(path)
+        open_table(path, PLAIN)
 
 
 def test_parquet(tmp_path: Path) -> None:
@@ -285,7 +282,7 @@ def test_parquet(tmp_path: Path) -> None:
     parquet.write_table(
         arrow.table({"when": stamps, "x": values, "text": ["a"] * 6, "n": list(range(6))}), path
     )
-    table = ParquetTable(path)
+    table = open_table(path, PLAIN)
     assert table.names == ("when", "x", "text", "n")
     time, x, n = table.read([0, 1, 3])
     np.testing.assert_allclose(time, TIME, atol=1e-9)
@@ -295,16 +292,7 @@ def test_parquet(tmp_path: Path) -> None:
         table.read([2])
     path.write_bytes(b"PAR1")
     with pytest.raises(InputError, match="cannot be read"):
-        ParquetTable(path)
-
-
-def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(name: str) -> object:
-        raise ImportError(name)
-
-    monkeypatch.setattr("rig.sources.formats.arrays.importlib.import_module", refuse)
-    with pytest.raises(InputError, match=r"pip install loadrig\[parquet\]"):
-        ParquetTable(tmp_path / "a.parquet")
+        open_table(path, PLAIN)
 
 
 def test_mcap_json(tmp_path: Path) -> None:
@@ -318,7 +306,7 @@ def test_mcap_json(tmp_path: Path) -> None:
         for k, v in enumerate(VALUE)
     ]
     write_mcap(path, [*messages, ("/other", 10**18, b'{"y": 1}')])
-    table = McapTable(path)
+    table = open_table(path, PLAIN)
     assert table.names == (
         "/drive.x",
         "/drive.in.on",
@@ -341,13 +329,13 @@ def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
         InputError,
         match=r"protobuf messages that can be decoded; found /sample \(protobuf with jsonschema\)",
     ):
-        McapTable(path)
+        open_table(path, PLAIN)
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(InputError, match="cannot be read"):
-        McapTable(path)
+        open_table(path, PLAIN)
     write_mcap(path, [("/sample", 0, b"{broken")])
     with pytest.raises(InputError, match="cannot be read"):
-        McapTable(path)
+        open_table(path, PLAIN)
 
 
 def test_format_and_digest(tmp_path: Path) -> None:
@@ -385,15 +373,3 @@ def test_a_file_that_is_no_text(tmp_path: Path) -> None:
         InputError, match="line 1 contains zero bytes, so that the file is not text"
     ):
         delimited(tmp_path, b"\x00\x01\x02,\x00\n1,2\n")
-
-
-def test_a_mat_file_that_would_end_the_process(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
-    scipy.io.savemat(path, {"t": np.arange(9.0)})
-    raw = bytearray(path.read_bytes())
-    raw[128 + 48] = 14  # the numbers' element says it is a matrix
-    path.write_bytes(raw)
-    with pytest.raises(
-        InputError, match=r"a\.mat: cannot be read \(values has the impossible type 14"
-    ):
-        MatTable(path)

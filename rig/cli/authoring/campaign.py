@@ -19,8 +19,8 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_columns import ChannelSection, ReadSection
 from rig.config.campaign_sections import FITTED_TERMS, BenchSection, ModelSection, RecordingSection
 from rig.sources.columns import Guess, channel_unit, guess_channels, guess_mass, is_linear, scale_of
-from rig.sources.formats import format_of
-from rig.sources.readers import FORMATS, open_table, unknown_format
+from rig.sources.formats import FORMATS, open_table, unknown_format
+from rig.sources.table import format_of
 from rig.terminal.prompt import Asker
 
 ASKED: Final = (

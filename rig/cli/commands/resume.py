@@ -26,7 +26,7 @@ from rig.planning.feedforward import Feedforward, load_feedforward
 from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
-from rig.runs.resume import prepare, stopped_words
+from rig.runs.recover import prepare, stopped_words
 from rig.runs.run import bench_constants, first_unfinished, require_space
 from rig.runs.run_record import FEEDFORWARD_INPUT, RunRecord
 from rig.terminal.prompt import at_terminal

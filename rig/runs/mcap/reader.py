@@ -15,8 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from drivers.errors import require_plain
-from rig.common.places import read_bytes
+from rig.common.places import read_bytes, require_plain
 from rig.runs.mcap.layout import (
     EVENT_TOPIC,
     SAMPLE_BYTES,

@@ -17,7 +17,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from drivers.errors import require_plain
+from rig.common.places import require_plain
 from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
 from rig.runs.mcap.records import (
     HEADER,

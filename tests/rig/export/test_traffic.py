@@ -140,7 +140,7 @@ def test_any_frames_come_back_from_mcap_by_the_reader_of_ros(
     path = run.parent / "direct.mcap"
     with_frames(run, frames)
     from identification.recording import Dataset
-    from rig.runs.export.mcap_file import write_mcap
+    from rig.runs.export import write_mcap
 
     write_mcap(Dataset(()), path, (run, read_record(run)))
     with path.open("rb") as stream:

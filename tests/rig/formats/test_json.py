@@ -11,7 +11,7 @@ import pytest
 
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
-from rig.sources.readers import open_table
+from rig.sources.formats import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
 CHANNELS = "{time: t, current: i, angle: q}"

@@ -1,11 +1,18 @@
-"""Exports the raw CAN traffic of a run in the formats of candump and of Vector's tools.
+"""Exports recordings, and the raw traffic of a run, for other tools.
 
-Identifiers, data, direction and order are exact; times are rounded to microseconds, the resolution
-of both formats.
+An MCAP file is read by ROS 2, Foxglove and PlotJuggler without extensions. Its topic
+``/recording/NAME`` has one message per sample, which contains the canonical channels. The export of
+a run also has the topics ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and ``/serial``. Log
+times are UTC: the time ``created`` of the recording plus the time since its start; the stamp of a
+frame is its log time.
+
+In the formats of candump and of Vector's tools, identifiers, data, direction and order are exact;
+times are rounded to microseconds, the resolution of both formats.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -13,14 +20,27 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TextIO
 
+import numpy as np
+
 from drivers.interfaces import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, RawFrame
+from identification.recording import CHANNELS, Dataset, Recording
 from rig.common.errors import InputError
+from rig.common.places import write_text
 from rig.common.timing import instant
+from rig.runs import exported
+from rig.runs.exported import KEY, describe, sidecar, topics
 from rig.runs.mcap import ros
-from rig.runs.mcap.layout import CLOCK_METADATA, FRAMES_TOPIC, decode_frames
+from rig.runs.mcap.layout import (
+    CLOCK_METADATA,
+    EVENT_JSON_SCHEMA,
+    EVENT_TOPIC,
+    FRAMES_TOPIC,
+    decode_frames,
+)
 from rig.runs.mcap.reader import START, Message, Tail
 from rig.runs.mcap.records import DamageError
 from rig.runs.mcap.stream import first_metadata
+from rig.runs.mcap.writer import McapWriter
 from rig.runs.run_record import PartRecord, RunRecord
 
 INTERFACE = "can0"
@@ -211,3 +231,173 @@ def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Co
             f"{folder}: no CAN frames to export ({wire}); --format mcap also exports serial bytes"
         )
     return count
+
+
+RECORDING_TYPE = "loadrig/msg/Recording"
+
+
+def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None) -> None:
+    """Write the recordings and, for a run, its events and raw frames.
+
+    Args:
+        dataset: The recordings.
+        path: The file.
+        run: Folder and record of the run that the recordings are from, or None for a campaign.
+
+    Raises:
+        InputError: A recording of the run is damaged.
+        OSError: The file cannot be written.
+    """
+    created = {} if run is None else {part.file: utc_ns(part.created) for part in run[1].parts}
+    with open(path, "wb") as stream:
+        writer = McapWriter(stream)
+        text: dict[tuple[str, ...], int] = {}
+        places = topics([recording.name for recording in dataset.recordings])
+        for topic, recording in zip(places, dataset.recordings, strict=True):
+            names = _channels(recording)
+            if names not in text:
+                kind = RECORDING_TYPE if not text else f"{RECORDING_TYPE}{len(text) + 1}"
+                body = "".join(f"float64 {name}\n" for name in names).encode()
+                text[names] = writer.schema(kind, ros.SCHEMA_ENCODING, body)
+            channel = writer.channel(topic, ros.ENCODING, text[names])
+            begun_ns = created.get(Path(recording.source).name, 0)
+            for time_ns, data in _rows(recording, names, begun_ns):
+                writer.message(channel, time_ns, data)
+        if run is not None:
+            _write_run(writer, *run)
+        writer.metadata(KEY, {"description": describe(dataset.recordings)})
+        writer.finish()
+
+
+def _channels(recording: Recording) -> tuple[str, ...]:
+    return tuple(name for name in CHANNELS if name in recording.channels)
+
+
+def _rows(
+    recording: Recording, names: tuple[str, ...], begun_ns: int
+) -> Iterator[tuple[int, bytes]]:
+    """Yield log time and message of each sample."""
+    head = ros.LITTLE_ENDIAN
+    stacked = np.stack([recording.channels[name] for name in names], axis=1).astype("<f8")
+    start = 0.0 if recording.start is None else recording.start - float(recording.time[0])
+    earliest = min(0.0, start + float(recording.time[0]))
+    for row, time in zip(stacked, recording.time.tolist(), strict=True):
+        yield begun_ns + round((start + time - earliest) * 1e9), head + row.tobytes()
+
+
+def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
+    """Write events and raw frames of all recordings of a run."""
+    event = writer.channel(
+        EVENT_TOPIC, "json", writer.schema("loadrig.Event", "jsonschema", EVENT_JSON_SCHEMA)
+    )
+    can, serial = (
+        writer.channel(topic, ros.ENCODING, writer.schema(kind, ros.SCHEMA_ENCODING, body.encode()))
+        for topic, kind, body in (
+            (ros.CAN_TOPIC, ros.FRAME_TYPE, ros.FRAME_TEXT),
+            (ros.SERIAL_TOPIC, ros.SERIAL_TYPE, ros.SERIAL_TEXT),
+        )
+    )
+    for part in record.parts:
+        clock = FrameClock(folder, part)
+        for topic, message in messages(folder, part):
+            if topic == EVENT_TOPIC:
+                writer.message(event, clock.created_ns + message.time_ns, message.data)
+            elif topic == FRAMES_TOPIC:
+                for frame in map(clock.at, decode_frames(message.data)):
+                    if ros.is_serial(frame):
+                        writer.message(serial, frame.time_ns, ros.serial_bytes(frame))
+                    else:
+                        writer.message(can, frame.time_ns, ros.can_frame(frame))
+
+
+WRITERS: Mapping[str, Callable[[Dataset, Path], None]] = {
+    "csv": exported.write_csv,
+    "mat": exported.write_mat,
+    "parquet": exported.write_parquet,
+    "mcap": lambda dataset, path: write_mcap(dataset, path, None),
+}
+"""Writers of recordings by format."""
+FORMATS = (*WRITERS, *TRAFFIC)
+"""Formats by name: first those of recordings, then those of raw traffic."""
+
+
+def extension(kind: str) -> str:
+    """Return the usual extension of a format's files, without a dot."""
+    return TRAFFIC[kind][0] if kind in TRAFFIC else kind
+
+
+def with_ending(path: Path, kind: str) -> Path:
+    """Return the path of an export with the ending of its format, by which a campaign and other
+    programs recognise it; an ending that is missing is added.
+
+    Raises:
+        InputError: The path has the ending of another format, or an unknown one.
+    """
+    ending = extension(kind)
+    if not path.suffix:
+        return path.with_name(f"{path.name}.{ending}")
+    given = path.suffix[1:].lower()
+    if given == ending:
+        return path
+    other = next((name for name in FORMATS if extension(name) == given), None)
+    remedy = f"give --out {path}.{ending}" + (f", or --format {other}" if other else "")
+    raise InputError(
+        f"--out {path}: a file of format {kind} ends in .{ending}, not in {path.suffix}; {remedy}"
+    )
+
+
+def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
+    """Return the files of an export, and the recordings in each file.
+
+    A CSV file is one table with one time base, so that other tools and campaign files can use the
+    file directly. Each of several recordings is written to its own file, whose name is ``path``
+    plus the name of the recording.
+    """
+    if kind != "csv" or len(dataset.recordings) == 1:
+        return {path: dataset}
+    found: dict[Path, Dataset] = {}
+    for recording in dataset.recordings:
+        name = re.sub(r"[^\w.-]+", "-", recording.name).strip("-")
+        place = path.with_name(f"{path.stem}-{name}{path.suffix}")
+        if place in found:
+            place = path.with_name(f"{path.stem}-{name}-{len(found) + 1}{path.suffix}")
+        found[place] = Dataset((recording,))
+    return found
+
+
+def beside(path: Path, kind: str) -> Path | None:
+    """Return the path of the description of an export, or None if the exported file contains the
+    description.
+    """
+    return sidecar(path) if kind == "csv" else None
+
+
+def export(
+    dataset: Dataset, path: Path, kind: str, run: tuple[Path, RunRecord] | None = None
+) -> None:
+    """Write one file of :func:`files`.
+
+    Args:
+        dataset: The recordings.
+        path: The file.
+        kind: One of :data:`WRITERS`.
+        run: Folder and record of the run of the recordings; an MCAP file also contains the events
+            and frames of the run.
+
+    Raises:
+        InputError: Parquet is requested but not installed, or the run is damaged.
+        OSError: The file cannot be written.
+    """
+    if kind == "mcap":
+        write_mcap(dataset, path, run)
+    else:
+        WRITERS[kind](dataset, path)
+
+
+def export_beside(dataset: Dataset, path: Path) -> None:
+    """Write the description of an export beside the exported file.
+
+    Raises:
+        OSError: The description cannot be written.
+    """
+    write_text(path, describe(dataset.recordings))

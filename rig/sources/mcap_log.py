@@ -18,13 +18,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
-from zstandard import ZstdError
 
-from identification.recording import Array
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import SAMPLE_SCHEMA
 from rig.runs.mcap.records import HEADER
-from rig.sources.formats.json_file import (
+from rig.sources.json_file import (
     LONGEST_LIST,
     Stamp,
     number,
@@ -33,7 +31,7 @@ from rig.sources.formats.json_file import (
     series,
     stamp_of,
 )
-from rig.sources.formats.table import Table, damaged, library, open_binary
+from rig.sources.table import Array, Table, library, open_binary
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
@@ -236,21 +234,6 @@ def _time(members: dict[str, Any], prefix: str, kind: str) -> Iterator[tuple[str
 
 
 LOG_TIME = "log_time"
-# lz4 raises RuntimeError; a damaged length field may request more memory than available; the error
-# of protobuf is a ValueError.
-_DAMAGED = (
-    McapError,
-    ZstdError,
-    struct.error,
-    OSError,
-    EOFError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    LookupError,
-    RuntimeError,
-    MemoryError,
-)
 
 
 class McapTable(Table):
@@ -269,7 +252,9 @@ class McapTable(Table):
             decodes the messages is not installed.
     """
 
-    def __init__(self, path: Path) -> None:
+    remedy = "recover this file with `mcap recover`; open a run of this program by its folder"
+
+    def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
         self._rows: dict[str, list[dict[str, float]]] = {}
         self._left_out: dict[str, str] = {}
@@ -279,18 +264,14 @@ class McapTable(Table):
                 self._take(make_reader(stream, validate_crcs=True).iter_messages())
         except InputError:
             raise
-        except _DAMAGED as error:
+        except Exception as error:
             if not self._take_cut_off():
-                remedy = (
-                    "recover this file with `mcap recover`; open a run of this program by its "
-                    "folder"
-                )
-                if self._cut:
-                    raise InputError(
-                        f"{path}: cannot be read: cut off before the first complete message; write "
-                        f"logs with smaller chunks, or {remedy}"
-                    ) from error
-                raise damaged(path, error, remedy) from error
+                if not self._cut:
+                    raise
+                raise InputError(
+                    f"{path}: cannot be read: cut off before the first complete message; write "
+                    f"logs with smaller chunks, or {self.remedy}"
+                ) from error
         listed = ", ".join(f"{topic} ({why})" for topic, why in sorted(self._left_out.items()))
         if not self._rows:
             found = f"; found {listed}" if listed else ""
@@ -361,16 +342,14 @@ class McapTable(Table):
                 self._take(until_cut(stream))
         except InputError:
             raise
-        except _DAMAGED:
+        except Exception:  # noqa: BLE001 - the library raises anything on damage
             return False
         self._cut = True
         count = sum(len(rows) for rows in self._rows.values())
         self.note(f"the file is cut off: its {count} complete messages are read")
         return bool(count or self._left_out)
 
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`. A field absent from a message is NaN."""
-        self.require_one_base(columns)
+    def _read(self, columns: Sequence[int]) -> list[Array]:
         found = []
         for k in columns:
             topic, field = self._columns[k]

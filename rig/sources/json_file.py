@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -12,11 +11,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
-from rig.sources.formats.table import EXACT, Table, damaged
-from rig.sources.formats.text_layout import encoding_of, nanoseconds, open_text
+from rig.sources.table import EXACT, Array, Table
+from rig.sources.text import encoding_of, nanoseconds, open_text
 
 LONGEST_LIST = 64
 """Greatest length of a list whose elements become columns; longer lists, such as images, are left
@@ -152,15 +149,12 @@ class JsonTable(Table):
         InputError: The file is not JSON, or has no numbers.
     """
 
-    def __init__(self, path: Path, _: ReadSection) -> None:
+    def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
         self._left_out: list[str] = []
         encoding = encoding_of(path)
-        try:
-            with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
-                text = stream.read()
-        except (OSError, EOFError, zlib.error) as error:
-            raise damaged(path, error, "check that the file was copied completely") from error
+        with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
+            text = stream.read()
         try:
             found = list(self._tables(parse(text), "", 0))
         except (ValueError, RecursionError) as error:
@@ -194,9 +188,7 @@ class JsonTable(Table):
             for base, name in self._columns
         )
 
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`."""
-        self.require_one_base(columns)
+    def _read(self, columns: Sequence[int]) -> list[Array]:
         found = []
         for k in columns:
             base, name = self._columns[k]
@@ -310,18 +302,15 @@ class JsonLinesTable(Table):
         InputError: A line is not a JSON object, or no object contains a number.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
         self._rows: list[dict[str, float]] = []
         self._lines: list[int] = []
         encoding = encoding_of(path)
-        try:
-            with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
-                for line, text in enumerate(stream, start=1):
-                    if text.strip():
-                        self._take(line, text)
-        except (OSError, EOFError, zlib.error) as error:
-            raise damaged(path, error, "check that the file was copied completely") from error
+        with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
+            for line, text in enumerate(stream, start=1):
+                if text.strip():
+                    self._take(line, text)
         self.names = tuple(dict.fromkeys(field for row in self._rows for field in row))
         if not self.names:
             raise InputError(f"{path}: no JSON object contains a number")
@@ -341,8 +330,7 @@ class JsonLinesTable(Table):
         self._rows.append(dict(numbers(value, "")))
         self._lines.append(line)
 
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`."""
+    def _read(self, columns: Sequence[int]) -> list[Array]:
         found = []
         for k in columns:
             values, note = series(self._rows, self.names[k])
