@@ -27,6 +27,7 @@ from rig.runs.mcap.layout import (
 from rig.runs.mcap.records import (
     HEADER,
     MAX_CHUNK,
+    OPCODES,
     DamageError,
     Found,
     attachment,
@@ -195,36 +196,21 @@ class _Reading:
             DamageError: The chunk was written by another program, or is older than the preceding
                 chunk.
         """
-        taken: list[tuple[str, Message]] = []
+        taken = _messages(records)
         latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
-        offset = 0
-        while offset < len(records):
-            opcode, length = HEADER.unpack_from(records, offset)
-            end = offset + HEADER.size + length
-            if opcode == Opcode.MESSAGE:
-                _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
-                content = records[offset + MESSAGE.size : end]
-                if not 1 <= number <= len(TOPICS):
+        for topic, message in taken:
+            size = len(message.data)
+            if topic == SAMPLE_TOPIC and size != sample_bytes:
+                if sample_bytes or size not in SAMPLE_SIZES:
+                    sizes = " or ".join(map(str, sorted({sample_bytes} - {0} or SAMPLE_SIZES)))
                     raise DamageError(
-                        f"a message on channel {number}, which runs do not have: "
-                        "another program wrote this recording"
+                        f"a sample has {size} bytes, expected {sizes}: another program wrote this "
+                        "recording"
                     )
-                topic = TOPICS[number - 1]
-                if topic == SAMPLE_TOPIC:
-                    expected = {sample_bytes} if sample_bytes else SAMPLE_SIZES
-                    if len(content) not in expected:
-                        sizes = " or ".join(map(str, sorted(expected)))
-                        text = (
-                            f"a sample has {len(content)} bytes, expected {sizes}: another "
-                            "program wrote this recording"
-                        )
-                        raise DamageError(text)
-                    sample_bytes = len(content)
-                if time_ns < latest_ns:
-                    raise DamageError("a chunk is older than the chunk before it")
-                latest_ns = time_ns
-                taken.append((topic, Message(time_ns, content)))
-            offset = end
+                sample_bytes = size
+            if message.time_ns < latest_ns:
+                raise DamageError("a chunk is older than the chunk before it")
+            latest_ns = message.time_ns
         self._latest_ns, self._sample_bytes = latest_ns, sample_bytes
         for topic, message in taken:
             self.messages[topic].append(message)
@@ -349,15 +335,12 @@ class Tail:
         if len(head) < HEADER.size:
             return None
         opcode, length = HEADER.unpack(head)
-        if opcode not in _OPCODES or (opcode == Opcode.CHUNK and length > MAX_CHUNK):
+        if opcode not in OPCODES or (opcode == Opcode.CHUNK and length > MAX_CHUNK):
             raise DamageError(f"no record begins at byte {offset}")
         return opcode, length
 
     def _size(self) -> int:
         return self._stream.seek(0, 2)
-
-
-_OPCODES = frozenset(map(int, Opcode))
 
 
 def _messages(records: bytes) -> tuple[tuple[str, Message], ...]:

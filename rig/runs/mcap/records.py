@@ -22,7 +22,7 @@ HEADER = struct.Struct("<BQ")
 """Header of every record: opcode and length."""
 _CHUNK = struct.Struct("<QQQI")
 MAX_CHUNK = 1 << 28
-_OPCODES = frozenset(map(int, Opcode))
+OPCODES = frozenset(map(int, Opcode))
 _CHECKED = re.compile(rb"[\x06\x09](?=[\s\S]{4}\x00\x00\x00\x00)")
 """First bytes of a chunk or an attachment of less than 4 GiB, the records with a checksum."""
 _FOOTER = struct.Struct("<BQQQI")
@@ -52,7 +52,7 @@ def record_at(data: bytes, offset: int) -> Found:
     start = offset + HEADER.size
     if opcode == 0:
         raise DamageError("zeros in place of a record")
-    if opcode not in _OPCODES:
+    if opcode not in OPCODES:
         raise DamageError(f"no record begins with the byte {opcode:02X}h")
     if start + length > len(data):
         raise DamageError("cut off inside a record")
