@@ -37,9 +37,7 @@ from rig.runs.mcap.layout import (
     FRAMES_TOPIC,
     decode_frames,
 )
-from rig.runs.mcap.reader import START, Message, Tail
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_metadata
+from rig.runs.mcap.reader import START, DamageError, Message, Tail, first_metadata
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run_record import PartRecord, RunRecord
 

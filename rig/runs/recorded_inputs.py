@@ -14,8 +14,7 @@ from rig.common.places import is_file, read_bytes
 from rig.common.provenance import sha256, sha256_file
 from rig.common.text import stored_path, valid
 from rig.config.configuration import packaged
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_attachment
+from rig.runs.mcap.reader import DamageError, first_attachment
 from rig.runs.run_file import read_record
 from rig.runs.run_record import ACCEPTANCE_INPUT, BENCH_ATTACHMENT, RUN_FILE, RunRecord
 

@@ -18,9 +18,7 @@ from rig.common.locks import OWNER_FILE, Lock, hold_folder
 from rig.common.places import is_file, write_json
 from rig.common.provenance import sha256_file
 from rig.runs.alignment import aligned
-from rig.runs.mcap.reader import Log, NotARecordingError, read_run
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import sample_blocks
+from rig.runs.mcap.reader import DamageError, Log, NotARecordingError, read_run, sample_blocks
 from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing

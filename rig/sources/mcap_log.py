@@ -21,7 +21,7 @@ from mcap.records import Channel, Message, Schema
 
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import SAMPLE_SCHEMA
-from rig.runs.mcap.records import HEADER
+from rig.runs.mcap.reader import HEADER
 from rig.sources.json_file import (
     LONGEST_LIST,
     Stamp,
