@@ -44,6 +44,9 @@ class MdfTable(Table):
 
     def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
+        # asammdf imports python-can, whose reader of MDF would then find asammdf incomplete.
+        import can  # noqa: F401
+
         self._asammdf = library("asammdf", path, "MDF", "mdf")
         columns: list[tuple[_Channel, str, str]] = []
         counts: dict[int, tuple[float, float]] = {}

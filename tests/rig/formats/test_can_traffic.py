@@ -14,7 +14,9 @@ from asammdf import MDF, Signal
 
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
+from rig.sources import served
 from rig.sources.can_traffic import CanTable
+from rig.sources.formats import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
 DBC = """\
@@ -291,6 +293,8 @@ def test_bus_logging_inside_mf4(tmp_path: Path) -> None:
         group.flags |= v4_constants.FLAG_CG_BUS_EVENT
         mdf.save(tmp_path / "log.mf4", overwrite=True)
     (tmp_path / "bus.dbc").write_text(DBC)
+    served.READER.close()
+    assert open_table(tmp_path / "log.mf4", ReadSection()).names
     recording = load_file(tmp_path, "log.mf4", CHANNELS, READ)
     same(recording.time, TIME)
     same(recording.channels["angle"], ANGLE.astype(np.float32).astype(float))
