@@ -228,14 +228,6 @@ def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:
     assert np.ptp(np.diff(recording.time)) > 1e-4
 
 
-def test_milliseconds_are_suspected(tmp_path: Path) -> None:
-    def milliseconds(columns: Columns) -> None:
-        columns["t"] *= 5000
-
-    (recording,) = load(tmp_path, milliseconds)
-    assert "set its scale to 0.001" in recording.notes[0]
-
-
 def test_constant_channel_is_noted(tmp_path: Path) -> None:
     (recording,) = load(
         tmp_path, nothing, "{file: a.csv, channels: {temperature: {column: m, scale: 1e-300}}}"

@@ -12,7 +12,6 @@ import pytest
 import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from mcap.writer import Writer
 
 from rig.common.errors import InputError
@@ -151,29 +150,6 @@ def test_a_cut_gzip_file(tmp_path: Path) -> None:
 
 
 @settings(deadline=None)
-@given(
-    arrays(
-        np.float64,
-        st.tuples(st.integers(1, 20), st.integers(1, 4)),
-        elements=st.floats(allow_infinity=False),
-    ),
-    st.sampled_from([",", ";", "\t"]),
-    st.booleans(),
-)
-def test_written_numbers_come_back_exactly(
-    tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, delimiter: str, quoted: bool
-) -> None:
-    quote = '"' if quoted else ""
-    header = delimiter.join(f"c{k}" for k in range(values.shape[1]))
-    rows = [delimiter.join(f"{quote}{float(v)!r}{quote}" for v in row) for row in values]
-    table = delimited(
-        tmp_path_factory.mktemp("csv"), "\n".join([header, *rows]), ReadSection(delimiter=delimiter)
-    )
-    read = table.read(range(values.shape[1]))
-    np.testing.assert_array_equal(np.column_stack(read), values)
-
-
-@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_numbers_or_an_input_error(
     tmp_path_factory: pytest.TempPathFactory, raw: bytes
@@ -234,23 +210,6 @@ def test_mat_in_any_orientation(tmp_path: Path) -> None:
     compressed = tmp_path / "a.mat.gz"
     compressed.write_bytes(gzip.compress(path.read_bytes()))
     assert set(open_table(compressed, PLAIN).names) == set(table.names)
-
-
-def test_mat_that_is_hdf5_broken_or_complex(tmp_path: Path) -> None:
-    path = tmp_path / "a.mat"
-    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
-    path.write_bytes(header + bytes(384) + b"\x89HDF\r\n\x1a\n" + bytes(500))
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, ReadSection())
-    path.write_bytes(b"garbage" * 40)
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, PLAIN)
-    path.write_bytes(b"")
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, PLAIN)
-    scipy.io.savemat(path, {"x": VALUE * 1j})
-    with pytest.raises(InputError, match="not contain real numbers"):
-        open_table(path, PLAIN).read([0])
 
 
 def test_npz(tmp_path: Path) -> None:

@@ -105,13 +105,3 @@ def test_groups_compounds_units_and_fills_of_hdf5(tmp_path: Path) -> None:
     same(recording.channels["angle"], ANGLE.astype(np.float32).astype(float))
     assert any("scale_factor and add_offset of the file applied" in n for n in recording.notes)
     assert "`current`: 2 missing samples interpolated" in recording.notes
-
-
-def test_damage_and_nothing_are_refused(tmp_path: Path) -> None:
-    path = matlab(tmp_path / "log.mat", t=TIME[:, None])
-    for content in (path.read_bytes()[:700], path.read_bytes()[:1200], b"\x89HDF\r\n\x1a\n"):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=r"log\.mat: "):
-            columns(path)
-    with pytest.raises(InputError, match="holds no arrays of numbers"):
-        columns(matlab(tmp_path / "text.mat", word="text"))

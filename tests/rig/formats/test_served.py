@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import importlib
-import json
 import subprocess
 import sys
 from pathlib import Path
 
-import h5py
 import numpy as np
-import pyarrow
-import pyarrow.parquet
 import pytest
 import scipy.io
-from asammdf import MDF, Signal
-from nptdms import ChannelObject, TdmsWriter
 
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
 from rig.sources import formats, served
 from rig.sources.formats import FORMATS, SERVED, open_table
+from tests.rig.formats.test_look_formats import WRITERS
 
 PLAIN = ReadSection()
 TIME = np.arange(40.0)
@@ -30,42 +25,10 @@ def mat(path: Path) -> None:
     scipy.io.savemat(path, {"t": TIME, "s": {"x": TIME, "word": "abc"}})
 
 
-def h5(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        file["t"] = TIME
-
-
-def mf4(path: Path) -> None:
-    with MDF() as mdf:
-        mdf.append([Signal(TIME, TIME, name="t")])
-        mdf.save(path, overwrite=True)
-
-
-def tdms(path: Path) -> None:
-    with TdmsWriter(path) as writer:
-        writer.write_segment([ChannelObject("g", "t", TIME)])
-
-
-def parquet(path: Path) -> None:
-    pyarrow.parquet.write_table(pyarrow.table({"t": TIME}), path)
-
-
-def npz(path: Path) -> None:
-    np.savez(path, t=TIME)
-
-
-def csv(path: Path) -> None:
-    path.write_text("t,x\n" + "".join(f"{t!r},1\n" for t in TIME.tolist()))
-
-
-def jsonl(path: Path) -> None:
-    path.write_text("".join(json.dumps({"t": t}) + "\n" for t in TIME.tolist()))
-
-
-@pytest.mark.parametrize("write", [mat, h5, mf4, tdms, parquet, npz, csv, jsonl])
-def test_any_damage_is_read_or_refused_with_the_file_s_name(tmp_path: Path, write) -> None:
-    path = tmp_path / f"a.{write.__name__}"
-    write(path)
+@pytest.mark.parametrize("kind", [*WRITERS, "mat"])
+def test_any_damage_is_read_or_refused_with_the_name_of_the_file(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"a.{kind}"
+    (WRITERS | {"mat": mat})[kind](path)
     whole = path.read_bytes()
     rng = np.random.default_rng(1)
     for _ in range(25):
