@@ -100,10 +100,8 @@ def hiding(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "short.yaml").write_text(SEQUENCE)
     arguments = ["--bench", str(folder / "bench.yaml"), "--yes", "--out", str(folder / "run")]
     assert status(["run", str(folder / "short.yaml"), *arguments]) == 0
-    assert (
-        status(["identify", str(folder / "run"), "--json", str(folder / "run" / "identified.json")])
-        == 0
-    )
+    found = ["--method", "paper", "--json", str(folder / "run" / "identified.json")]
+    assert status(["identify", str(folder / "run"), *found]) == 0
     return folder / "run"
 
 

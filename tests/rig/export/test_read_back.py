@@ -97,25 +97,13 @@ def test_a_run_comes_back(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     folder, _ = runner(fake_bench())  # type: ignore[operator]
-    assert status(["export", str(folder.path), "--format", kind, "--out", f"x.{kind}"]) == 0
+    # The ending that is missing is added, by which a campaign recognises the format.
+    assert status(["export", str(folder.path), "--format", kind, "--out", "x"]) == 0
     found = load_source(campaign(tmp_path, f"x*.{kind}")).recordings
     wanted = load_source(folder.path).recordings
     for one, other in zip(found, sorted(wanted, key=lambda r: r.name), strict=True):
         assert_same(one, other)
     assert {r.weight_mass for r in found} != {0.0}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_export_without_an_ending_gets_one_that_a_campaign_reads(
-    tmp_path: Path, kind: str, runner: object, fake_bench: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    folder, _ = runner(fake_bench())  # type: ignore[operator]
-    assert status(["export", str(folder.path), "--format", kind, "--out", "exp"]) == 0
-    made = [path.name for path in tmp_path.glob("exp*") if not path.name.endswith(".json")]
-    assert all(name.endswith(f".{kind}") for name in made)
-    assert len(made) == (3 if kind == "csv" else 1)
-    assert len(load_source(campaign(tmp_path, f"exp*.{kind}")).recordings) == 3
 
 
 @pytest.mark.parametrize(
