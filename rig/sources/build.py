@@ -19,9 +19,9 @@ from rig.config.campaign_sections import ANGLE_TIME, RecordingSection
 from rig.config.configuration import Document
 from rig.runs.alignment import aligned
 from rig.sources.channels import read_channels
-from rig.sources.columns import doubts, unit_row_doubts
+from rig.sources.columns import unit_row_doubts
 from rig.sources.formats import open_table
-from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
+from rig.sources.plausible import findings
 from rig.sources.repair import (
     MIN_SAMPLES,
     MISSING_SHARE,
@@ -293,21 +293,13 @@ def build(
 def _doubts(
     file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
 ) -> list[str]:
-    """Return notes on channels with implausible values.
-
-    Raises:
-        InputError: Values are impossible, or the signs of two channels contradict each other.
-    """
-    notes: list[str] = []
-    problems = list(value_errors(channels))
-    if not problems:
-        problems += sign_errors(channels, driven_by_weight=section.known_load)
-        notes += unit_hints(channels, bench.gear_ratio, has_lever=bench.moment_arm is not None)
-        notes += doubts(channels, bench.gear_ratio, driven_by_weight=section.known_load)
-    if "motor_angle" in channels and "angle" in channels:
-        finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
-        if finding is not None:
-            (problems if finding[1] else notes).append(finding[0])
+    """Return notes on channels with implausible values."""
+    problems, notes = findings(
+        channels,
+        bench.gear_ratio,
+        driven_by_weight=section.known_load,
+        has_lever=bench.moment_arm is not None,
+    )
     if problems:
         raise InputError(f"{file}: {problem}" for problem in problems)
     constant = [
@@ -324,9 +316,6 @@ def _windowed(
 
     All rows between the first and the last sample of the window are used, so that the later checks
     find missing time stamps and time that runs backwards.
-
-    Raises:
-        InputError: The window contains no sample.
     """
     window, time = section.window, channels["time"]
     if window is None:

@@ -349,30 +349,13 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Part:
-    """Neighbouring bits of a signal in one byte.
-
-    Attributes:
-        byte: Index of the byte in the frame.
-        low: Number of the lowest of the bits in this byte.
-        count: Number of bits.
-        place: Number of the bit of the raw value that the lowest of the bits gives.
-    """
-
-    byte: int
-    low: int
-    count: int
-    place: int
-
-
-@dataclass(frozen=True)
 class BusSignal:
     """One signal of a CAN message.
 
     Attributes:
         name: Name of the signal's column.
-        parts: Bits of the signal, least significant first.
-        width: Number of bits.
+        positions: Numbers of the bits in the frame, least significant first; bit 0 is the lowest
+            bit of the first byte.
         signed: Whether the raw value is in two's complement.
         real: Whether the raw value is a number by IEEE 754.
         factor: Value of one raw unit.
@@ -386,8 +369,7 @@ class BusSignal:
     """
 
     name: str
-    parts: tuple[Part, ...]
-    width: int
+    positions: Sequence[int]
     signed: bool = False
     real: bool = False
     factor: float = 1.0
@@ -398,16 +380,11 @@ class BusSignal:
     selector: BusSignal | None = None
     pages: frozenset[int] = frozenset()
 
-    @property
-    def bytes(self) -> int:
-        """Number of bytes that a frame must have to contain the signal."""
-        return max(part.byte for part in self.parts) + 1
-
     def present(self, frames: Frames) -> Mask:
         """Return a mask of the frames that contain the signal, by their length and their
         multiplexers.
         """
-        there: Mask = frames.lengths >= self.bytes
+        there: Mask = frames.lengths > max(self.positions) // 8
         if self.selector is not None:
             there = there & self.selector.present(frames)
             there = there & np.isin(self.selector.bits(frames), list(self.pages))
@@ -416,25 +393,25 @@ class BusSignal:
     def bits(self, frames: Frames) -> NDArray[np.uint64]:
         """Return the raw bits in each frame; zero if a frame is too short."""
         value = np.zeros(len(frames.data), np.uint64)
-        for part in self.parts:
-            if part.byte < frames.data.shape[1]:
-                byte = frames.data[:, part.byte].astype(np.uint64)
-                own = (byte >> np.uint64(part.low)) & np.uint64((1 << part.count) - 1)
-                value |= own << np.uint64(part.place)
+        for place, position in enumerate(self.positions):
+            byte, low = divmod(position, 8)
+            if byte < frames.data.shape[1]:
+                bit = (frames.data[:, byte] >> np.uint8(low)) & np.uint8(1)
+                value |= bit.astype(np.uint64) << np.uint64(place)
         return value
 
     def values(self, frames: Frames, rows: Mask) -> tuple[Array, str]:
         """Return the values in the given frames, and a note if values were changed."""
         bits = self.bits(frames)[rows]
         if self.real:
-            unsigned, kind = _FLOATS[self.width]
+            unsigned, kind = _FLOATS[len(self.positions)]
             # The bits of a float may also represent NaN or infinity.
             with np.errstate(over="ignore", invalid="ignore"):
                 raw = bits.astype(unsigned).view(kind).astype(np.float64)
                 return raw * self.factor + self.offset, ""
         whole: NDArray[np.uint64] | NDArray[np.int64] = bits
         if self.signed:
-            shift = np.uint64(MOST_BITS - self.width)
+            shift = np.uint64(MOST_BITS - len(self.positions))
             whole = (bits << shift).view(np.int64) >> np.int64(shift)
         if self.factor == 1.0 and self.offset == 0.0:
             return as_doubles(whole)
@@ -464,38 +441,15 @@ class BusMessage:
     fault: str = ""
 
 
-def little_endian(start: int, width: int) -> tuple[Part, ...]:
-    """Return the bits of a little-endian signal whose least significant bit is at ``start``."""
-    return tuple(_parts(range(start, start + width)))
-
-
-def big_endian(start: int, width: int) -> tuple[Part, ...]:
+def big_endian(start: int, width: int) -> tuple[int, ...]:
     """Return the bits of a big-endian signal whose most significant bit has the DBC number
-    ``start``.
+    ``start``, least significant first.
     """
-    positions = []
-    at = start
-    for _ in range(width):
-        positions.append(at)
-        at = at + 15 if at % 8 == 0 else at - 1
-    return tuple(_parts(positions[::-1]))
-
-
-def _parts(positions: Sequence[int]) -> Iterator[Part]:
-    """Yield the neighbouring bits in each byte; ``positions`` begin with the least significant
-    bit.
-    """
-    first = 0
-    for k in range(1, len(positions) + 1):
-        broken = (
-            k == len(positions)
-            or positions[k] != positions[k - 1] + 1
-            or positions[k] // 8 != positions[first] // 8
-        )
-        if broken:
-            start = positions[first]
-            yield Part(start // 8, start % 8, k - first, first)
-            first = k
+    positions = [start]
+    while len(positions) < width:
+        at = positions[-1]
+        positions.append(at + 15 if at % 8 == 0 else at - 1)
+    return tuple(positions[::-1])
 
 
 _FLOAT_WIDTHS = (16, 32, 64)
@@ -559,13 +513,14 @@ def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -
         selector = _signal(above, by_name, found)
         if selector is None:
             return None
-    bits = big_endian if signal.byte_order == "big_endian" else little_endian
+    little = signal.byte_order == "little_endian"
     low, high = signal.minimum, signal.maximum
     stated = low is not None and high is not None and low < high
     found[signal.name] = BusSignal(
         name=signal.name,
-        parts=bits(signal.start, signal.length),
-        width=signal.length,
+        positions=range(signal.start, signal.start + signal.length)
+        if little
+        else big_endian(signal.start, signal.length),
         signed=bool(signal.is_signed),
         real=bool(signal.is_float),
         factor=float(signal.scale),
@@ -675,8 +630,7 @@ def _pdo(
         signals.append(
             BusSignal(
                 name,
-                little_endian(start, width),
-                width,
+                range(start, start + width),
                 # A counter of 32 bits counts from zero in both directions.
                 signed=item.data_type in datatypes.SIGNED_TYPES or width == _COUNTER_BITS,
                 factor=factor,
@@ -820,11 +774,7 @@ class CanTable(Table):
         }
 
     def _of_bus(self, frames: Mapping[Key, Frames], bus: str | int | None) -> dict[Key, Frames]:
-        """Return the frames of one bus, or of all buses.
-
-        Raises:
-            InputError: The file has no such bus.
-        """
+        """Return the frames of one bus, or of all buses."""
         if bus is None:
             return dict(frames)
         kept = {key: found for key, found in frames.items() if key[0] == str(bus)}
@@ -840,9 +790,6 @@ class CanTable(Table):
     ) -> list[tuple[str, BusMessage, Frames]]:
         """Return name, message and frames of each message that is in the file, and note the frames
         of unknown messages.
-
-        Raises:
-            InputError: None of the known messages is in the file.
         """
         groups = {_group(m.identifier): m for m in known.values() if m.by_group}
         found: list[tuple[str, int, BusMessage, Frames]] = []
@@ -936,11 +883,7 @@ def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, li
 
 
 def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, BusMessage]:
-    """Return messages by identifier.
-
-    Raises:
-        InputError: Two messages have one identifier, and the file has frames with this identifier.
-    """
+    """Return messages by identifier."""
     found: dict[int, BusMessage] = {}
     for message in messages:
         other = found.setdefault(message.identifier, message)

@@ -346,11 +346,7 @@ def on_one_time(
 def _columns(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
 ) -> tuple[dict[str, int], list[str]]:
-    """Return the index of each channel's column, and notes on incomplete names that were completed.
-
-    Raises:
-        InputError: No column, or more than one column, fits a channel.
-    """
+    """Return the index of the column of each channel, and notes on completed names."""
     columns: dict[str, int] = {}
     problems: list[str] = []
     notes: list[str] = []
@@ -374,11 +370,7 @@ def _base(table: Table, column: int) -> int:
 def _joined(
     table: Table, columns: Mapping[str, int], raw: dict[str, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Resample channels of several time bases at the time stamps of the column of time.
-
-    Raises:
-        InputError: No column of time selects the time base, or the time bases have no common clock.
-    """
+    """Resample channels of several time bases at the time stamps of the column of time."""
     bases = {name: _base(table, column) for name, column in columns.items()}
     several = sorted(set(bases.values()))
     table.base = bases.get("time", several[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -136,7 +136,46 @@ class _Rows:
     rows: Sequence[Mapping[str, float]]
 
 
-class JsonTable(Table):
+class RowsTable(Table):
+    """Rows of numbers by name, in one or several time bases, as a table.
+
+    A row that lacks a name has NaN in its column.
+    """
+
+    def _lay_out(
+        self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
+    ) -> None:
+        """Set rows and columns.
+
+        Args:
+            bases: Name and rows of each time base.
+            prefixed: Whether the name of the base precedes those of its columns.
+        """
+        names, self._bases = zip(*bases, strict=True)
+        self._columns = [
+            (base, name)
+            for base, rows in enumerate(self._bases)
+            for name in dict.fromkeys(name for row in rows for name in row)
+        ]
+        self.base_names = names
+        self.bases = tuple(base for base, _ in self._columns)
+        self.names = tuple(
+            f"{self.base_names[base]}.{name}" if prefixed and self.base_names[base] else name
+            for base, name in self._columns
+        )
+
+    def _read(self, columns: Sequence[int]) -> list[Array]:
+        found = []
+        for k in columns:
+            base, name = self._columns[k]
+            values, note = series(self._bases[base], name)
+            if note:
+                self.note(f"`{self.names[k]}`: {note}")
+            found.append(values)
+        return found
+
+
+class JsonTable(RowsTable):
     """Table with one column for each number, named by its path in the file.
 
     These forms are read: a list of objects; a list of lists, whose first list is the header if it
@@ -162,41 +201,19 @@ class JsonTable(Table):
             several = lines > 1 and text.lstrip().startswith("{")
             remedy = "; one object a line is named .jsonl" if several else ""
             raise InputError(f"{path}: not JSON ({error}){remedy}") from error
-        self._tables_found = [one for one in found if one.rows and any(one.rows)]
+        tables = [one for one in found if one.rows and any(one.rows)]
         words = "; ".join(self._left_out[:4])
-        if not self._tables_found:
+        if not tables:
             raise InputError(
                 f"{path}: holds no table of numbers{f' ({words})' if words else ''}; write a list "
                 f"of objects, or an object whose lists are equally long"
             )
         if words:
             self.note(f"left out: {words}")
-        several = len(self._tables_found) > 1
-        self._columns = [
-            (base, name)
-            for base, one in enumerate(self._tables_found)
-            for name in dict.fromkeys(name for row in one.rows for name in row)
-        ]
-        self.bases = tuple(base for base, _ in self._columns)
+        self._lay_out([(one.place, one.rows) for one in tables], len(tables) > 1)
         self.base_names = tuple(
-            f"{one.place or 'the file'} ({len(one.rows)} rows)" for one in self._tables_found
+            f"{one.place or 'the file'} ({len(one.rows)} rows)" for one in tables
         )
-        self.names = tuple(
-            f"{self._tables_found[base].place}.{name}"
-            if several and self._tables_found[base].place
-            else name
-            for base, name in self._columns
-        )
-
-    def _read(self, columns: Sequence[int]) -> list[Array]:
-        found = []
-        for k in columns:
-            base, name = self._columns[k]
-            values, note = series(self._tables_found[base].rows, name)
-            if note:
-                self.note(f"`{self.names[k]}`: {note}")
-            found.append(values)
-        return found
 
     def _tables(self, value: Any, place: str, depth: int) -> Iterator[_Rows]:
         """Yield the tables inside a JSON value."""
@@ -292,7 +309,7 @@ def _are_labels(value: Mapping[str, Any]) -> bool:
     return len(value) >= _FEWEST and all(key.isdigit() for key in value)
 
 
-class JsonLinesTable(Table):
+class JsonLinesTable(RowsTable):
     """Table with one column for each number in the objects, named ``field``, ``field.inner`` or
     ``field[0]``.
 
@@ -311,7 +328,7 @@ class JsonLinesTable(Table):
             for line, text in enumerate(stream, start=1):
                 if text.strip():
                     self._take(line, text)
-        self.names = tuple(dict.fromkeys(field for row in self._rows for field in row))
+        self._lay_out([("", self._rows)], False)
         if not self.names:
             raise InputError(f"{path}: no JSON object contains a number")
 
@@ -329,15 +346,6 @@ class JsonLinesTable(Table):
             raise InputError(f"{self.path}:{line}: not a JSON object; write one object a line")
         self._rows.append(dict(numbers(value, "")))
         self._lines.append(line)
-
-    def _read(self, columns: Sequence[int]) -> list[Array]:
-        found = []
-        for k in columns:
-            values, note = series(self._rows, self.names[k])
-            if note:
-                self.note(f"`{self.names[k]}`: {note}")
-            found.append(values)
-        return found
 
     def place(self, row: int) -> str:
         """Return the line number of a row."""

@@ -63,11 +63,7 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
 
 
 def _require_visible(path: Path) -> None:
-    """Reject a source that cannot be read, for example a folder without permission.
-
-    Raises:
-        InputError: The source cannot be read; the message states the reason.
-    """
+    """Reject a source that cannot be read, for example a folder without permission."""
     try:
         (path / "run.json").stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -109,9 +105,6 @@ def _exported(
     """Read a file of ``rig export``, which contains its own description.
 
     Constants and the role that the campaign states replace those of the file.
-
-    Raises:
-        InputError: The file is no export, or its numbers do not fit its description.
     """
     given = document.value.bench
     bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}

@@ -322,11 +322,7 @@ class TdmsTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with npTDMS, and close it at the end; note its warnings.
-
-        Raises:
-            InputError: A scale of the file is not supported.
-        """
+        """Open the file with npTDMS, and close it at the end; note its warnings."""
         with (
             heard("nptdms") as said,
             open_binary(self.path) as stream,

@@ -389,9 +389,6 @@ class DelimitedTable(Table):
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
         """Yield the required cells row by row. Rows without values count as missing samples, and
         are dropped at the end of the file.
-
-        Raises:
-            InputError: A cell is not a number, or a row is too short or too long.
         """
         empty: list[int] = []
         short = 0
@@ -421,11 +418,7 @@ class DelimitedTable(Table):
             self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
-        """Add a note on the line that marks the end of the file.
-
-        Raises:
-            InputError: More lines follow.
-        """
+        """Add a note on the line that marks the end of the file."""
         if any(text.strip() for text in stream):
             raise InputError(
                 f"{self.path}:{line}: {mark}, but more lines follow; if the file ends here, remove "
@@ -436,10 +429,6 @@ class DelimitedTable(Table):
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
         """Reject a row that is longer than the header; return whether the row is shorter than the
         header.
-
-        Raises:
-            InputError: The row contains more values than there are names, so that the names cannot
-                be assigned.
         """
         width = len(self.names) + self._first_row
         if not any(cells[width:]):

@@ -104,11 +104,7 @@ def attachment(content: bytes) -> Attachment:
 
 
 def _parsed(kind: Any, content: bytes, what: str) -> Any:
-    """Return a record without a checksum, in the library's form.
-
-    Raises:
-        DamageError: The record cannot be read.
-    """
+    """Return a record without a checksum, in the library's form."""
     try:
         return kind.read(ReadDataStream(io.BytesIO(content)))
     except (McapError, struct.error, UnicodeDecodeError) as error:
@@ -290,11 +286,7 @@ class _Reading:
         self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
 
     def _take(self, found: Found) -> None:
-        """Store the content of one record by its kind.
-
-        Raises:
-            DamageError: The record is damaged.
-        """
+        """Store the content of one record by its kind."""
         match found.opcode:
             case Opcode.CHUNK:
                 self._take_messages(chunk(found.content))
@@ -316,12 +308,7 @@ class _Reading:
                 self.metadata[item.name] = item.metadata
 
     def _take_messages(self, records: bytes) -> None:
-        """Sort the messages of a chunk by topic; an error in one message drops the whole chunk.
-
-        Raises:
-            DamageError: The chunk was written by another program, or is older than the preceding
-                chunk.
-        """
+        """Sort the messages of a chunk by topic; an error in one message drops the whole chunk."""
         taken = _messages(records)
         latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
         for topic, message in taken:
@@ -470,11 +457,7 @@ class Tail:
 
 
 def _messages(records: bytes) -> tuple[tuple[str, Message], ...]:
-    """Return the messages of a chunk's records.
-
-    Raises:
-        DamageError: A message is on a channel that no run has.
-    """
+    """Return the messages of a chunk's records."""
     found = []
     offset = 0
     while offset < len(records):
@@ -637,9 +620,6 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
     """Yield channel and contents of the wanted messages, chunk by chunk, events first.
 
     At the end the number of messages is compared with the count in the file.
-
-    Raises:
-        DamageError: The file is incomplete or damaged.
     """
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamageError("not an MCAP recording")
