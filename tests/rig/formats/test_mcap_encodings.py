@@ -114,17 +114,6 @@ def test_topics_at_several_rates_are_brought_to_one(tmp_path: Path) -> None:
     )
 
 
-def test_cdr_that_was_cut_off(tmp_path: Path) -> None:
-    write_ros(tmp_path / "log.mcap", closed=False)
-    data = (tmp_path / "log.mcap").read_bytes()
-    (tmp_path / "log.mcap").write_bytes(data[: len(data) * 3 // 4])
-    recording = load_file(tmp_path, "log.mcap", CHANNELS)
-    n = len(recording.time)
-    assert 50 < n < N
-    same(recording.channels["current"], CURRENT[:n])
-    assert any("the file is cut off" in note for note in recording.notes)
-
-
 def protobuf_state() -> type:
     """Return a message of nested and repeated messages, made by protobuf itself."""
     kinds = FieldDescriptorProto
