@@ -271,7 +271,7 @@ def build(
     doubted = _doubts(file, channels, section, bench)
     notes = [*table.notes, *found, *doubted, *_load_notes(section, bench)]
     whole = Recording(
-        name=_stem(file),
+        name=(file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem,
         channels=channels,
         bench=bench,
         stage=section.stage,
@@ -303,7 +303,9 @@ def _doubts(
     if problems:
         raise InputError(f"{file}: {problem}" for problem in problems)
     constant = [
-        name for name, values in channels.items() if name != "enabled" and _is_constant(values)
+        name
+        for name, values in channels.items()
+        if name != "enabled" and np.all(values == values[0])
     ]
     return [*notes, *(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)]
 
@@ -508,11 +510,3 @@ def _on_even_stamps(recording: Recording) -> Recording:
     channels = {**recording.channels, "time": grid}
     others = tuple(n for n in recording.notes if not n.startswith(UNEVEN))
     return replace(recording, channels=channels, notes=(*others, note))
-
-
-def _is_constant(values: Array) -> bool:
-    return bool(np.all(values == values[0]))
-
-
-def _stem(file: Path) -> str:
-    return (file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem

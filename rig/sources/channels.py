@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign import Campaign
-from rig.config.campaign_columns import ChannelSection
 from rig.config.campaign_sections import RecordingSection
-from rig.config.configuration import Document, Loc, nearest
+from rig.config.configuration import Document, nearest
 from rig.sources.repair import GAP_PERIODS
 from rig.sources.table import Table
 
@@ -307,7 +306,11 @@ def read_channels(
         raise InputError(
             f"{table.path}: channels differ in length: {listed}; channels must have common rows"
         )
-    channels = {name: _to_si(values, section.channels[name]) for name, values in raw.items()}
+    channels = {}
+    for name, values in raw.items():
+        scale, offset = section.channels[name].scale, section.channels[name].offset
+        plain = scale == 1.0 and offset == 0.0
+        channels[name] = np.ascontiguousarray(values if plain else values * scale + offset)
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
     return channels, left_out, notes + found
@@ -357,7 +360,9 @@ def _columns(
             if isinstance(channel.column, str) and table.names[found] != channel.column:
                 notes.append(f"`{name}`: {channel.column!r} is column {table.names[found]!r}")
         else:
-            problems.append(document.problem(_column_loc(index, name), found, channel.column))
+            problems.append(
+                document.problem(("recordings", index, "channels", name), found, channel.column)
+            )
     if problems:
         raise InputError(problems)
     return columns, notes
@@ -431,15 +436,3 @@ def _find(table: Table, column: str | int) -> int | str:
     return f"no such column in {table.path}; " + (
         f"{suggestion} {listed}{notes}" if "did you" in suggestion else listed + notes
     )
-
-
-def _column_loc(index: int, name: str) -> Loc:
-    return ("recordings", index, "channels", name)
-
-
-def _to_si(values: Array, channel: ChannelSection) -> Array:
-    if channel.scale == 1.0 and channel.offset == 0.0:
-        return np.ascontiguousarray(values)
-    scaled: Array = values * channel.scale
-    scaled += channel.offset
-    return scaled

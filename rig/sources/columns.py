@@ -167,8 +167,10 @@ def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
         return
     for name, channel in section.channels.items():
         column = channel.column
-        place = column if isinstance(column, int) else _index(table.names, column)
-        if place is None or place >= len(table.units) or channel.scale != 1.0:
+        if isinstance(column, str) and column not in table.names:
+            continue
+        place = column if isinstance(column, int) else table.names.index(column)
+        if place >= len(table.units) or channel.scale != 1.0:
             continue
         unit = table.units[place].strip("[]() ")
         si, size = UNITS.get(unit.lower(), ("", 1.0))
@@ -177,7 +179,3 @@ def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
                 f"`{name}` is in {unit} by the file's row of units, but its scale is 1: set the "
                 f"scale to {size:.10g}"
             )
-
-
-def _index(names: tuple[str, ...], column: str) -> int | None:
-    return names.index(column) if column in names else None

@@ -88,22 +88,23 @@ def guess_delimiter(lines: Sequence[str], decimal: str) -> str:
     best = max(counts, key=lambda delimiter: counts[delimiter])
     if counts[best]:
         return best
-    if decimal == "," and all(_quoted_between_commas(line) for line in lines[-2:]):
+    quoted = [split(line, ",") if '"' in line else [] for line in lines[-2:]]
+    if decimal == "," and all(len(cells) > 1 and _numbers(cells, decimal) for cells in quoted):
         return ","
     widths = {len(split(line, BLANKS)) for line in lines[1:] or lines}
     plain = not any(mark in line for line in lines[1:] for mark in _DELIMITERS if mark != decimal)
-    if plain and len(widths) == 1 and min(widths) > 1 and _numbers(lines[-1], decimal):
+    if (
+        plain
+        and len(widths) == 1
+        and min(widths) > 1
+        and _numbers(split(lines[-1], BLANKS), decimal)
+    ):
         return BLANKS
     return "," if decimal == "." else ";"
 
 
-def _quoted_between_commas(line: str) -> bool:
-    cells = split(line, ",")
-    return '"' in line and len(cells) > 1 and all(is_number(pointed(cell, ",")) for cell in cells)
-
-
-def _numbers(line: str, decimal: str) -> bool:
-    return all(is_number(pointed(cell, decimal)) for cell in split(line, BLANKS))
+def _numbers(cells: Sequence[str], decimal: str) -> bool:
+    return all(is_number(pointed(cell, decimal)) for cell in cells)
 
 
 def split(text: str, delimiter: str) -> list[str]:
@@ -257,7 +258,8 @@ class DelimitedTable(Table):
             [text for _, text in head], options.decimal
         )
         self._lay_out(head)
-        if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
+        above = split(skipped[-1], self._delimiter) if skipped else []
+        if len(above) == len(self.names) > 1 and _numbers(above, self._decimal):
             self.note("the last skipped line contains numbers: check read.skip_rows")
 
     def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
@@ -327,10 +329,6 @@ class DelimitedTable(Table):
                 self.note(
                     f"column {self._name(column)} holds {what}: read as seconds since {since}"
                 )
-
-    def _row_of_numbers(self, text: str, width: int) -> bool:
-        cells = split(text, self._delimiter)
-        return len(cells) == width > 1 and all(is_number(self._pointed(cell)) for cell in cells)
 
     def _read(self, columns: Sequence[int]) -> list[Array]:
         try:
