@@ -81,11 +81,16 @@ class Reader:
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
+        self._owner = 0
 
     def ask(self, request: dict[str, Any]) -> Answer:
         """Return the answer to a request, and its arrays; of a process that dies, the damage."""
         with self._lock:
-            if self.process is None:
+            if self.process is not None and self.process.poll() is not None:
+                self.close()
+            if self.process is None or self._owner != os.getpid():
+                # A process that was forked off must not share the pipes.
+                self._owner = os.getpid()
                 self.process = subprocess.Popen(
                     [sys.executable, "-c", _START, *sys.path],
                     stdin=subprocess.PIPE,
@@ -152,7 +157,7 @@ def serve() -> None:
             answer, arrays = _answer(json.loads(line), opened)
             out.write(json.dumps(answer | {"lengths": [len(a) for a in arrays]}).encode() + b"\n")
             for values in arrays:
-                out.write(np.ascontiguousarray(values).data)
+                out.write(np.ascontiguousarray(values, np.float64).data)
             out.flush()
 
 
