@@ -73,7 +73,7 @@ def _readable(path: Path, folder: Path) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def utc_ns(created: str) -> int:
+def _utc_ns(created: str) -> int:
     """Return an ISO time as ns since 1970."""
     return (instant(created) - _EPOCH) // timedelta(microseconds=1) * 1000
 
@@ -90,7 +90,7 @@ class FrameClock:
     """
 
     def __init__(self, folder: Path, part: PartRecord) -> None:
-        self.created_ns = utc_ns(part.created)
+        self.created_ns = _utc_ns(part.created)
         path = folder / part.file
         with _readable(path, folder):
             known = first_metadata(path, CLOCK_METADATA)
@@ -113,12 +113,9 @@ class Count:
     parts: list[str] = field(default_factory=list)
 
 
-def can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
+def _can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
     """Yield the CAN frames of all recordings of a run and their times, ns since 1970; bytes of
     serial lines are only counted.
-
-    Raises:
-        InputError: A recording is damaged, or cannot be read.
     """
     for part in record.parts:
         clock = FrameClock(folder, part)
@@ -135,7 +132,7 @@ def can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFra
                     yield placed
 
 
-def write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
+def _write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
     """Write a log in the format of ``candump -L -x``: time since 1970, interface, identifier, data,
     and T for frames that the host sent.
     """
@@ -155,7 +152,7 @@ def write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
         )
 
 
-def write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
+def _write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
     """Write a log in the format of Vector's CANalyzer: seconds since the start of the log, channel
     1, identifier, direction and data. In this format an error frame has neither identifier nor
     data.
@@ -207,8 +204,8 @@ def _microseconds(time_ns: int) -> int:
 
 
 TRAFFIC: Mapping[str, tuple[str, Callable[[TextIO, Iterator[RawFrame]], None]]] = {
-    "candump": ("log", write_candump),
-    "asc": ("asc", write_asc),
+    "candump": ("log", _write_candump),
+    "asc": ("asc", _write_asc),
 }
 """Extension of the files, and writer, by format."""
 
@@ -222,7 +219,7 @@ def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Co
     """
     count = Count(parts=[part.file for part in record.parts])
     with open(path, "w", encoding="ascii", newline="\n") as stream:
-        TRAFFIC[kind][1](stream, can_frames(folder, record, count))
+        TRAFFIC[kind][1](stream, _can_frames(folder, record, count))
     if not count.frames:
         wire = "its bus is a serial line" if count.serial else "none was recorded"
         raise InputError(
@@ -246,7 +243,7 @@ def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None)
         InputError: A recording of the run is damaged.
         OSError: The file cannot be written.
     """
-    created = {} if run is None else {part.file: utc_ns(part.created) for part in run[1].parts}
+    created = {} if run is None else {part.file: _utc_ns(part.created) for part in run[1].parts}
     with open(path, "wb") as stream:
         writer = McapWriter(stream)
         text: dict[tuple[str, ...], int] = {}

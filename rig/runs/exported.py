@@ -142,7 +142,7 @@ def sidecar(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")
 
 
-def misfit(path: Path, error: RecordingError | str) -> InputError:
+def _misfit(path: Path, error: RecordingError | str) -> InputError:
     """Return the error for a file whose numbers contradict its description."""
     return InputError(
         f"{path}: the numbers contradict the description of this export ({error}); export the "
@@ -226,13 +226,8 @@ def write_parquet(dataset: Dataset, path: Path) -> None:
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
 
 
-def read_csv(path: Path) -> list[Read] | None:
-    """Read a CSV file back; return None if there is no description beside the file.
-
-    Raises:
-        InputError: File and description do not fit together.
-        OSError: The file cannot be read.
-    """
+def _read_csv(path: Path) -> list[Read] | None:
+    """Read a CSV file back; return None if there is no description beside the file."""
     beside = sidecar(path)
     if not is_file(beside):
         return None
@@ -244,17 +239,12 @@ def read_csv(path: Path) -> list[Read] | None:
             table = [[float(cell) if cell else np.nan for cell in row] for row in rows]
             columns = np.array(table, dtype=np.float64).reshape(len(table), len(names))
         except ValueError as error:
-            raise misfit(path, str(error)) from error
+            raise _misfit(path, str(error)) from error
     return _split(path, described, dict(zip(names, columns.T, strict=True)))
 
 
-def read_mat(path: Path) -> list[Read] | None:
-    """Read a MATLAB file back; return None if it holds no description.
-
-    Raises:
-        InputError: The numbers in the file do not fit the description.
-        OSError: The file cannot be read.
-    """
+def _read_mat(path: Path) -> list[Read] | None:
+    """Read a MATLAB file back; return None if it holds no description."""
     from scipy.io import loadmat
 
     try:
@@ -266,7 +256,7 @@ def read_mat(path: Path) -> list[Read] | None:
     described = parse(str(content[KEY].ravel()[0]), path)
     structs = content["recordings"].ravel()
     if len(structs) != len(described):
-        raise misfit(
+        raise _misfit(
             path,
             f"the file contains {len(structs)} recordings, its description states {len(described)}",
         )
@@ -276,16 +266,11 @@ def read_mat(path: Path) -> list[Read] | None:
             for one, struct in zip(described, structs, strict=True)
         ]
     except ValueError as error:
-        raise misfit(path, str(error)) from error
+        raise _misfit(path, str(error)) from error
 
 
-def read_parquet(path: Path) -> list[Read] | None:
-    """Read a Parquet file back; return None if it holds no description.
-
-    Raises:
-        InputError: The numbers in the file do not fit the description.
-        OSError: The file cannot be read.
-    """
+def _read_parquet(path: Path) -> list[Read] | None:
+    """Read a Parquet file back; return None if it holds no description."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -320,13 +305,8 @@ _CDR_HEAD = 4
 """Number of bytes before the first field of a message."""
 
 
-def read_mcap(path: Path) -> list[Read] | None:
-    """Read the recordings back. The result is None if the file contains no description.
-
-    Raises:
-        InputError: The numbers in the file do not fit the description.
-        OSError: The file cannot be read.
-    """
+def _read_mcap(path: Path) -> list[Read] | None:
+    """Read the recordings back. The result is None if the file contains no description."""
     try:
         with open(path, "rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
@@ -346,7 +326,7 @@ def read_mcap(path: Path) -> list[Read] | None:
         width = len(one.channels)
         values = np.frombuffer(b"".join(data), "<f8")
         if len(data) != one.samples or values.size != one.samples * width:
-            raise misfit(
+            raise _misfit(
                 path,
                 f"{one.name}: the file contains {len(data)} samples, its description states "
                 f"{one.samples}",
@@ -365,7 +345,7 @@ def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]
     missing = {name for one in described for name in one.channels} - columns.keys()
     if rows != expected or missing:
         lacks = f"; no column {', '.join(sorted(missing))}" if missing else ""
-        raise misfit(
+        raise _misfit(
             path, f"the file contains {rows} rows, its description states {expected}{lacks}"
         )
     found: list[Read] = []
@@ -378,10 +358,10 @@ def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]
 
 
 READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
-    "csv": read_csv,
-    "mat": read_mat,
-    "parquet": read_parquet,
-    "mcap": read_mcap,
+    "csv": _read_csv,
+    "mat": _read_mat,
+    "parquet": _read_parquet,
+    "mcap": _read_mcap,
 }
 """Readers of exported files by format; a reader returns None for a file of another program."""
 
@@ -409,4 +389,4 @@ def read_back(path: Path, kind: str, bench: Mapping[str, Any]) -> list[Recording
             for one, channels in found
         ]
     except RecordingError as error:
-        raise misfit(path, error) from error
+        raise _misfit(path, error) from error

@@ -222,13 +222,8 @@ class Traffic:
     notes: list[str] = field(default_factory=list)
 
 
-def read_traffic(path: Path) -> Traffic:
-    """Read all data frames of a file; error frames and remote frames are left out and counted.
-
-    Raises:
-        InputError: The file is damaged or has no frames; for a text format, the message names the
-            line.
-    """
+def _read_traffic(path: Path) -> Traffic:
+    """Read all data frames of a file; error frames and remote frames are left out and counted."""
     kind = format_of(path)
     lines = Lines(path)
     traffic = Traffic(notes=lines.notes)
@@ -455,12 +450,8 @@ def big_endian(start: int, width: int) -> tuple[int, ...]:
 _FLOAT_WIDTHS = (16, 32, 64)
 
 
-def messages_of(path: Path) -> list[BusMessage]:
-    """Return the messages of a DBC file.
-
-    Raises:
-        InputError: The file cannot be read; the message names line and column.
-    """
+def _messages_of(path: Path) -> list[BusMessage]:
+    """Return the messages of a DBC file."""
     try:
         database, faults = load_dbc(path)
     except ConfigurationError as error:
@@ -544,13 +535,8 @@ _Scale = tuple[str, float, float]
 """Name of a column, SI units per raw unit, and SI value at raw value 0."""
 
 
-def messages_of_bench(path: Path) -> list[BusMessage]:
-    """Return the messages of a bench's drive and joint encoder as a run maps them.
-
-    Raises:
-        InputError: The bench file or a device file cannot be used, or the bus of the bench is not
-            CAN.
-    """
+def _messages_of_bench(path: Path) -> list[BusMessage]:
+    """Return the messages of a bench's drive and joint encoder as a run maps them."""
     document = load_bench(path)
     bench = document.value
     try:
@@ -662,7 +648,7 @@ def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessa
         quantity: Quantity | None = getattr(servo.inputs, name)
         if quantity is not None:
             meaning.setdefault(quantity.signal, []).append((channel, quantity, factor, zero))
-    for message in messages_of(dbc_path(servo, document.path)):
+    for message in _messages_of(dbc_path(servo, document.path)):
         signals = []
         for signal in message.signals:
             signals.append(signal)
@@ -732,7 +718,7 @@ class CanTable(Table):
 
     def __init__(self, path: Path, options: ReadSection) -> None:
         self.path = path
-        traffic = read_traffic(path)
+        traffic = _read_traffic(path)
         for words in traffic.notes:
             self.note(words)
         frames = self._of_bus(traffic.frames, options.bus)
@@ -742,9 +728,9 @@ class CanTable(Table):
                 "give a DBC file (read.dbc, or --dbc), or the bench file of the drive "
                 "(read.bench, or --bench)"
             )
-        known = [message for name in options.dbc_files for message in messages_of(Path(name))]
+        known = [message for name in options.dbc_files for message in _messages_of(Path(name))]
         if options.bench is not None:
-            known = messages_of_bench(Path(options.bench))
+            known = _messages_of_bench(Path(options.bench))
         named = self._named(frames, _by_identifier(known, {i for _, i in frames}))
         self._bases: list[_Base] = []
         self._columns: list[_Column] = []

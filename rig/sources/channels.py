@@ -45,26 +45,13 @@ class StampsError(Exception):
     """The time stamps of a time base cannot be used; the message states the reason."""
 
 
-def on_one_base(
+def _on_one_base(
     channels: Mapping[str, Array], bases: Mapping[str, Base], wanted: Base
 ) -> tuple[dict[str, Array], int, list[str]]:
     """Interpolate the channels of other time bases at the time stamps of the wanted base.
 
     Between samples that are more than :data:`GAP_PERIODS` median periods apart, values are missing.
     Rows before the first or after the last sample of any channel are left out.
-
-    Args:
-        channels: Values of each channel, on its own time base.
-        bases: Time base of each channel.
-        wanted: Time base of the result.
-
-    Returns:
-        Channels of shape (m,), the number of rows of the wanted base before the first used row,
-        and notes.
-
-    Raises:
-        StampsError: The stamps of a time base run backwards or are missing, or the time bases do
-            not overlap.
     """
     found: dict[str, Array] = {}
     notes: list[str] = []
@@ -397,7 +384,7 @@ def _joined(
         )
     try:
         of = {name: found[base] for name, base in bases.items()}
-        return on_one_base(raw, of, found[bases["time"]])
+        return _on_one_base(raw, of, found[bases["time"]])
     except StampsError as error:
         raise InputError(f"{table.path}: {error}") from None
 

@@ -145,12 +145,7 @@ class RowsTable(Table):
     def _lay_out(
         self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
     ) -> None:
-        """Set rows and columns.
-
-        Args:
-            bases: Name and rows of each time base.
-            prefixed: Whether the name of the base precedes those of its columns.
-        """
+        """Set rows and columns."""
         names, self._bases = zip(*bases, strict=True)
         self._columns = [
             (base, name)

@@ -44,15 +44,8 @@ compression's name.
 Found = tuple[Schema | None, Channel, Message]
 
 
-def until_cut(stream: IO[bytes]) -> Iterator[Found]:
-    """Yield the messages of an incomplete file.
-
-    Args:
-        stream: The file, at its start.
-
-    Raises:
-        McapError: The file is complete but damaged, or is not an MCAP file.
-    """
+def _until_cut(stream: IO[bytes]) -> Iterator[Found]:
+    """Yield the messages of an incomplete file."""
     data = _rest(stream)
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
@@ -312,7 +305,7 @@ class McapTable(RowsTable):
         self._left_out.clear()
         try:
             with open_binary(self.path) as stream:
-                self._take(until_cut(stream))
+                self._take(_until_cut(stream))
         except InputError:
             raise
         except Exception:  # noqa: BLE001 - the library raises anything on damage

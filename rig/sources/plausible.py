@@ -61,26 +61,21 @@ def findings(
     gear = 1.0 if gear_ratio is None else gear_ratio
     problems, notes = list(value_errors(channels)), list[str]()
     if not problems:
-        problems += sign_errors(channels, driven_by_weight=driven_by_weight)
+        problems += _sign_errors(channels, driven_by_weight=driven_by_weight)
         notes += unit_hints(channels, gear, has_lever=has_lever)
         notes += doubts(channels, gear, driven_by_weight=driven_by_weight)
     if gear_ratio is not None and "motor_angle" in channels and "angle" in channels:
-        found = gear_finding(channels["motor_angle"], channels["angle"], gear)
+        found = _gear_finding(channels["motor_angle"], channels["angle"], gear)
         if found is not None:
             (problems if found[1] else notes).append(found[0])
     return problems, notes
 
 
-def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:
+def _sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:
     """Yield an error for each pair of channels with opposite sign conventions.
 
     Over a whole recording friction takes energy from the motor, so torque and velocity must
     correlate positively, unless a turning weight drives the joint.
-
-    Args:
-        channels: Canonical channels in SI units, shape (n,); time increasing.
-        driven_by_weight: Whether a weight that turns with the joint is declared; the torque is then
-            not checked.
     """
     time = channels["time"]
     position = "angle" if "angle" in channels else "motor_angle"
@@ -158,7 +153,7 @@ def unit_hints(
             )
 
 
-def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
+def _gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
     """Compare motor and joint angle; if the angles disagree, return a text, and whether the
     disagreement is an error.
     """

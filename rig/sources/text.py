@@ -71,7 +71,7 @@ def encoding_of(path: Path) -> str:
     return "latin-1"
 
 
-def utf8(text: str) -> str:
+def _utf8(text: str) -> str:
     """Return a line that was decoded as Latin-1; if the bytes of the line are UTF-8, return the
     line decoded as UTF-8.
     """
@@ -81,7 +81,7 @@ def utf8(text: str) -> str:
         return text.lstrip("\ufeff")
 
 
-def guess_delimiter(lines: Sequence[str], decimal: str) -> str:
+def _guess_delimiter(lines: Sequence[str], decimal: str) -> str:
     """Return the delimiter of the first lines with content, header first."""
     text = lines[0]
     counts = {delimiter: text.count(delimiter) for delimiter in _DELIMITERS if delimiter != decimal}
@@ -104,7 +104,7 @@ def guess_delimiter(lines: Sequence[str], decimal: str) -> str:
 
 
 def _numbers(cells: Sequence[str], decimal: str) -> bool:
-    return all(is_number(pointed(cell, decimal)) for cell in cells)
+    return all(_is_number(pointed(cell, decimal)) for cell in cells)
 
 
 def split(text: str, delimiter: str) -> list[str]:
@@ -140,15 +140,15 @@ def pointed(cell: str, decimal: str) -> str:
     return cell if decimal == "." else cell.replace(",", ".", 1)
 
 
-def is_empty(cell: str) -> bool:
+def _is_empty(cell: str) -> bool:
     """Return whether a cell is empty or contains a word for a missing value."""
     return cell.lower() in EMPTY or _WINDOWS_NAN.fullmatch(cell) is not None
 
 
-def is_number(cell: str) -> bool:
+def _is_number(cell: str) -> bool:
     """Return whether a cell contains a number, or a word for a missing number."""
     text = cell.strip(' "\t')
-    if is_empty(text):
+    if _is_empty(text):
         return text != ""
     try:
         float(text)
@@ -157,7 +157,7 @@ def is_number(cell: str) -> bool:
     return "_" not in text
 
 
-def without_comment(text: str) -> str:
+def _without_comment(text: str) -> str:
     """Return a line without its comment; a comment starts with a # at the start of the line or
     after a blank.
 
@@ -170,21 +170,16 @@ def without_comment(text: str) -> str:
     return text.strip(" \r\n")
 
 
-def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
+def _counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
     """Return whether the first line is 0, 1, 2, ...: the header of a table whose columns have no
     names.
-
-    Args:
-        cells: Cells of the first line.
-        below: Cells of the next line with content. If there are two columns, the first line counts
-            as a header only if these cells of the next line have decimals.
     """
     if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
         return False
     return len(cells) > 2 or (len(cells) == 2 and any("." in cell for cell in below))
 
 
-def are_units(cells: Sequence[str], width: int) -> bool:
+def _are_units(cells: Sequence[str], width: int) -> bool:
     """Return whether a line below the names is a line of units: only short words and no number.
 
     A dash means no unit if another cell has a unit.
@@ -194,7 +189,7 @@ def are_units(cells: Sequence[str], width: int) -> bool:
     return (
         len(given) <= width
         and any(words)
-        and not any(is_number(word) or is_number(pointed(word, ",")) for word in words)
+        and not any(_is_number(word) or _is_number(pointed(word, ",")) for word in words)
         and not any(nanoseconds(word) is not None for word in words)
         and all(len(word) <= _UNIT_LENGTH for word in words)
         and given[0].lower() not in END_MARKS
@@ -254,7 +249,7 @@ class DelimitedTable(Table):
                 "file extension of its format"
             )
         self._decimal = options.decimal
-        self._delimiter = options.delimiter or guess_delimiter(
+        self._delimiter = options.delimiter or _guess_delimiter(
             [text for _, text in head], options.decimal
         )
         self._lay_out(head)
@@ -266,13 +261,13 @@ class DelimitedTable(Table):
         """Detect header, units, row names and columns of dates in the first lines."""
         line, text = head[0]
         cells = split(text, self._delimiter)
-        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if without_comment(row)]
-        counted = bool(rows) and counts_columns(cells, rows[0][1])
-        has_header = counted or not all(is_number(self._pointed(cell)) for cell in cells)
+        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if _without_comment(row)]
+        counted = bool(rows) and _counts_columns(cells, rows[0][1])
+        has_header = counted or not all(_is_number(self._pointed(cell)) for cell in cells)
         if has_header and any(nanoseconds(cell) is not None for cell in cells):
             # A row of dates and numbers is data, because the name of a column is not a date.
             has_header = not all(
-                is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
+                _is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
             )
         if not has_header:
             rows.insert(0, (line, cells))
@@ -287,7 +282,7 @@ class DelimitedTable(Table):
             self.note(
                 f"line {line} numbers the columns from 0 to {len(cells) - 1}: read as the header"
             )
-        while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
+        while has_header and len(rows) > 1 and _are_units(rows[0][1], len(cells)):
             at, words = rows.pop(0)
             self.units = tuple(word.strip(' "\t') for word in words)
             self._skip = at
@@ -450,13 +445,13 @@ class DelimitedTable(Table):
             if when is not None:
                 return (when - self._zero[column]) * 1e-9
         text = self._pointed(text)
-        if is_empty(text):
+        if _is_empty(text):
             if "#" in text or "(" in text:
                 self.note(f"cells such as {text[:20]} read as missing samples")
             return float("nan")
-        if is_number(text) and column not in self._zero:
+        if _is_number(text) and column not in self._zero:
             return float(text)
-        if is_number(text.replace(",", ".", 1)):
+        if _is_number(text.replace(",", ".", 1)):
             hint = '; if the comma is a decimal comma, set read.decimal: ","'
         else:
             hint = (
@@ -480,7 +475,7 @@ class DelimitedTable(Table):
         """Yield line number and text of each line with a row of numbers."""
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
-                content = without_comment(text)
+                content = _without_comment(text)
                 if content:
                     yield line, content
 
@@ -488,7 +483,7 @@ class DelimitedTable(Table):
 def _names_its_row(line: str, cell: str) -> bool:
     """Return whether the first cell is a row name: a word, or quoted if the next cell is not."""
     rest = line.lstrip()
-    return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
+    return (rest.startswith('"') and rest.count('"') == 2) or not _is_number(cell)
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
@@ -497,10 +492,10 @@ def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
     """
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
-        if found and (text.strip().lower() in END_MARKS or not without_comment(text)):
+        if found and (text.strip().lower() in END_MARKS or not _without_comment(text)):
             continue
         if text.strip().lstrip("\ufeff"):
-            found.append((line, utf8(text)))
+            found.append((line, _utf8(text)))
             if len(found) == _HEAD_LINES:
                 break
     return found

@@ -55,12 +55,8 @@ class Found(NamedTuple):
     end: int
 
 
-def record_at(data: bytes, offset: int) -> Found:
-    """Extract the record at ``offset``.
-
-    Raises:
-        DamageError: No complete record begins at ``offset``.
-    """
+def _record_at(data: bytes, offset: int) -> Found:
+    """Extract the record at ``offset``."""
     if offset + HEADER.size > len(data):
         raise DamageError("cut off inside a record header")
     opcode, length = HEADER.unpack_from(data, offset)
@@ -74,13 +70,13 @@ def record_at(data: bytes, offset: int) -> Found:
     return Found(opcode, data[start : start + length], start + length)
 
 
-def next_sound(data: bytes, offset: int) -> int | None:
+def _next_sound(data: bytes, offset: int) -> int | None:
     """Return the offset of the first chunk or attachment with correct checksum from ``offset``
     on, or None.
     """
     for match in _CHECKED.finditer(data, offset):
         try:
-            found = record_at(data, match.start())
+            found = _record_at(data, match.start())
             if found.opcode == Opcode.CHUNK:
                 chunk(found.content)
             else:
@@ -131,7 +127,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
     ):
         raise DamageError("the index at the end of the file does not agree with its checksum")
     while offset < footer_at:
-        found = record_at(data, offset)
+        found = _record_at(data, offset)
         if found.opcode == Opcode.STATISTICS:
             counts: Statistics = _parsed(Statistics, found.content, "the statistics")
             return counts
@@ -244,14 +240,14 @@ class _Reading:
         data, offset = self._data, len(MAGIC)
         while offset < len(data):
             try:
-                found = record_at(data, offset)
+                found = _record_at(data, offset)
                 if found.opcode == Opcode.DATA_END and len(found.content) == _DATA_END_BYTES:
                     self._compare(found.end)
                     return
                 self._take(found)
                 offset = found.end
             except DamageError as error:
-                sound = next_sound(data, offset + 1)
+                sound = _next_sound(data, offset + 1)
                 self._note(offset, sound, str(error))
                 if sound is None:
                     return
