@@ -249,7 +249,7 @@ def require_space(path: Path, cycles: float) -> None:
 
 
 class RunFolder:
-    """A run folder that is being written; a :class:`rig.runs.run_file.Journal`.
+    """A run folder that is being written: the state of the run on disk.
 
     Args:
         path: The folder.
