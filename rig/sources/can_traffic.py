@@ -173,20 +173,13 @@ def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
             yield text
 
 
-FILTERS: dict[str, Callable[[Lines, TextIO], Iterator[str]]] = {
-    "log": candump,
-    "asc": asc,
-    "trc": trc,
-}
-"""Filters of the lines of text formats, by file extension."""
-
-
 _REMEDY = "check that the file was copied completely"
-_READERS: Mapping[str, Any] = {
-    "log": can.io.CanutilsLogReader,
-    "asc": can.io.ASCReader,
-    "trc": can.io.TRCReader,
+_TEXTS: Mapping[str, tuple[Any, Callable[[Lines, TextIO], Iterator[str]]]] = {
+    "log": (can.io.CanutilsLogReader, candump),
+    "asc": (can.io.ASCReader, asc),
+    "trc": (can.io.TRCReader, trc),
 }
+"""Reader and filter of the lines of text formats, by file extension."""
 _FROM_ZERO = frozenset({"asc", "blf"})
 """Formats in which channels are numbered from 1, but by python-can from 0."""
 
@@ -209,24 +202,13 @@ class Frames:
     lengths: NDArray[np.intp]
 
 
-@dataclass
-class Traffic:
-    """Content of a file of CAN traffic.
-
-    Attributes:
-        frames: By bus and identifier, in order of appearance.
-        notes: Messages to the user.
+def _read_traffic(path: Path) -> tuple[dict[Key, Frames], list[str]]:
+    """Return the data frames of a file by bus and identifier, in order of appearance, and notes;
+    error frames and remote frames are left out and counted.
     """
-
-    frames: dict[Key, Frames] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-
-
-def _read_traffic(path: Path) -> Traffic:
-    """Read all data frames of a file; error frames and remote frames are left out and counted."""
     kind = format_of(path)
     lines = Lines(path)
-    traffic = Traffic(notes=lines.notes)
+    notes = lines.notes
     stamps: dict[Key, list[float]] = {}
     data: dict[Key, list[bytes]] = {}
     remote = read = 0
@@ -253,40 +235,35 @@ def _read_traffic(path: Path) -> Traffic:
     except Exception as error:
         place = f"line {lines.number}: " if lines.number else ""
         raise damaged(path, f"{place}{error!r}", _REMEDY) from error
-    traffic.notes += [f"python-can: {words}" for words in said]
+    notes += [f"python-can: {words}" for words in said]
     if lines.errors:
-        traffic.notes.append(f"{lines.errors} error frames left out")
+        notes.append(f"{lines.errors} error frames left out")
     if remote:
-        traffic.notes.append(f"{remote} remote frames left out")
+        notes.append(f"{remote} remote frames left out")
     if lines.stamped > read + lines.errors:
-        traffic.notes.append(
-            f"{lines.stamped - read - lines.errors} lines that are not frames left out"
-        )
+        notes.append(f"{lines.stamped - read - lines.errors} lines that are not frames left out")
     if not stamps:
-        raise InputError(f"{path}: holds no data frames" + "".join(f"; {n}" for n in traffic.notes))
+        raise InputError(f"{path}: holds no data frames" + "".join(f"; {n}" for n in notes))
     first = min(times[0] for times in stamps.values())
+    frames = {}
     for key, times in stamps.items():
-        traffic.frames[key] = _packed(np.array(times, np.float64) - first, data[key])
-    return traffic
-
-
-def _packed(stamps: Array, data: list[bytes]) -> Frames:
-    lengths = np.array([len(one) for one in data], np.intp)
-    longest = int(lengths.max())
-    joined = b"".join(one.ljust(longest, b"\0") for one in data)
-    return Frames(stamps, np.frombuffer(joined, np.uint8).reshape(len(data), longest), lengths)
+        lengths = np.array([len(one) for one in data[key]], np.intp)
+        longest = int(lengths.max())
+        joined = b"".join(one.ljust(longest, b"\0") for one in data[key])
+        packed = np.frombuffer(joined, np.uint8).reshape(len(times), longest)
+        frames[key] = Frames(np.array(times, np.float64) - first, packed, lengths)
+    return frames, notes
 
 
 def _messages(path: Path, kind: str, lines: Lines) -> Iterator[can.Message]:
     if kind == "blf":
         yield from _blf(path, lines)
-        return
-    if kind not in _READERS:
+    elif kind not in _TEXTS:
         yield from _mf4(path)
-        return
-    encoding = encoding_of(path)
-    with open_text(path, encoding) as stream:
-        yield from _READERS[kind](_Source(FILTERS[kind](lines, stream)))
+    else:
+        reader, lines_of = _TEXTS[kind]
+        with open_text(path, encoding_of(path)) as stream:
+            yield from reader(_Source(lines_of(lines, stream)))
 
 
 class _Source:
@@ -718,10 +695,10 @@ class CanTable(Table):
 
     def __init__(self, path: Path, options: ReadSection) -> None:
         self.path = path
-        traffic = _read_traffic(path)
-        for words in traffic.notes:
+        found_frames, notes = _read_traffic(path)
+        for words in notes:
             self.note(words)
-        frames = self._of_bus(traffic.frames, options.bus)
+        frames = self._of_bus(found_frames, options.bus)
         if not options.dbc_files and options.bench is None:
             raise InputError(
                 f"{path}: CAN traffic, {_listed(frames)}; the meaning of the frames is unknown: "
