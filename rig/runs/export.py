@@ -25,7 +25,7 @@ import numpy as np
 from drivers.interfaces import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, RawFrame
 from identification.recording import CHANNELS, Dataset, Recording
 from rig.common.errors import InputError
-from rig.common.places import write_text
+from rig.common.places import replacing, write_text
 from rig.common.timing import instant
 from rig.runs import exported
 from rig.runs.exported import KEY, describe, sidecar, topics
@@ -41,6 +41,8 @@ from rig.runs.mcap.reader import START, DamageError, Message, Tail, first_metada
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run_record import PartRecord, RunRecord
 
+Run = tuple[Path, RunRecord]
+"""Folder and record of a run."""
 INTERFACE = "can0"
 """Name of the bus in a candump log."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -231,7 +233,7 @@ def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Co
 RECORDING_TYPE = "loadrig/msg/Recording"
 
 
-def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None) -> None:
+def write_mcap(dataset: Dataset, path: Path, run: Run | None) -> None:
     """Write the recordings and, for a run, its events and raw frames.
 
     Args:
@@ -305,11 +307,11 @@ def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
                         writer.message(can, frame.time_ns, ros.can_frame(frame))
 
 
-WRITERS: Mapping[str, Callable[[Dataset, Path], None]] = {
-    "csv": exported.write_csv,
-    "mat": exported.write_mat,
-    "parquet": exported.write_parquet,
-    "mcap": lambda dataset, path: write_mcap(dataset, path, None),
+WRITERS: Mapping[str, Callable[[Dataset, Path, Run | None], None]] = {
+    "csv": lambda dataset, path, _: exported.write_csv(dataset, path),
+    "mat": lambda dataset, path, _: exported.write_mat(dataset, path),
+    "parquet": lambda dataset, path, _: exported.write_parquet(dataset, path),
+    "mcap": write_mcap,
 }
 """Writers of recordings by format."""
 FORMATS = (*WRITERS, *TRAFFIC)
@@ -360,17 +362,8 @@ def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
     return found
 
 
-def beside(path: Path, kind: str) -> Path | None:
-    """Return the path of the description of an export, or None if the exported file contains the
-    description.
-    """
-    return sidecar(path) if kind == "csv" else None
-
-
-def export(
-    dataset: Dataset, path: Path, kind: str, run: tuple[Path, RunRecord] | None = None
-) -> None:
-    """Write one file of :func:`files`.
+def export(dataset: Dataset, path: Path, kind: str, run: Run | None = None) -> None:
+    """Write one file of :func:`files`, and beside a CSV file its description.
 
     Args:
         dataset: The recordings.
@@ -383,16 +376,7 @@ def export(
         InputError: Parquet is requested but not installed, or the run is damaged.
         OSError: The file cannot be written.
     """
-    if kind == "mcap":
-        write_mcap(dataset, path, run)
-    else:
-        WRITERS[kind](dataset, path)
-
-
-def export_beside(dataset: Dataset, path: Path) -> None:
-    """Write the description of an export beside the exported file.
-
-    Raises:
-        OSError: The description cannot be written.
-    """
-    write_text(path, describe(dataset.recordings))
+    with replacing(path) as draft:
+        WRITERS[kind](dataset, draft, run)
+    if kind == "csv":
+        write_text(sidecar(path), describe(dataset.recordings))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
@@ -123,17 +122,8 @@ _FEWEST = 2
 """Least number of values with which a list counts as a column."""
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Rows with the same names.
-
-    Attributes:
-        place: Place of the list or object in the file; empty for the whole file.
-        rows: Numbers by column, one mapping per row.
-    """
-
-    place: str
-    rows: Sequence[Mapping[str, float]]
+_Rows = tuple[str, Sequence[Mapping[str, float]]]
+"""Place of a list or object in the file, empty for the whole file, and its rows."""
 
 
 class RowsTable(Table):
@@ -196,7 +186,7 @@ class JsonTable(RowsTable):
             several = lines > 1 and text.lstrip().startswith("{")
             remedy = "; one object a line is named .jsonl" if several else ""
             raise InputError(f"{path}: not JSON ({error}){remedy}") from error
-        tables = [one for one in found if one.rows and any(one.rows)]
+        tables = [(place, rows) for place, rows in found if any(rows)]
         words = "; ".join(self._left_out[:4])
         if not tables:
             raise InputError(
@@ -205,9 +195,9 @@ class JsonTable(RowsTable):
             )
         if words:
             self.note(f"left out: {words}")
-        self._lay_out([(one.place, one.rows) for one in tables], len(tables) > 1)
+        self._lay_out(tables, len(tables) > 1)
         self.base_names = tuple(
-            f"{one.place or 'the file'} ({len(one.rows)} rows)" for one in tables
+            f"{place or 'the file'} ({len(rows)} rows)" for place, rows in tables
         )
 
     def _tables(self, value: Any, place: str, depth: int) -> Iterator[_Rows]:
@@ -221,7 +211,7 @@ class JsonTable(RowsTable):
             if isinstance(data, list) and _are_names(names):
                 yield from self._matrix([names, *data], place)
             elif _are_labels(value) and all(isinstance(v, dict) for v in value.values()):
-                yield _Rows(place, [dict(numbers(row, "")) for row in value.values()])
+                yield place, [dict(numbers(row, "")) for row in value.values()]
             else:
                 yield from self._of_object(value, place, depth)
 
@@ -229,11 +219,11 @@ class JsonTable(RowsTable):
         if len(value) < _FEWEST:
             return
         if all(isinstance(row, dict) for row in value):
-            yield _Rows(place, [dict(numbers(row, "")) for row in value])
+            yield place, [dict(numbers(row, "")) for row in value]
         elif all(isinstance(row, list) for row in value):
             yield from self._matrix(value, place)
         elif all(not isinstance(cell, dict | list) for cell in value):
-            yield _Rows(place, _transposed({"values": value}))
+            yield place, _transposed({"values": value})
         else:
             self._left_out.append(f"{place or 'the file'} mixes objects, lists and values")
 
@@ -256,7 +246,7 @@ class JsonTable(RowsTable):
                 groups.setdefault(tuple(child), {})[key] = list(child.values())
                 del rest[key]
         for columns in (*lengths.values(), *groups.values()):
-            yield _Rows(place, _transposed(columns))
+            yield place, _transposed(columns)
         for key, child in rest.items():
             yield from self._tables(child, f"{place}.{key}" if place else key, depth + 1)
 
@@ -278,7 +268,7 @@ class JsonTable(RowsTable):
             return
         data = rows[1:] if named else rows
         columns = {name: [row[k] for row in data] for k, name in enumerate(names)}
-        yield _Rows(place, _transposed(columns))
+        yield place, _transposed(columns)
 
 
 def _transposed(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, float]]:

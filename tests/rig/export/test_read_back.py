@@ -13,7 +13,7 @@ import scipy.io
 from identification.recording import Bench, Controller, Dataset, Hoist, Pendulum, Recording
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.runs.export import WRITERS, export
+from rig.runs.export import WRITERS, export, files
 from rig.sources import load_source
 
 KINDS = sorted(WRITERS)
@@ -72,12 +72,8 @@ def assert_same(found: Recording, wanted: Recording) -> None:
 
 def exported(folder: Path, kind: str, given: Dataset) -> str:
     """Export as the command does; return what a campaign names."""
-    from rig.runs.export import beside, export_beside, files
-
     for place, part in files(given, folder / f"x.{kind}", kind).items():
         export(part, place, kind)
-        if (extra := beside(place, kind)) is not None:
-            export_beside(part, extra)
     return f"x*.{kind}"
 
 
