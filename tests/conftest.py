@@ -77,7 +77,7 @@ def no_leaks() -> Iterator[None]:
         thread.join(_GRACE_S)
     # A thread that ended may have started another one.
     leaked = [f"thread {thread.name}" for thread in _new_threads(threads)]
-    started = [c for c in _children(process) - children if not _is_resource_tracker(c)]
+    started = [c for c in _children(process) - children if not _stays(c)]
     _, alive = psutil.wait_procs(started, _GRACE_S)
     leaked += [f"process {child.pid}" for child in alive]
     # A server that is not written in Python closes its port in a thread of its own.
@@ -123,10 +123,12 @@ def _listening(process: psutil.Process) -> set[int]:
     return {c.laddr.port for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN}
 
 
-def _is_resource_tracker(child: psutil.Process) -> bool:
-    # multiprocessing keeps one of these for the life of the interpreter.
+def _stays(child: psutil.Process) -> bool:
+    # multiprocessing keeps the first of these for the life of the interpreter; the other one reads
+    # files for all commands.
+    kept = ("resource_tracker", "rig.sources.served")
     try:
-        return any("resource_tracker" in word for word in child.cmdline())
+        return any(name in word for word in child.cmdline() for name in kept)
     except psutil.Error:
         # It has ended.
         return False

@@ -14,7 +14,6 @@ from typing import Self
 import click
 from click.shell_completion import CompletionItem
 
-from drivers.errors import DeviceError
 from rig.cli import crash
 from rig.common.errors import InputError, InUseError, StorageError
 from rig.terminal.output import Streams, complain
@@ -225,7 +224,7 @@ def status(arguments: list[str]) -> int:
         return _ended(error, "stopped by the operator", STOPPED)
     except InUseError as error:
         return _ended(error, f"in use: {error}", DEVICE_FAILED)
-    except DeviceError as error:
+    except _device_errors() as error:
         return _ended(error, f"device error: {error}", DEVICE_FAILED)
     except StorageError as error:
         return _ended(error, f"storage error: {error}", DEVICE_FAILED)
@@ -236,6 +235,14 @@ def status(arguments: list[str]) -> int:
     except BaseException as error:  # noqa: BLE001 - without it, an operator would see a traceback
         return _broke_down(error, arguments)
     return result if isinstance(result, int) else DONE
+
+
+def _device_errors() -> tuple[type[BaseException], ...]:
+    """Return the base class of the device errors, or nothing if no driver was imported, as by
+    commands that only read recordings.
+    """
+    errors = sys.modules.get("drivers.errors")
+    return () if errors is None else (errors.DeviceError,)
 
 
 def _broke_down(error: BaseException, arguments: list[str]) -> int:

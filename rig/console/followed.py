@@ -26,8 +26,7 @@ from rig.console.decimation import Decimation
 from rig.planning.predicted_load import friction_model
 from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict
 from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
-from rig.runs.mcap.records import HEADER, MAX_CHUNK, DamageError, chunk
-from rig.runs.mcap.stream import chunk_messages
+from rig.runs.mcap.reader import HEADER, MAX_CHUNK, DamageError, chunk, chunk_messages
 from rig.runs.mcap.writer import MAGIC
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RUN_FILE, Ending, RunRecord

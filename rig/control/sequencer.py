@@ -13,7 +13,7 @@ from rig.control.phases import next_phase
 from rig.control.safety import Check, Trip
 from rig.planning.plan import Plan
 from rig.runs.recorder import Recorder
-from rig.runs.run_file import Journal
+from rig.runs.run import RunFolder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError
 from rig.weighing.scale import Scale
@@ -65,7 +65,7 @@ class Sequencer:
         devices: Devices,
         console: Console,
         recorder: Recorder,
-        journal: Journal,
+        journal: RunFolder,
         scale: Scale,
         start: StartingPoint,
     ) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources.readers import open_table
+from rig.sources.formats import open_table
 from tests.rig.formats.shapes import PROPERTIES
 
 REPORT = 10_000

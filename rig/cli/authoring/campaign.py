@@ -17,8 +17,8 @@ from rig.cli.options import Number
 from rig.common.errors import InputError
 from rig.config.campaign_sections import FITTED_TERMS, ReadSection
 from rig.sources.columns import Guess, channel_unit, guess_channels, guess_mass, is_linear, scale_of
-from rig.sources.formats import format_of
-from rig.sources.readers import FORMATS, open_table, unknown_format
+from rig.sources.formats import FORMATS, open_table, unknown_format
+from rig.sources.table import format_of
 
 ASKED: Final = (
     "time",

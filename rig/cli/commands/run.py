@@ -35,7 +35,7 @@ from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
-from rig.runs.resume import prepare, stopped_words
+from rig.runs.recover import prepare, stopped_words
 from rig.runs.run import (
     bench_constants,
     create_folder,

@@ -13,8 +13,7 @@ from rig.common.yaml_tree import DocumentError, parse
 from rig.config.acceptance import Limit, limits_of
 from rig.config.configuration import located_text, validated
 from rig.config.sequence import AcceptanceFile, Sequence, load_acceptance
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_attachment
+from rig.runs.mcap.reader import DamageError, first_attachment
 from rig.runs.recorded_inputs import recorded_acceptance
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RECORDING_FILE, SEQUENCE_ATTACHMENT

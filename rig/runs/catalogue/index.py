@@ -23,8 +23,7 @@ from rig.common.places import is_file, read_json
 from rig.common.provenance import IDENTIFY_SCHEMA, sha256_file
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_attachment
+from rig.runs.mcap.reader import DamageError, first_attachment
 from rig.runs.run_file import read_record
 from rig.runs.run_record import BENCH_ATTACHMENT, SCHEMA, RunRecord
 

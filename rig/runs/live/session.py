@@ -15,8 +15,7 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.runs.live.topics import TOPICS, Outgoing, outgoing
-from rig.runs.mcap.reader import START, Piece, Tail
-from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.reader import START, DamageError, Piece, Tail
 
 BACKLOG_MESSAGES = 1 << 16
 IN_FLIGHT_BYTES = 1 << 20

@@ -20,8 +20,7 @@ from identification.recording import Array, Bench
 from rig.common.sample import Sample
 from rig.control.safety import RUNNING_MASK
 from rig.results.run.page.chart import Bins, Envelope, Flags, of_samples
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import Attached, Block, Happening, run_items
+from rig.runs.mcap.reader import Attached, Block, DamageError, Happening, run_items
 from rig.runs.run import read_log
 
 NAMES = (

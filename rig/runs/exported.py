@@ -1,7 +1,7 @@
-"""Writes recordings as tables (CSV, MATLAB, Parquet), and reads such tables back.
+"""Writes recordings as tables (CSV, MATLAB, Parquet), and reads exported files back.
 
 Channels keep their canonical names and SI units. A description beside the numbers, or inside the
-file, contains the data for which a table has no column (:mod:`rig.runs.export.tables`).
+file, contains the data for which a table has no column.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-import zlib
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from identification.recording import (
@@ -30,6 +33,7 @@ from identification.recording import (
 )
 from rig.common.errors import InputError
 from rig.common.places import is_file
+from rig.common.provenance import sha256_file
 
 SCHEMA = "loadrig.export/1"
 KEY = "loadrig"
@@ -75,25 +79,19 @@ class Described(BaseModel):
         Raises:
             RecordingError: Channels and description do not fit together.
         """
+        kept = {name: getattr(self, name) for name in _COPIED}
         return Recording(
-            name=self.name,
             channels=channels,
             bench=bench,
-            stage=self.stage,
-            weight_mass=self.weight_mass,
-            pendulum=self.pendulum,
-            hoist=self.hoist,
-            constant_torque=self.constant_torque,
-            controller=self.controller,
-            role=self.role,
             averaged=frozenset(self.averaged),
             source=source,
             sha256=sha256,
             notes=("stage, load and constants are taken from the exported file",),
-            partial=self.partial,
-            start=self.start,
-            uncertainties=self.uncertainties,
+            **kept,
         )
+
+
+_COPIED = Described.model_fields.keys() - {"samples", "channels", "bench", "averaged"}
 
 
 class _Description(BaseModel):
@@ -144,7 +142,7 @@ def sidecar(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")
 
 
-def misfit(path: Path, error: RecordingError | str) -> InputError:
+def _misfit(path: Path, error: RecordingError | str) -> InputError:
     """Return the error for a file whose numbers contradict its description."""
     return InputError(
         f"{path}: the numbers contradict the description of this export ({error}); export the "
@@ -228,13 +226,8 @@ def write_parquet(dataset: Dataset, path: Path) -> None:
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
 
 
-def read_csv(path: Path) -> list[Read] | None:
-    """Read a CSV file back; return None if there is no description beside the file.
-
-    Raises:
-        InputError: File and description do not fit together.
-        OSError: The file cannot be read.
-    """
+def _read_csv(path: Path) -> list[Read] | None:
+    """Read a CSV file back; return None if there is no description beside the file."""
     beside = sidecar(path)
     if not is_file(beside):
         return None
@@ -246,29 +239,24 @@ def read_csv(path: Path) -> list[Read] | None:
             table = [[float(cell) if cell else np.nan for cell in row] for row in rows]
             columns = np.array(table, dtype=np.float64).reshape(len(table), len(names))
         except ValueError as error:
-            raise misfit(path, str(error)) from error
+            raise _misfit(path, str(error)) from error
     return _split(path, described, dict(zip(names, columns.T, strict=True)))
 
 
-def read_mat(path: Path) -> list[Read] | None:
-    """Read a MATLAB file back; return None if it holds no description.
-
-    Raises:
-        InputError: The numbers in the file do not fit the description.
-        OSError: The file cannot be read.
-    """
+def _read_mat(path: Path) -> list[Read] | None:
+    """Read a MATLAB file back; return None if it holds no description."""
     from scipy.io import loadmat
 
     try:
         content = loadmat(str(path), appendmat=False, variable_names=[KEY, "recordings"])
-    except (ValueError, TypeError, LookupError, NotImplementedError, zlib.error, EOFError):
+    except Exception:  # noqa: BLE001 - scipy raises anything on a damaged file
         return None  # the reader of other MATLAB files reports the error
     if KEY not in content or "recordings" not in content:
         return None
     described = parse(str(content[KEY].ravel()[0]), path)
     structs = content["recordings"].ravel()
     if len(structs) != len(described):
-        raise misfit(
+        raise _misfit(
             path,
             f"the file contains {len(structs)} recordings, its description states {len(described)}",
         )
@@ -278,16 +266,11 @@ def read_mat(path: Path) -> list[Read] | None:
             for one, struct in zip(described, structs, strict=True)
         ]
     except ValueError as error:
-        raise misfit(path, str(error)) from error
+        raise _misfit(path, str(error)) from error
 
 
-def read_parquet(path: Path) -> list[Read] | None:
-    """Read a Parquet file back; return None if it holds no description.
-
-    Raises:
-        InputError: The numbers in the file do not fit the description.
-        OSError: The file cannot be read.
-    """
+def _read_parquet(path: Path) -> list[Read] | None:
+    """Read a Parquet file back; return None if it holds no description."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -306,6 +289,55 @@ def read_parquet(path: Path) -> list[Read] | None:
     return _split(path, described, {name: table.column(name).to_numpy() for name in names})
 
 
+def topics(names: Sequence[str]) -> list[str]:
+    """Return the topic of each recording: letters, digits and underscores; equal topics are
+    numbered.
+    """
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "recording"
+        topic = f"/recording/{plain}"
+        found.append(f"{topic}_{len(found) + 1}" if topic in found else topic)
+    return found
+
+
+_CDR_HEAD = 4
+"""Number of bytes before the first field of a message."""
+
+
+def _read_mcap(path: Path) -> list[Read] | None:
+    """Read the recordings back. The result is None if the file contains no description."""
+    try:
+        with open(path, "rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            texts = [item.metadata for item in reader.iter_metadata() if item.name == KEY]
+            if not texts or "description" not in texts[0]:
+                return None
+            described = parse(texts[0]["description"], path)
+            rows: dict[str, list[bytes]] = {
+                topic: [] for topic in topics([one.name for one in described])
+            }
+            for _, channel, message in reader.iter_messages(rows, log_time_order=False):
+                rows[channel.topic].append(message.data[_CDR_HEAD:])
+    except (McapError, ValueError, EOFError, RuntimeError):
+        return None  # the reader of other MCAP files reports the error
+    found: list[Read] = []
+    for one, data in zip(described, rows.values(), strict=True):
+        width = len(one.channels)
+        values = np.frombuffer(b"".join(data), "<f8")
+        if len(data) != one.samples or values.size != one.samples * width:
+            raise _misfit(
+                path,
+                f"{one.name}: the file contains {len(data)} samples, its description states "
+                f"{one.samples}",
+            )
+        columns = values.reshape(one.samples, width).T
+        found.append(
+            (one, {n: np.array(c, float) for n, c in zip(one.channels, columns, strict=True)})
+        )
+    return found
+
+
 def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]) -> list[Read]:
     """Split stacked columns into recordings."""
     rows = len(next(iter(columns.values()), ()))
@@ -313,7 +345,7 @@ def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]
     missing = {name for one in described for name in one.channels} - columns.keys()
     if rows != expected or missing:
         lacks = f"; no column {', '.join(sorted(missing))}" if missing else ""
-        raise misfit(
+        raise _misfit(
             path, f"the file contains {rows} rows, its description states {expected}{lacks}"
         )
     found: list[Read] = []
@@ -323,3 +355,38 @@ def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]
         found.append((one, {name: np.array(columns[name][start:stop]) for name in one.channels}))
         start = stop
     return found
+
+
+READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
+    "csv": _read_csv,
+    "mat": _read_mat,
+    "parquet": _read_parquet,
+    "mcap": _read_mcap,
+}
+"""Readers of exported files by format; a reader returns None for a file of another program."""
+
+
+def read_back(path: Path, kind: str, bench: Mapping[str, Any]) -> list[Recording] | None:
+    """Return the recordings of an export, or None if another program wrote the file.
+
+    Args:
+        path: The file.
+        kind: Format of the file.
+        bench: Constants that replace those of the file.
+
+    Raises:
+        InputError: The numbers in the file do not fit the description.
+        OSError: The file cannot be read.
+    """
+    reader = READERS.get(kind)
+    found = None if reader is None else reader(path)
+    if found is None:
+        return None
+    digest = sha256_file(path)
+    try:
+        return [
+            one.recording(channels, replace(one.bench, **bench), str(path), digest)
+            for one, channels in found
+        ]
+    except RecordingError as error:
+        raise _misfit(path, error) from error

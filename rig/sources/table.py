@@ -4,12 +4,9 @@ in the file.
 
 from __future__ import annotations
 
-import gc
 import gzip
 import importlib
 import logging
-import sys
-import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -20,13 +17,17 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.recording import Array
 from rig.common.errors import InputError
 from rig.common.places import require_plain
+
+Array = NDArray[np.float64]
 
 
 class Table(ABC):
     """An opened recording file. Opening a file reads only the names of the columns.
+
+    A reader may raise anything if its file is damaged; :func:`rig.sources.formats.open_table`
+    returns tables whose errors name file and remedy.
 
     Attributes:
         path: The file.
@@ -39,6 +40,7 @@ class Table(ABC):
         base: Time base whose rows :meth:`place` counts.
         counts: Factor and offset of the columns that the file stores as value = factor x whole
             number + offset, by column; columns of whole numbers need no entry.
+        remedy: What the user can do about a damaged file.
     """
 
     path: Path
@@ -49,17 +51,32 @@ class Table(ABC):
     base_names: tuple[str, ...] = ()
     base: int = 0
     counts: Mapping[int, tuple[float, float]] = MappingProxyType({})
+    remedy: str = "check that the file was copied completely, or save it again"
 
-    @abstractmethod
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index, each of shape (n,); empty cells are NaN.
 
         The columns are of one time base.
 
         Raises:
-            InputError: A value is not a number, or the file is damaged; the message states file,
-                row and column.
+            InputError: A value is not a number, the columns are of several time bases, or the file
+                is damaged; the message states file, row and column.
         """
+        bases = sorted({self.bases[k] for k in columns}) if self.bases else []
+        if len(bases) > 1:
+            names = ", ".join(self.base_names[base] for base in bases)
+            raise InputError(
+                f"{self.path}: columns of several time bases ({names}) share no rows; use "
+                "columns of one time base"
+            )
+        with undamaged(self.path, self.remedy):
+            return self._read(columns)
+
+    def __init__(self, path: Path, options: Any = None) -> None:
+        self.path = path
+
+    @abstractmethod
+    def _read(self, columns: Sequence[int]) -> list[Array]: ...
 
     def place(self, row: int) -> str:
         """Return the place in the file of row ``row`` (from 0) of the result of :meth:`read`."""
@@ -75,24 +92,49 @@ class Table(ABC):
         """
         return None
 
-    def require_one_base(self, columns: Sequence[int]) -> None:
-        """Refuse columns that have no common rows.
-
-        Raises:
-            InputError: The columns have several time bases.
-        """
-        bases = sorted({self.bases[k] for k in columns})
-        if len(bases) > 1:
-            names = ", ".join(self.base_names[base] for base in bases)
-            raise InputError(
-                f"{self.path}: columns of several time bases ({names}) share no rows; use "
-                "columns of one time base"
-            )
-
     def note(self, text: str) -> None:
         """Add a message for the user; a repeated message is added once."""
         if text not in self.notes:
             self.notes = (*self.notes, text)
+
+    def doubles(self, name: str, values: NDArray[Any], kind: str = "channel") -> Array:
+        """Return the values of a column as doubles, with a note if the conversion changed them.
+
+        Raises:
+            InputError: The values are not real numbers.
+        """
+        try:
+            found, note = as_doubles(values)
+        except NotNumbersError as error:
+            raise InputError(
+                f"{self.path}: {kind} {name!r} does not contain real numbers ({error})"
+            ) from None
+        if note:
+            self.note(f"`{name}`: {note}")
+        return found
+
+
+@contextmanager
+def undamaged(path: Path, remedy: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into an error that names the file.
+
+    Raises:
+        InputError: The file is damaged.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise damaged(path, error, remedy) from error
+
+
+def damaged(path: Path, error: Exception | str, remedy: str) -> InputError:
+    """Return the error for a file that a library could not read, from the error of the library."""
+    said = str(error).strip().splitlines()
+    return InputError(
+        f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"
+    )
 
 
 def open_binary(path: Path) -> IO[bytes]:
@@ -102,21 +144,14 @@ def open_binary(path: Path) -> IO[bytes]:
         OSError: The file cannot be opened.
     """
     require_plain(path)
-    return cast("IO[bytes]", gzip.open(path, "rb")) if path.suffix == ".gz" else path.open("rb")
+    zipped = path.suffix.lower() == ".gz"
+    return cast("IO[bytes]", gzip.open(path, "rb")) if zipped else path.open("rb")
 
 
 def format_of(path: Path) -> str:
     """Return the extension that determines the format, without a dot and without ``.gz``."""
     return (
         (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower().lstrip(".")
-    )
-
-
-def damaged(path: Path, error: Exception, remedy: str) -> InputError:
-    """Return the error for a file that a library could not read, from the error of the library."""
-    said = str(error).strip().splitlines()
-    return InputError(
-        f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"
     )
 
 
@@ -148,9 +183,11 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
         values: Shape (n,), of any type.
 
     Raises:
-        NotNumbersError: The values are text, complex, or objects.
+        NotNumbersError: The values are text, complex, objects or an array for each row.
     """
     kind = values.dtype.kind
+    if values.ndim != 1:
+        raise NotNumbersError("bytes or a structure")
     if kind in "iu":
         if values.size and (int(values.max()) > EXACT or int(values.min()) < -EXACT):
             first = int(values[0])
@@ -247,23 +284,3 @@ def heard(logger: str) -> Iterator[list[str]]:
     finally:
         log.propagate, log.handlers = propagate, handlers
         found += [text if n == 1 else f"{text} ({n} times)" for text, n in handler.words.items()]
-
-
-@contextmanager
-def quiet_ends() -> Iterator[None]:
-    """Release the objects in the stack frames of a library's error, and suppress the errors that
-    these incomplete objects raise when they are deleted.
-    """
-    before = sys.unraisablehook
-    try:
-        yield
-    except BaseException as error:
-        sys.unraisablehook = lambda _: None
-        chained: BaseException | None = error
-        while chained is not None:
-            traceback.clear_frames(chained.__traceback__)
-            chained = chained.__context__
-        gc.collect()
-        raise
-    finally:
-        sys.unraisablehook = before

@@ -7,38 +7,215 @@ and times, and trailing commas.
 
 from __future__ import annotations
 
-import zlib
+import io
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from datetime import date
 from itertools import islice
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
-from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources.formats.table import EXACT, Table, damaged
-from rig.sources.formats.text_layout import (
-    BLANKS,
-    DAY_NS,
-    END_MARKS,
-    are_units,
-    counts_columns,
-    encoding_of,
-    guess_delimiter,
-    is_empty,
-    is_number,
-    nanoseconds,
-    open_text,
-    pointed,
-    split,
-    utf8,
-    without_comment,
-)
+from rig.sources.table import EXACT, Array, Table, open_binary
 
-_READ_ERRORS = (OSError, EOFError, zlib.error)
+BLANKS = " "
+"""Symbol for the delimiter of aligned columns: any number of blanks or tabs."""
+EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
+DAY_NS = 86_400 * 10**9
+"""Least value of a time with a date, ns; a time of day without a date is smaller."""
+END_MARKS = frozenset({"eof", "end of file"})
+_DELIMITERS = (";", "\t", "|", ",")
+_WINDOWS_NAN = re.compile(r"[+-]?\d?\.?#(ind|q?nan|snan|inf)\d*|[+-]?nan\(.*\)", re.IGNORECASE)
+"""NaN and infinity in the form in which the C library of Windows writes them."""
+_DAY = re.compile(
+    r"(?:(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]\s*)?(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*"
+    r"(?:Z|UTC|([+-])(\d{2}):?(\d{2}))?",
+    re.IGNORECASE,
+)
+_COMMENT = re.compile(r"\s#(?!n/a|ind|inf|q?nan|snan)", re.IGNORECASE)
+_UNIT_LENGTH = 24
+_QUOTED = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
+
+
+def open_text(path: Path, encoding: str) -> TextIO:
+    """Open a text file; it is decompressed by gzip if its name ends in ``.gz``.
+
+    Raises:
+        OSError: The file cannot be opened.
+    """
+    return io.TextIOWrapper(open_binary(path), encoding, errors="replace")
+
+
+def encoding_of(path: Path) -> str:
+    """Return the encoding of a file: UTF-16 if its first bytes show this, else Latin-1.
+
+    Latin-1 decodes every byte, so that a degree sign in the header of a file cannot prevent the
+    reading of numbers.
+
+    Raises:
+        OSError, EOFError, zlib.error: The file cannot be read.
+    """
+    with open_binary(path) as stream:
+        head = stream.read(64)
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    even, odd = head[0::2], head[1::2]
+    if len(head) >= 8 and not any(odd) and all(even):
+        return "utf-16-le"
+    if len(head) >= 8 and not any(even) and all(odd):
+        return "utf-16-be"
+    return "latin-1"
+
+
+def _utf8(text: str) -> str:
+    """Return a line that was decoded as Latin-1; if the bytes of the line are UTF-8, return the
+    line decoded as UTF-8.
+    """
+    try:
+        return text.encode("latin-1").decode("utf-8").lstrip("\ufeff")
+    except UnicodeError:
+        return text.lstrip("\ufeff")
+
+
+def _guess_delimiter(lines: Sequence[str], decimal: str) -> str:
+    """Return the delimiter of the first lines with content, header first."""
+    text = lines[0]
+    counts = {delimiter: text.count(delimiter) for delimiter in _DELIMITERS if delimiter != decimal}
+    best = max(counts, key=lambda delimiter: counts[delimiter])
+    if counts[best]:
+        return best
+    quoted = [split(line, ",") if '"' in line else [] for line in lines[-2:]]
+    if decimal == "," and all(len(cells) > 1 and _numbers(cells, decimal) for cells in quoted):
+        return ","
+    widths = {len(split(line, BLANKS)) for line in lines[1:] or lines}
+    plain = not any(mark in line for line in lines[1:] for mark in _DELIMITERS if mark != decimal)
+    if (
+        plain
+        and len(widths) == 1
+        and min(widths) > 1
+        and _numbers(split(lines[-1], BLANKS), decimal)
+    ):
+        return BLANKS
+    return "," if decimal == "." else ";"
+
+
+def _numbers(cells: Sequence[str], decimal: str) -> bool:
+    return all(_is_number(pointed(cell, decimal)) for cell in cells)
+
+
+def split(text: str, delimiter: str) -> list[str]:
+    """Split one line into cells, without the characters that spreadsheet programs add."""
+    text = text.strip(" \r\n")
+    if delimiter == BLANKS:
+        found = text.split() if '"' not in text else _QUOTED.findall(text)
+        return [cell.strip('"') for cell in found]
+    if delimiter != ",":
+        text = text.rstrip(",")
+    if (
+        len(text) > 1
+        and text[0] == text[-1] == '"'
+        and text.count('"') % 2 == 0
+        and f'"{delimiter}"' not in text
+    ):
+        text = text[1:-1].replace('""', '"')
+    if '"' not in text:
+        return text.split(delimiter)
+    cells, quoted = [""], False
+    for character in text:
+        if character == '"':
+            quoted = not quoted
+        elif character == delimiter and not quoted:
+            cells.append("")
+        else:
+            cells[-1] += character
+    return cells
+
+
+def pointed(cell: str, decimal: str) -> str:
+    """Return a cell with a decimal point."""
+    return cell if decimal == "." else cell.replace(",", ".", 1)
+
+
+def _is_empty(cell: str) -> bool:
+    """Return whether a cell is empty or contains a word for a missing value."""
+    return cell.lower() in EMPTY or _WINDOWS_NAN.fullmatch(cell) is not None
+
+
+def _is_number(cell: str) -> bool:
+    """Return whether a cell contains a number, or a word for a missing number."""
+    text = cell.strip(' "\t')
+    if _is_empty(text):
+        return text != ""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def _without_comment(text: str) -> str:
+    """Return a line without its comment; a comment starts with a # at the start of the line or
+    after a blank.
+
+    A # inside a cell, as in ``-1.#IND``, starts no comment.
+    """
+    if "#" in text:
+        if text.lstrip().startswith("#"):
+            return ""
+        text = _COMMENT.split(text, maxsplit=1)[0]
+    return text.strip(" \r\n")
+
+
+def _counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
+    """Return whether the first line is 0, 1, 2, ...: the header of a table whose columns have no
+    names.
+    """
+    if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
+        return False
+    return len(cells) > 2 or (len(cells) == 2 and any("." in cell for cell in below))
+
+
+def _are_units(cells: Sequence[str], width: int) -> bool:
+    """Return whether a line below the names is a line of units: only short words and no number.
+
+    A dash means no unit if another cell has a unit.
+    """
+    given = [cell.strip(' "\t') for cell in cells]
+    words = [word for word in given if word != "-"]
+    return (
+        len(given) <= width
+        and any(words)
+        and not any(_is_number(word) or _is_number(pointed(word, ",")) for word in words)
+        and not any(nanoseconds(word) is not None for word in words)
+        and all(len(word) <= _UNIT_LENGTH for word in words)
+        and given[0].lower() not in END_MARKS
+    )
+
+
+def nanoseconds(cell: str) -> int | None:
+    """Return a date and time, or a time of day, in ns since the year 1, or None for any other cell.
+
+    A date must start with the year (ISO 8601); an offset from UTC is subtracted.
+    """
+    match = _DAY.fullmatch(cell.strip(' "\t'))
+    if match is None:
+        return None
+    year, month, day, hour, minute, second, fraction, sign, hours, minutes = match.groups()
+    try:
+        days = date(int(year), int(month), int(day)).toordinal() if year else 0
+    except ValueError:
+        return None
+    seconds = days * 86400 + int(hour) * 3600 + int(minute) * 60 + int(second)
+    if sign:
+        offset = int(hours) * 3600 + int(minutes) * 60
+        seconds -= offset if sign == "+" else -offset
+    return seconds * 10**9 + int((fraction or "0").ljust(9, "0"))
+
+
 _MOST_DIGITS = 300
 """Number of digits up to which a double represents every integer exactly."""
 _HEAD_LINES = 6
@@ -58,13 +235,10 @@ class DelimitedTable(Table):
 
     def __init__(self, path: Path, options: ReadSection) -> None:
         self.path = path
-        try:
-            self._encoding = encoding_of(path)
-            with open_text(path, self._encoding) as stream:
-                skipped = [text for text in islice(stream, options.skip_rows) if text.strip()]
-                head = _head(stream, options.skip_rows)
-        except _READ_ERRORS as error:
-            raise damaged(path, error, "check that the file was copied completely") from error
+        self._encoding = encoding_of(path)
+        with open_text(path, self._encoding) as stream:
+            skipped = [text for text in islice(stream, options.skip_rows) if text.strip()]
+            head = _head(stream, options.skip_rows)
         if not head:
             where = f" after the {options.skip_rows} skipped lines" if options.skip_rows else ""
             raise InputError(f"{path}: the file is empty{where}")
@@ -75,24 +249,25 @@ class DelimitedTable(Table):
                 "file extension of its format"
             )
         self._decimal = options.decimal
-        self._delimiter = options.delimiter or guess_delimiter(
+        self._delimiter = options.delimiter or _guess_delimiter(
             [text for _, text in head], options.decimal
         )
         self._lay_out(head)
-        if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
+        above = split(skipped[-1], self._delimiter) if skipped else []
+        if len(above) == len(self.names) > 1 and _numbers(above, self._decimal):
             self.note("the last skipped line contains numbers: check read.skip_rows")
 
     def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
         """Detect header, units, row names and columns of dates in the first lines."""
         line, text = head[0]
         cells = split(text, self._delimiter)
-        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if without_comment(row)]
-        counted = bool(rows) and counts_columns(cells, rows[0][1])
-        has_header = counted or not all(is_number(self._pointed(cell)) for cell in cells)
+        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if _without_comment(row)]
+        counted = bool(rows) and _counts_columns(cells, rows[0][1])
+        has_header = counted or not all(_is_number(self._pointed(cell)) for cell in cells)
         if has_header and any(nanoseconds(cell) is not None for cell in cells):
             # A row of dates and numbers is data, because the name of a column is not a date.
             has_header = not all(
-                is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
+                _is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
             )
         if not has_header:
             rows.insert(0, (line, cells))
@@ -107,7 +282,7 @@ class DelimitedTable(Table):
             self.note(
                 f"line {line} numbers the columns from 0 to {len(cells) - 1}: read as the header"
             )
-        while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
+        while has_header and len(rows) > 1 and _are_units(rows[0][1], len(cells)):
             at, words = rows.pop(0)
             self.units = tuple(word.strip(' "\t') for word in words)
             self._skip = at
@@ -150,19 +325,12 @@ class DelimitedTable(Table):
                     f"column {self._name(column)} holds {what}: read as seconds since {since}"
                 )
 
-    def _row_of_numbers(self, text: str, width: int) -> bool:
-        cells = split(text, self._delimiter)
-        return len(cells) == width > 1 and all(is_number(self._pointed(cell)) for cell in cells)
-
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`."""
+    def _read(self, columns: Sequence[int]) -> list[Array]:
         try:
             fast = self._decimal == "." and not self._zero and self._even()
             table = self._read_fast(columns) if fast else self._read_tolerant(columns)
         except ValueError:
             table = self._read_tolerant(columns)
-        except _READ_ERRORS as error:
-            raise damaged(self.path, error, "check that the file was copied completely") from error
         if table.size == 0:
             raise InputError(f"{self.path}: no rows of numbers below line {self._skip}")
         return [table[:, k] for k in range(len(columns))]
@@ -214,9 +382,6 @@ class DelimitedTable(Table):
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
         """Yield the required cells row by row. Rows without values count as missing samples, and
         are dropped at the end of the file.
-
-        Raises:
-            InputError: A cell is not a number, or a row is too short or too long.
         """
         empty: list[int] = []
         short = 0
@@ -246,11 +411,7 @@ class DelimitedTable(Table):
             self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
-        """Add a note on the line that marks the end of the file.
-
-        Raises:
-            InputError: More lines follow.
-        """
+        """Add a note on the line that marks the end of the file."""
         if any(text.strip() for text in stream):
             raise InputError(
                 f"{self.path}:{line}: {mark}, but more lines follow; if the file ends here, remove "
@@ -261,10 +422,6 @@ class DelimitedTable(Table):
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
         """Reject a row that is longer than the header; return whether the row is shorter than the
         header.
-
-        Raises:
-            InputError: The row contains more values than there are names, so that the names cannot
-                be assigned.
         """
         width = len(self.names) + self._first_row
         if not any(cells[width:]):
@@ -288,13 +445,13 @@ class DelimitedTable(Table):
             if when is not None:
                 return (when - self._zero[column]) * 1e-9
         text = self._pointed(text)
-        if is_empty(text):
+        if _is_empty(text):
             if "#" in text or "(" in text:
                 self.note(f"cells such as {text[:20]} read as missing samples")
             return float("nan")
-        if is_number(text) and column not in self._zero:
+        if _is_number(text) and column not in self._zero:
             return float(text)
-        if is_number(text.replace(",", ".", 1)):
+        if _is_number(text.replace(",", ".", 1)):
             hint = '; if the comma is a decimal comma, set read.decimal: ","'
         else:
             hint = (
@@ -318,7 +475,7 @@ class DelimitedTable(Table):
         """Yield line number and text of each line with a row of numbers."""
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
-                content = without_comment(text)
+                content = _without_comment(text)
                 if content:
                     yield line, content
 
@@ -326,7 +483,7 @@ class DelimitedTable(Table):
 def _names_its_row(line: str, cell: str) -> bool:
     """Return whether the first cell is a row name: a word, or quoted if the next cell is not."""
     rest = line.lstrip()
-    return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
+    return (rest.startswith('"') and rest.count('"') == 2) or not _is_number(cell)
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
@@ -335,10 +492,10 @@ def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
     """
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
-        if found and (text.strip().lower() in END_MARKS or not without_comment(text)):
+        if found and (text.strip().lower() in END_MARKS or not _without_comment(text)):
             continue
         if text.strip().lstrip("\ufeff"):
-            found.append((line, utf8(text)))
+            found.append((line, _utf8(text)))
             if len(found) == _HEAD_LINES:
                 break
     return found

@@ -7,25 +7,25 @@ from __future__ import annotations
 import io
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import IO, Any, Final
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
-from zstandard import ZstdError
+from mcap.stream_reader import StreamReader
 
-from identification.recording import Array
 from rig.common.errors import InputError
 from rig.runs.mcap.layout import SAMPLE_SCHEMA
-from rig.runs.mcap.records import HEADER
-from rig.sources.formats.json_file import (
+from rig.runs.mcap.reader import HEADER
+from rig.sources.json_file import (
     LONGEST_LIST,
+    RowsTable,
     Stamp,
     number,
     numbers,
@@ -33,7 +33,7 @@ from rig.sources.formats.json_file import (
     series,
     stamp_of,
 )
-from rig.sources.formats.table import Table, damaged, library, open_binary
+from rig.sources.table import Array, library, open_binary
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
@@ -44,28 +44,30 @@ compression's name.
 Found = tuple[Schema | None, Channel, Message]
 
 
-def until_cut(stream: IO[bytes]) -> Iterator[Found]:
-    """Yield the messages of an incomplete file.
-
-    Args:
-        stream: The file, at its start.
-
-    Raises:
-        McapError: The file is complete but damaged, or is not an MCAP file.
-    """
+def _until_cut(stream: IO[bytes]) -> Iterator[Found]:
+    """Yield the messages of an incomplete file."""
     data = _rest(stream)
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
         raise McapError("the file is complete, but its content is damaged")
-    known = _Known({}, {})
+    expanded = [MAGIC]
     for opcode, content, whole in _records(data[len(MAGIC) :]):
         if opcode == Opcode.CHUNK:
-            for inner, record, complete in _records(_unpacked(content, whole)):
-                if complete:
-                    yield from _message(inner, record, known)
+            expanded.append(_unpacked(content, whole))
         elif whole:
-            yield from _message(opcode, content, known)
+            expanded.append(HEADER.pack(opcode, len(content)) + content)
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    with suppress(EndOfFile):
+        for record in StreamReader(io.BytesIO(b"".join(expanded))).records:
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message):
+                channel = channels[record.channel_id]
+                yield schemas.get(channel.schema_id), channel, record
 
 
 def _rest(stream: IO[bytes]) -> bytes:
@@ -90,11 +92,7 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes, bool]]:
 
 
 def _unpacked(content: bytes, whole: bool) -> bytes:
-    """Return the records of a chunk; of an incomplete chunk, the records that are in the file.
-
-    Raises:
-        McapError: A complete chunk is damaged, or its compression is unknown.
-    """
+    """Return the records of a chunk; of an incomplete chunk, the records that are in the file."""
     if len(content) < _CHUNK_HEAD.size:
         return b""
     _, _, size, crc, length = _CHUNK_HEAD.unpack_from(content)
@@ -114,27 +112,6 @@ def _unpacked(content: bytes, whole: bool) -> bytes:
     if whole and (len(records) != size or (crc and zlib.crc32(records) != crc)):
         raise McapError("a chunk fails its checksum")
     return records
-
-
-class _Known(NamedTuple):
-    """Channels and schemas that have been read, by number."""
-
-    channels: dict[int, Channel]
-    schemas: dict[int, Schema]
-
-
-def _message(opcode: int, content: bytes, known: _Known) -> Iterator[Found]:
-    stream = ReadDataStream(io.BytesIO(content))
-    if opcode == Opcode.CHANNEL:
-        channel = Channel.read(stream)
-        known.channels[channel.id] = channel
-    elif opcode == Opcode.SCHEMA:
-        schema = Schema.read(stream)
-        known.schemas[schema.id] = schema
-    elif opcode == Opcode.MESSAGE:
-        message = Message.read(stream, len(content))
-        channel = known.channels[message.channel_id]
-        yield known.schemas.get(channel.schema_id), channel, message
 
 
 Decoder = Callable[[bytes], dict[str, float]]
@@ -236,24 +213,9 @@ def _time(members: dict[str, Any], prefix: str, kind: str) -> Iterator[tuple[str
 
 
 LOG_TIME = "log_time"
-# lz4 raises RuntimeError; a damaged length field may request more memory than available; the error
-# of protobuf is a ValueError.
-_DAMAGED = (
-    McapError,
-    ZstdError,
-    struct.error,
-    OSError,
-    EOFError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    LookupError,
-    RuntimeError,
-    MemoryError,
-)
 
 
-class McapTable(Table):
+class McapTable(RowsTable):
     """Table with one column for each number in the messages, named ``topic.field``, with dots for
     nesting.
 
@@ -269,7 +231,9 @@ class McapTable(Table):
             decodes the messages is not installed.
     """
 
-    def __init__(self, path: Path) -> None:
+    remedy = "recover this file with `mcap recover`; open a run of this program by its folder"
+
+    def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
         self._rows: dict[str, list[dict[str, float]]] = {}
         self._left_out: dict[str, str] = {}
@@ -279,18 +243,14 @@ class McapTable(Table):
                 self._take(make_reader(stream, validate_crcs=True).iter_messages())
         except InputError:
             raise
-        except _DAMAGED as error:
+        except Exception as error:
             if not self._take_cut_off():
-                remedy = (
-                    "recover this file with `mcap recover`; open a run of this program by its "
-                    "folder"
-                )
-                if self._cut:
-                    raise InputError(
-                        f"{path}: cannot be read: cut off before the first complete message; write "
-                        f"logs with smaller chunks, or {remedy}"
-                    ) from error
-                raise damaged(path, error, remedy) from error
+                if not self._cut:
+                    raise
+                raise InputError(
+                    f"{path}: cannot be read: cut off before the first complete message; write "
+                    f"logs with smaller chunks, or {self.remedy}"
+                ) from error
         listed = ", ".join(f"{topic} ({why})" for topic, why in sorted(self._left_out.items()))
         if not self._rows:
             found = f"; found {listed}" if listed else ""
@@ -306,15 +266,7 @@ class McapTable(Table):
             )
         if listed:
             self.note(f"left out: {listed}")
-        self._topics = list(self._rows)
-        self._columns = [
-            (topic, field)
-            for topic, rows in self._rows.items()
-            for field in dict.fromkeys(field for row in rows for field in row)
-        ]
-        self.names = tuple(f"{topic}.{field}" for topic, field in self._columns)
-        self.bases = tuple(self._topics.index(topic) for topic, _ in self._columns)
-        self.base_names = tuple(self._topics)
+        self._lay_out(self._rows.items(), True)
 
     def _take(self, messages: Iterable[tuple[Schema | None, Channel, Message]]) -> None:
         """Store the numbers of messages, and why topics are left out."""
@@ -348,40 +300,23 @@ class McapTable(Table):
             self._rows.setdefault(topic, []).append(fields)
 
     def _take_cut_off(self) -> bool:
-        """Read the complete messages of a file whose writer ended before it closed the file.
-
-        Returns:
-            Whether the file is cut off and holds messages. From a complete file with damage inside,
-            no message is read.
-        """
+        """Read the complete messages of a file whose writer ended before it closed the file."""
         self._rows.clear()
         self._left_out.clear()
         try:
             with open_binary(self.path) as stream:
-                self._take(until_cut(stream))
+                self._take(_until_cut(stream))
         except InputError:
             raise
-        except _DAMAGED:
+        except Exception:  # noqa: BLE001 - the library raises anything on damage
             return False
         self._cut = True
         count = sum(len(rows) for rows in self._rows.values())
         self.note(f"the file is cut off: its {count} complete messages are read")
         return bool(count or self._left_out)
 
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`. A field absent from a message is NaN."""
-        self.require_one_base(columns)
-        found = []
-        for k in columns:
-            topic, field = self._columns[k]
-            values, note = series(self._rows[topic], field)
-            if note:
-                self.note(f"`{self.names[k]}`: {note}")
-            found.append(values)
-        return found
-
     def stamps(self, base: int) -> Array | None:
         """Return the logger's time stamps of a topic, s since the first message of the file."""
         first = min(rows[0][LOG_TIME] for rows in self._rows.values())
-        rows: list[dict[str, Any]] = [{LOG_TIME: first}, *self._rows[self._topics[base]]]
+        rows: list[dict[str, Any]] = [{LOG_TIME: first}, *self._bases[base]]
         return series(rows, LOG_TIME)[0][1:]

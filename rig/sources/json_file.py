@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
-from rig.sources.formats.table import EXACT, Table, damaged
-from rig.sources.formats.text_layout import encoding_of, nanoseconds, open_text
+from rig.sources.table import EXACT, Array, Table
+from rig.sources.text import encoding_of, nanoseconds, open_text
 
 LONGEST_LIST = 64
 """Greatest length of a list whose elements become columns; longer lists, such as images, are left
@@ -126,20 +122,45 @@ _FEWEST = 2
 """Least number of values with which a list counts as a column."""
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Rows with the same names.
+_Rows = tuple[str, Sequence[Mapping[str, float]]]
+"""Place of a list or object in the file, empty for the whole file, and its rows."""
 
-    Attributes:
-        place: Place of the list or object in the file; empty for the whole file.
-        rows: Numbers by column, one mapping per row.
+
+class RowsTable(Table):
+    """Rows of numbers by name, in one or several time bases, as a table.
+
+    A row that lacks a name has NaN in its column.
     """
 
-    place: str
-    rows: Sequence[Mapping[str, float]]
+    def _lay_out(
+        self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
+    ) -> None:
+        """Set rows and columns."""
+        names, self._bases = zip(*bases, strict=True)
+        self._columns = [
+            (base, name)
+            for base, rows in enumerate(self._bases)
+            for name in dict.fromkeys(name for row in rows for name in row)
+        ]
+        self.base_names = names
+        self.bases = tuple(base for base, _ in self._columns)
+        self.names = tuple(
+            f"{self.base_names[base]}.{name}" if prefixed and self.base_names[base] else name
+            for base, name in self._columns
+        )
+
+    def _read(self, columns: Sequence[int]) -> list[Array]:
+        found = []
+        for k in columns:
+            base, name = self._columns[k]
+            values, note = series(self._bases[base], name)
+            if note:
+                self.note(f"`{self.names[k]}`: {note}")
+            found.append(values)
+        return found
 
 
-class JsonTable(Table):
+class JsonTable(RowsTable):
     """Table with one column for each number, named by its path in the file.
 
     These forms are read: a list of objects; a list of lists, whose first list is the header if it
@@ -152,15 +173,12 @@ class JsonTable(Table):
         InputError: The file is not JSON, or has no numbers.
     """
 
-    def __init__(self, path: Path, _: ReadSection) -> None:
+    def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
         self._left_out: list[str] = []
         encoding = encoding_of(path)
-        try:
-            with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
-                text = stream.read()
-        except (OSError, EOFError, zlib.error) as error:
-            raise damaged(path, error, "check that the file was copied completely") from error
+        with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
+            text = stream.read()
         try:
             found = list(self._tables(parse(text), "", 0))
         except (ValueError, RecursionError) as error:
@@ -168,43 +186,19 @@ class JsonTable(Table):
             several = lines > 1 and text.lstrip().startswith("{")
             remedy = "; one object a line is named .jsonl" if several else ""
             raise InputError(f"{path}: not JSON ({error}){remedy}") from error
-        self._tables_found = [one for one in found if one.rows and any(one.rows)]
+        tables = [(place, rows) for place, rows in found if any(rows)]
         words = "; ".join(self._left_out[:4])
-        if not self._tables_found:
+        if not tables:
             raise InputError(
                 f"{path}: holds no table of numbers{f' ({words})' if words else ''}; write a list "
                 f"of objects, or an object whose lists are equally long"
             )
         if words:
             self.note(f"left out: {words}")
-        several = len(self._tables_found) > 1
-        self._columns = [
-            (base, name)
-            for base, one in enumerate(self._tables_found)
-            for name in dict.fromkeys(name for row in one.rows for name in row)
-        ]
-        self.bases = tuple(base for base, _ in self._columns)
+        self._lay_out(tables, len(tables) > 1)
         self.base_names = tuple(
-            f"{one.place or 'the file'} ({len(one.rows)} rows)" for one in self._tables_found
+            f"{place or 'the file'} ({len(rows)} rows)" for place, rows in tables
         )
-        self.names = tuple(
-            f"{self._tables_found[base].place}.{name}"
-            if several and self._tables_found[base].place
-            else name
-            for base, name in self._columns
-        )
-
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`."""
-        self.require_one_base(columns)
-        found = []
-        for k in columns:
-            base, name = self._columns[k]
-            values, note = series(self._tables_found[base].rows, name)
-            if note:
-                self.note(f"`{self.names[k]}`: {note}")
-            found.append(values)
-        return found
 
     def _tables(self, value: Any, place: str, depth: int) -> Iterator[_Rows]:
         """Yield the tables inside a JSON value."""
@@ -217,7 +211,7 @@ class JsonTable(Table):
             if isinstance(data, list) and _are_names(names):
                 yield from self._matrix([names, *data], place)
             elif _are_labels(value) and all(isinstance(v, dict) for v in value.values()):
-                yield _Rows(place, [dict(numbers(row, "")) for row in value.values()])
+                yield place, [dict(numbers(row, "")) for row in value.values()]
             else:
                 yield from self._of_object(value, place, depth)
 
@@ -225,11 +219,11 @@ class JsonTable(Table):
         if len(value) < _FEWEST:
             return
         if all(isinstance(row, dict) for row in value):
-            yield _Rows(place, [dict(numbers(row, "")) for row in value])
+            yield place, [dict(numbers(row, "")) for row in value]
         elif all(isinstance(row, list) for row in value):
             yield from self._matrix(value, place)
         elif all(not isinstance(cell, dict | list) for cell in value):
-            yield _Rows(place, _transposed({"values": value}))
+            yield place, _transposed({"values": value})
         else:
             self._left_out.append(f"{place or 'the file'} mixes objects, lists and values")
 
@@ -252,7 +246,7 @@ class JsonTable(Table):
                 groups.setdefault(tuple(child), {})[key] = list(child.values())
                 del rest[key]
         for columns in (*lengths.values(), *groups.values()):
-            yield _Rows(place, _transposed(columns))
+            yield place, _transposed(columns)
         for key, child in rest.items():
             yield from self._tables(child, f"{place}.{key}" if place else key, depth + 1)
 
@@ -274,7 +268,7 @@ class JsonTable(Table):
             return
         data = rows[1:] if named else rows
         columns = {name: [row[k] for row in data] for k, name in enumerate(names)}
-        yield _Rows(place, _transposed(columns))
+        yield place, _transposed(columns)
 
 
 def _transposed(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, float]]:
@@ -300,7 +294,7 @@ def _are_labels(value: Mapping[str, Any]) -> bool:
     return len(value) >= _FEWEST and all(key.isdigit() for key in value)
 
 
-class JsonLinesTable(Table):
+class JsonLinesTable(RowsTable):
     """Table with one column for each number in the objects, named ``field``, ``field.inner`` or
     ``field[0]``.
 
@@ -310,19 +304,16 @@ class JsonLinesTable(Table):
         InputError: A line is not a JSON object, or no object contains a number.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
         self._rows: list[dict[str, float]] = []
         self._lines: list[int] = []
         encoding = encoding_of(path)
-        try:
-            with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
-                for line, text in enumerate(stream, start=1):
-                    if text.strip():
-                        self._take(line, text)
-        except (OSError, EOFError, zlib.error) as error:
-            raise damaged(path, error, "check that the file was copied completely") from error
-        self.names = tuple(dict.fromkeys(field for row in self._rows for field in row))
+        with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
+            for line, text in enumerate(stream, start=1):
+                if text.strip():
+                    self._take(line, text)
+        self._lay_out([("", self._rows)], False)
         if not self.names:
             raise InputError(f"{path}: no JSON object contains a number")
 
@@ -340,16 +331,6 @@ class JsonLinesTable(Table):
             raise InputError(f"{self.path}:{line}: not a JSON object; write one object a line")
         self._rows.append(dict(numbers(value, "")))
         self._lines.append(line)
-
-    def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index; see :meth:`Table.read`."""
-        found = []
-        for k in columns:
-            values, note = series(self._rows, self.names[k])
-            if note:
-                self.note(f"`{self.names[k]}`: {note}")
-            found.append(values)
-        return found
 
     def place(self, row: int) -> str:
         """Return the line number of a row."""
