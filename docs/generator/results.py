@@ -94,7 +94,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.look:_column_record",
     ),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
-    "rig runs show --json": ("rig.results.catalogue.show:show_record",),
+    "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
     "rig runs compare --json": (
         "rig.results.catalogue.compare:compare_record",
         "rig.results.catalogue.compare:_difference_record",
@@ -106,12 +106,12 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.trend:_course_record",
     ),
     "rig runs verify --json": (
-        "rig.results.catalogue.show:verification_record",
-        "rig.results.catalogue.show:_run_record",
+        "rig.results.catalogue.listing:verification_record",
+        "rig.results.catalogue.listing:_run_record",
     ),
     "rig runs accept: acceptance.json": (
-        "rig.results.acceptance.record:acceptance_record",
-        "rig.results.acceptance.record:_check_record",
+        "rig.results.certificate:acceptance_record",
+        "rig.results.certificate:_check_record",
     ),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",

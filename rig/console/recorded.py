@@ -23,8 +23,7 @@ from starlette.routing import Route
 from rig.common.errors import InputError
 from rig.console.gate import SANDBOX
 from rig.console.hub import Refusal
-from rig.results.catalogue.listing import begun, masses, operators, state, verdict
-from rig.results.catalogue.show import PAGES
+from rig.results.catalogue.listing import PAGES, begun, masses, operators, state, verdict
 from rig.results.document import PAGE_FILE
 from rig.runs.catalogue.entry import Entry, Wanted, chosen, latest
 from rig.runs.catalogue.index import detailed, list_runs

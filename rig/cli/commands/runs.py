@@ -142,7 +142,7 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
     Example:
       rig runs show runs/demo
     """
-    from rig.results.catalogue.show import show_document, show_record
+    from rig.results.catalogue.listing import show_document, show_record
 
     entry = _one(run)
     _write(json_file, lambda: show_record(run, entry))
@@ -246,7 +246,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
       rig runs verify runs/demo
       rig runs verify runs
     """
-    from rig.results.catalogue.show import verification_document, verification_record
+    from rig.results.catalogue.listing import verification_document, verification_record
     from rig.runs.catalogue.index import find_runs
     from rig.runs.catalogue.verify import verify as verified
 
@@ -281,10 +281,9 @@ def accept(
     Example:
       rig runs accept runs/demo --acceptance limits.yaml --junit junit.xml
     """
-    from rig.cli.accepting import accept_run
+    from rig.cli.accepting import accept_run, limits_for
     from rig.common.locks import hold_folder
     from rig.common.places import require_file, write_asked
-    from rig.results.acceptance.limits import limits_for
     from rig.wiring.ownership import until_the_end
 
     require_file(json_file, "--json")

@@ -16,14 +16,15 @@ from rig.common.errors import InputError
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.config.acceptance import MEASURES, UNITS
 from rig.results.catalogue.listing import (
+    FIGURE,
     begun,
     head_record,
     masses,
     operators,
     side_by_side,
+    stored_picture,
     verdict,
 )
-from rig.results.catalogue.show import FIGURE, stored_picture
 from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table
 from rig.results.measured import QUANTITIES, clock_words
 from rig.runs.catalogue.entry import Constant, Details, Entry

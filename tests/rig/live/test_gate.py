@@ -6,8 +6,7 @@ from ipaddress import ip_address
 
 import pytest
 
-from rig.runs.live.gate import Gate, RefusedError, refusal
-from rig.runs.live.server import inner_host
+from rig.runs.live import Gate, RefusedError, inner_host, refusal
 
 GATE = Gate(port=8765, token="abc-123")
 OPEN = Gate(port=8765, token=None)
@@ -97,7 +96,7 @@ def test_the_server_behind_the_gate_hides_at_a_loopback_address(
     assert all(ip_address(host).is_loopback for host in found)
     assert len(found) == 8
     # As on macOS, which has 127.0.0.1 alone.
-    monkeypatch.setattr("rig.runs.live.server.socket.socket", NoAddress)
+    monkeypatch.setattr("rig.runs.live.socket.socket", NoAddress)
     assert inner_host() == "127.0.0.1"
 
 

@@ -255,8 +255,8 @@ def test_a_finished_recording_is_sent_from_its_start_to_each_client(whole: Path)
 
 
 def test_a_slow_client_loses_nothing(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.runs.live.session.BACKLOG_MESSAGES", 600)
-    monkeypatch.setattr("rig.runs.live.session.IN_FLIGHT_BYTES", 20_000)
+    monkeypatch.setattr("rig.runs.live.BACKLOG_MESSAGES", 600)
+    monkeypatch.setattr("rig.runs.live.IN_FLIGHT_BYTES", 20_000)
     with served(whole) as address, client(address) as got:
         got.subscribe("/sample")
         got.until(lambda: got.count("/sample") == 12_000)

@@ -20,8 +20,7 @@ from websockets.sync.client import connect
 
 from rig.cli.entry import status
 from rig.common.sample import Sample
-from rig.runs.live import layout
-from rig.runs.live.topics import TOPICS
+from rig.runs.live import TOPICS, layout
 
 START = "from rig.cli.entry import main; main()"
 

@@ -1,1 +1,0 @@
-"""Acceptance of a finished run: compares the run with its limits, and writes the certificate."""
