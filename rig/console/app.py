@@ -33,6 +33,7 @@ from rig.console.gate import BURST, MOST_GREETING, QUEUE, Gate, Token, bounded
 from rig.console.hub import Hub, Page, Refusal
 from rig.console.recorded import Made, Recorded
 from rig.console.starting import Starter, StartError, Wish
+from rig.results.run.report import STATIC as SHARED
 from rig.terminal.control_socket import Command
 
 _HEAD: Final = struct.Struct("<I")
@@ -181,7 +182,7 @@ def _same(value: Any) -> tuple[object, Any]:
     return value, value
 
 
-STATIC: Final = Path(__file__).parent / "static"
+STATIC: Final = (Path(__file__).parent / "static", SHARED)
 LONGEST_BODY: Final = 8192
 HELLO_S: Final = 5.0
 """Time for the first message of a WebSocket, which has the token, s."""
@@ -224,7 +225,8 @@ class Console:
         self._turn, self._calm = asyncio.Lock(), asyncio.Event()
         self._files = {
             path.name: (path.read_bytes(), _KINDS[path.suffix])
-            for path in STATIC.iterdir()
+            for folder in STATIC
+            for path in folder.iterdir()
             if path.suffix in _KINDS
         }
         recorded = Recorded(hub.starter.runs)

@@ -277,7 +277,7 @@ def certificate_lines(certificate: Document) -> list[str]:
     facts = [
         f"{name + ':':<15}{line}"
         for name, value in certificate.facts
-        for line in textwrap.wrap(value, 60)
+        for line in textwrap.wrap(value, 44)
     ]
     lines = [certificate.title, "", *facts]
     for section in certificate.sections:
@@ -329,17 +329,18 @@ def certificate_pdf(certificate: Document) -> bytes:
     write(_MARGIN_MM, verdict.headline, 18.0, colour, "bold")
     for k, line in enumerate(lines):
         failed = line.endswith(("FAILED", "OVERDUE"))
+        heading = lines[k - 1 : k + 2] == ["", line, ""]
         write(
             top + k * row_mm,
             line,
             size,
             _BAD if failed else "black",
-            "bold" if failed else "normal",
+            "bold" if failed or heading else "normal",
         )
     for picture in (block for block in opening.blocks if isinstance(block, Picture)):
         height = min(_PICTURE_MM, row_mm * (len(certificate.facts) + 6))
         right = _WIDTH_MM - _MARGIN_MM
-        left = max(right - 80.0, _MARGIN_MM + size / _POINTS_PER_MM * _ADVANCE * 78)
+        left = max(right - 75.0, _MARGIN_MM + size / _POINTS_PER_MM * _ADVANCE * 62)
         axes = sheet.add_axes(
             (left / _WIDTH_MM, 1.0 - (_MARGIN_MM + height) / _HEIGHT_MM,
              (right - left) / _WIDTH_MM, height / _HEIGHT_MM)

@@ -123,7 +123,7 @@ def list_(
     from rig.results.catalogue.listing import listing_document, listing_record
     from rig.runs.catalogue.entry import latest
 
-    entries, wanted = _chosen(folder, given, details=False)
+    entries, wanted = _chosen(folder, given)
     shown = latest(wanted, last)
     hidden = len(entries) - len(shown)
     _write(json_file, lambda: listing_record(folder, shown))
@@ -219,7 +219,7 @@ def trend(
     from rig.results.catalogue.trend import histories, trend_document, trend_record
     from rig.runs.catalogue.entry import latest
 
-    _, wanted = _chosen(folder, given, details=True)
+    _, wanted = _chosen(folder, given)
     found = histories(folder, latest(wanted, last), seed, constant)
     if constant is not None and not found:
         raise InputError(
@@ -303,18 +303,14 @@ def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
         raise InputError(f"{folder}: cannot be searched: {error.strerror}") from error
 
 
-def _chosen(
-    folder: Path, given: Mapping[str, Any], *, details: bool
-) -> tuple[list[Entry], list[Entry]]:
+def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[Entry]]:
     """Return all runs of a folder, and the runs that the options choose."""
     from rig.runs.catalogue.entry import Wanted, chosen
     from rig.runs.catalogue.index import list_runs
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
-        listing = list_runs(
-            folder, lambda done, of: bar("reading run folders", done / of), details=details
-        )
+        listing = list_runs(folder, lambda done, of: bar("reading run folders", done / of))
     if listing.note:
         click.echo(f"note: {listing.note}", err=True)
     wanted = Wanted(**{name: given[name] for name in _NAMES})

@@ -147,9 +147,9 @@ export class Recorded {
   row(run) {
     const line = document.createElement("tr");
     line.append(this.box(run));
-    const state = run.problem ? `${run.state}: ${run.problem}` : run.state;
-    const cells = [run.folder, run.begun || "-", run.bench || "-", run.sequence || "-",
-      run.operator, run.masses, state, run.verdict];
+    const [state, verdict] = run.cells.slice(-2);
+    const cells = [run.folder, ...run.cells.slice(0, -2),
+      run.problem ? `${state}: ${run.problem}` : state, verdict];
     cells.forEach((words, i) => {
       const cell = document.createElement(i ? "td" : "th");
       if (!i) cell.scope = "row";

@@ -16,14 +16,12 @@ from rig.common.errors import InputError
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.config.acceptance import MEASURES, UNITS
 from rig.results.catalogue.listing import (
+    COLUMNS,
     FIGURE,
-    begun,
+    cells,
     head_record,
-    masses,
-    operators,
     side_by_side,
     stored_picture,
-    verdict,
 )
 from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table
 from rig.results.measured import QUANTITIES, clock_words
@@ -304,22 +302,13 @@ def _short(runs: Sequence[Compared]) -> list[str]:
 
 
 def _facts(runs: Sequence[Compared]) -> Table:
-    rows = tuple(
-        (
-            str(each.run),
-            begun(each.entry.head),
-            each.entry.head.bench,
-            each.entry.head.sequence,
-            operators(each.entry.head),
-            masses(each.entry.head),
-            f"{number(each.details.fit_rms, 3)} {each.details.fit_unit}".strip(),
-            each.entry.head.state,
-            verdict(each.entry.head),
-        )
-        for each in runs
-    )
-    facts = ("run", "begun, UTC", "bench", "sequence", "operator", "kg")
-    return Table((*facts, "torque error", "state", "verdict"), rows, ())
+    rows = []
+    for each in runs:
+        *facts, state, verdict = list(cells(each.run, each.entry).values())[1:]
+        error = f"{number(each.details.fit_rms, 3)} {each.details.fit_unit}".strip()
+        rows.append((str(each.run), *facts, error, state, verdict))
+    *names, state, verdict = COLUMNS
+    return Table((*names, "torque error", state, verdict), tuple(rows), ())
 
 
 def _table(found: Sequence[Difference]) -> Table:

@@ -16,39 +16,36 @@ from rig.common.places import is_file
 from rig.common.provenance import utc_now, versions
 from rig.common.tables import interval, number
 from rig.results.document import Block, Document, Items, Note, Picture, Section, Table, Verdict
-from rig.runs.catalogue.entry import Constant, Details, Entry, Head, state_of
+from rig.runs.catalogue.entry import Constant, Details, Entry, state_of
 from rig.runs.catalogue.verify import Verification
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
-
-def begun(head: Head) -> str:
-    """Return the start time of a run to the minute, UTC."""
-    return head.created[:16].replace("T", " ")
+COLUMNS = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "state", "verdict")
+"""Columns of every table of runs."""
 
 
-def operators(head: Head) -> str:
-    """Return the operators of a run."""
-    return ", ".join(head.operators) or "-"
-
-
-def masses(head: Head) -> str:
-    """Return the masses that hung on the lever, kg."""
-    return ", ".join(f"{mass:g}" for mass in head.masses_kg) or "-"
-
-
-def state(root: Path, entry: Entry) -> str:
-    """Return how a run ended; for a folder without a complete run, the kind of the folder."""
-    if entry.head.kind == "commissioning":
-        return f"commissioning {entry.head.state}"
-    return state_of(root, entry) if entry.head.kind == "run" else entry.head.kind.upper()
-
-
-def verdict(head: Head) -> str:
-    """Return acceptance, diagnosis and weight checks of a run as a short text."""
-    weights = [f"weight {word}" for word in head.weights]
-    words = [head.acceptance, head.diagnosis.replace("_", " "), *weights]
-    return ", ".join(filter(None, words)) or "-"
+def cells(root: Path, entry: Entry) -> dict[str, str]:
+    """Return the facts of a run as text by :data:`COLUMNS`: times to the minute, the masses that
+    hung on the lever; for a folder without a complete run, the kind of the folder as its state.
+    """
+    head = entry.head
+    state = state_of(root, entry) if head.kind == "run" else head.kind.upper()
+    if head.kind == "commissioning":
+        state = f"commissioning {head.state}"
+    verdicts = [head.acceptance, head.diagnosis.replace("_", " ")]
+    verdicts += [f"weight {word}" for word in head.weights]
+    values = (
+        place(root, entry),
+        head.created[:16].replace("T", " "),
+        head.bench + ("" if head.simulated in (True, None) else " (REAL)"),
+        head.sequence,
+        ", ".join(head.operators),
+        ", ".join(f"{mass:g}" for mass in head.masses_kg),
+        state,
+        ", ".join(filter(None, verdicts)),
+    )
+    return {name: value or "-" for name, value in zip(COLUMNS, values, strict=True)}
 
 
 def place(root: Path, entry: Entry) -> str:
@@ -68,7 +65,6 @@ def head_record(schema: str) -> dict[str, Any]:
 
 
 LIST_SCHEMA = "loadrig.runs/1"
-_HEADER = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "state", "verdict")
 _MOST_PROBLEMS = 10
 
 
@@ -80,8 +76,8 @@ def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> D
         entries: The runs to show, the earliest first.
         hidden: Number of runs that the selection leaves out.
     """
-    header, rows = _HEADER, [_row(root, entry) for entry in entries]
-    cells = Table(header, tuple(rows), ())
+    rows = tuple(tuple(cells(root, entry).values()) for entry in entries)
+    listed = Table(COLUMNS, rows, ())
     notes = [Note(line) for line in _count(entries, hidden)]
     problems = [
         Note(f"{place(root, e)}: {text}", "warning")
@@ -92,31 +88,17 @@ def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> D
     few = problems[:_MOST_PROBLEMS]
     if len(problems) > len(few):
         few.append(Note(f"{len(problems) - len(few)} more problems; --json lists all", "warning"))
-    shown = (cells,) if rows else (Note(f"{root}: no runs"),)
+    shown = (listed,) if rows else (Note(f"{root}: no runs"),)
     return Document(
         f"Runs in {root}",
         "",
         (Section("", shown), Section("", (*notes, *few, *copies))),
-        (Section("Runs", (cells, *notes)), *_problem_section((*problems, *copies))),
+        (Section("Runs", (listed, *notes)), *_problem_section((*problems, *copies))),
     )
 
 
 def _problem_section(notes: Sequence[Note]) -> list[Section]:
     return [Section("Problems and copies", tuple(notes))] if notes else []
-
-
-def _row(root: Path, entry: Entry) -> tuple[str, ...]:
-    head = entry.head
-    return (
-        place(root, entry),
-        begun(head) or "-",
-        head.bench + ("" if head.simulated in (True, None) else " (REAL)") or "-",
-        head.sequence or "-",
-        operators(head),
-        masses(head),
-        state(root, entry),
-        verdict(head),
-    )
 
 
 def _count(entries: Sequence[Entry], hidden: int) -> Iterator[str]:
@@ -152,7 +134,7 @@ def listing_record(root: Path, entries: Sequence[Entry]) -> dict[str, Any]:
 def run_record(root: Path, entry: Entry) -> dict[str, Any]:
     """Return the record of one run in a list."""
     head = dataclasses.asdict(entry.head)
-    return {"run": place(root, entry), **head, "state": state(root, entry).lower()}
+    return {"run": place(root, entry), **head, "state": cells(root, entry)["state"].lower()}
 
 
 _COLUMNS = 3
@@ -168,7 +150,7 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
     made, (axis,) = figure(1, width=_LEAD_WIDTH, height=height)
     first = next(iter(runs.values()))
     offset = 0.6 / len(runs)
-    for number, (run, constants) in enumerate(runs.items()):
+    for k, (run, constants) in enumerate(runs.items()):
         places, values, below, above = [], [], [], []
         for row, name in enumerate(names):
             base, each = first[name].value, constants.get(name)
@@ -176,12 +158,12 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
                 continue
             low = each.value if each.low is None else each.low
             high = each.value if each.high is None else each.high
-            places.append(row + (number - 0.5 * (len(runs) - 1)) * offset)
+            places.append(row + (k - 0.5 * (len(runs) - 1)) * offset)
             values.append(100.0 * (each.value / base - 1.0))
             ends = sorted(100.0 * (end / base - 1.0) for end in (low, high))
             below.append(max(0.0, values[-1] - ends[0]))
             above.append(max(0.0, ends[1] - values[-1]))
-        colour = CYCLE[number % len(CYCLE)]
+        colour = CYCLE[k % len(CYCLE)]
         axis.errorbar(
             values, places, xerr=(below, above), fmt="o", color=colour, capsize=3, label=run
         )
@@ -281,16 +263,14 @@ def stored_picture(folder: Path, name: str, caption: str) -> Picture | None:
 
 
 def _facts(root: Path, entry: Entry, details: Details) -> Table:
-    head = entry.head
+    head, known = entry.head, cells(root, entry)
     kind = {True: " (simulated)", False: " (REAL)", None: ""}[head.simulated]
     rows = [
-        ("state", state(root, entry)),
+        ("state", known["state"]),
         ("bench", (head.bench or "-") + kind),
-        ("sequence", head.sequence or "-"),
-        ("begun, UTC", begun(head) or "-"),
-        ("operator", operators(head)),
-        ("masses, kg", masses(head)),
-        ("verdict", verdict(head)),
+        *((name, known[name]) for name in ("sequence", "begun, UTC", "operator")),
+        ("masses, kg", known["kg"]),
+        ("verdict", known["verdict"]),
         *((role, name) for role, name in details.devices.items()),
         ("in words", head.message or head.problem or "-"),
         ("run.json, SHA-256", head.digest or "-"),
@@ -379,10 +359,9 @@ def _section(found: Verification) -> Section:
         (each.file, each.finding.value, each.sha256[:_SHORT] or "-", each.by or "-", each.words)
         for each in found.files
     )
-    cells = Table(("file", "found", "SHA-256 begins", "digest recorded in", "note"), rows, ())
-    return Section(
-        str(found.folder), (cells, *(Note(problem, "warning") for problem in found.problems))
-    )
+    files = Table(("file", "found", "SHA-256 begins", "digest recorded in", "note"), rows, ())
+    problems = (Note(problem, "warning") for problem in found.problems)
+    return Section(str(found.folder), (files, *problems))
 
 
 def verification_record(found: Sequence[Verification]) -> dict[str, Any]:
