@@ -1,6 +1,13 @@
-"""Streams recordings to Foxglove and PlotJuggler.
+"""Streams a recording to Foxglove and PlotJuggler by Foxglove's WebSocket protocol.
 
-The modules here only read recordings, and have no way to command a bench.
+The stream only reads the recording, and has no way to command a bench. A browser lets every web
+page open a WebSocket to this computer, and the protocol has no password. The address therefore
+contains a token, and a request without the token is refused.
+
+Each client receives each topic from its beginning and at its own pace: a record of the recording is
+sent when the client has taken the record before.
+
+Source: https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 """
 
 from __future__ import annotations
@@ -9,16 +16,30 @@ import asyncio
 import hmac
 import json
 import secrets
-import socket
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+import struct
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
+from wsproto import ConnectionType, WSConnection
+from wsproto.events import (
+    AcceptConnection,
+    BytesMessage,
+    CloseConnection,
+    Event,
+    Ping,
+    RejectConnection,
+    RejectData,
+    Request,
+    TextMessage,
+)
+from wsproto.utilities import RemoteProtocolError
+
 from drivers.interfaces import RawFrame
-from rig.common.errors import InputError
 from rig.runs.mcap import ros
 from rig.runs.mcap.layout import (
     EVENT_JSON_SCHEMA,
@@ -30,114 +51,58 @@ from rig.runs.mcap.layout import (
 from rig.runs.mcap.reader import START, Message, Piece, Tail
 from rig.runs.mcap.records import DamageError
 
-HEAD_BYTES = 8192
-"""Greatest length of the head of a request, bytes."""
-END = b"\r\n\r\n"
-NAMES = frozenset({"127.0.0.1", "localhost"})
+HOST: Final = "127.0.0.1"
+NAMES: Final = frozenset({HOST, "localhost"})
 """Accepted names of this computer in the field ``Host``. A request with another name may come from
 a web page whose owner makes this name point to this computer (DNS rebinding).
 """
-APP = "https://app.foxglove.dev"
+APP: Final = "https://app.foxglove.dev"
 """Origin of Foxglove in a browser."""
-_PASSED = (
-    "upgrade",
-    "connection",
-    "sec-websocket-key",
-    "sec-websocket-version",
-    "sec-websocket-protocol",
-)
-"""Fields of a request that the server behind the gate needs. The field for compression is left out,
-because the session counts the bytes that pass, and loopback needs no compression.
-"""
-
-
-class RefusedError(Exception):
-    """A request is refused; the message states the reason and the remedy."""
-
-
-@dataclass(frozen=True)
-class Gate:
-    """Conditions that a request must meet.
-
-    Attributes:
-        port: The port at which the request arrived.
-        token: The token that the address of the request must contain, or None for no token.
-    """
-
-    port: int
-    token: str | None
-
-    def pass_on(self, head: bytes, inner: str) -> bytes:
-        """Return the head of a request for the server behind the gate.
-
-        Args:
-            head: Head of the request, with the blank line at its end.
-            inner: Host and port of the server behind the gate.
-
-        Raises:
-            RefusedError: The request must not pass.
-        """
-        target, fields = _parse(head)
-        host = fields.get("host", "")
-        name, _, port = host.rpartition(":")
-        if name not in NAMES or port != str(self.port):
-            raise RefusedError(f"Host is {host!r}, not 127.0.0.1:{self.port}")
-        if self.token is None:
-            origin = fields.get("origin", "")
-            if origin not in ("", APP):
-                raise RefusedError(
-                    "the stream was started with --no-token and therefore refuses web pages, "
-                    f"also the page of {origin}; start `rig watch` without --no-token"
-                )
-        elif not self._carries_token(target):
-            raise RefusedError(
-                "the address lacks the token of this start; use the address "
-                "that the command printed"
-            )
-        lines = [f"{key}: {fields[key]}" for key in _PASSED if key in fields]
-        return "\r\n".join(["GET / HTTP/1.1", f"Host: {inner}", *lines]).encode("latin-1") + END
-
-    def _carries_token(self, target: str) -> bool:
-        given = parse_qs(urlsplit(target).query).get("token", [""])[0]
-        return hmac.compare_digest(given.encode(), (self.token or "").encode())
-
-
-def _parse(head: bytes) -> tuple[str, Mapping[str, str]]:
-    """Return target and fields (names in lower case) of a GET request.
-
-    Raises:
-        RefusedError: The text is not a GET request, or a field occurs twice.
-    """
-    first, *rest = head.removesuffix(END).decode("latin-1").split("\r\n")
-    words = first.split(" ")
-    if len(words) != 3 or words[0] != "GET" or not words[2].startswith("HTTP/1."):
-        raise RefusedError("not a WebSocket request")
-    fields: dict[str, str] = {}
-    for line in rest:
-        name, colon, value = line.partition(":")
-        key = name.lower()
-        if not colon or key in fields:
-            raise RefusedError(f"the field {name!r} of the request is malformed or repeated")
-        fields[key] = value.strip()
-    return words[1], fields
-
-
-def refusal(words: str) -> bytes:
-    """Return the answer to a request that is refused."""
-    body = words.encode() + b"\n"
-    head = (
-        "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\n"
-        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
-    )
-    return head.encode() + body
-
-
-_FILES = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
+PROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+MOST_CLIENTS: Final = 16
+_REQUEST_S: Final = 5.0
+"""Greatest time from the connection of a client to its request, s."""
+_READ_BYTES: Final = 1 << 16
+_LONGEST_MESSAGE: Final = 1 << 16
+"""Greatest length of a message of a client, characters."""
+_POLL_S: Final = 0.05
+"""Period at which new data of the recording are read, s."""
+_CLOCK_NS: Final = 20_000_000
+"""Period, in ns of the recording's time, at which this time is sent to the client."""
+_DATA: Final = struct.Struct("<BIQ")
+_TIME: Final = struct.Struct("<BQ")
+_ERROR: Final = 2
 
 
 def layout(tool: Literal["foxglove", "plotjuggler"]) -> Path:
-    """Return the path of the layout file for a tool."""
-    return Path(__file__).parent / "layouts" / _FILES[tool]
+    """Return the path of the packaged layout file for a tool."""
+    name = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}[tool]
+    return Path(__file__).parent / "layouts" / name
+
+
+def refusal(request: Request, port: int, token: str | None) -> str | None:
+    """Return why a request is refused, or None if it is accepted.
+
+    Args:
+        request: The request of a client.
+        port: The port at which the request arrived.
+        token: The token that the address of the request must contain, or None for no token.
+    """
+    name, _, given_port = request.host.rpartition(":")
+    if name not in NAMES or given_port != str(port):
+        return f"Host is {request.host!r}, not {HOST}:{port}"
+    if token is not None:
+        given = parse_qs(urlsplit(request.target).query).get("token", [""])[0]
+        if hmac.compare_digest(given.encode(), token.encode()):
+            return None
+        return "the address lacks the token of this start; use the address that the command printed"
+    origins = [value.decode("latin-1") for key, value in request.extra_headers if key == b"origin"]
+    if set(origins) <= {"", APP}:
+        return None
+    return (
+        "the stream was started with --no-token and therefore refuses web pages, also the page of "
+        f"{', '.join(origins)}; start `rig watch` without --no-token"
+    )
 
 
 @dataclass(frozen=True)
@@ -243,205 +208,6 @@ def json_without_nan(data: bytes) -> bytes:
     return json.dumps(event).encode() if found else data
 
 
-BACKLOG_MESSAGES = 1 << 16
-IN_FLIGHT_BYTES = 1 << 20
-"""Greatest number of bytes inside the server. The shortest message has 57 bytes with its frame, so
-that fewer than :data:`BACKLOG_MESSAGES` messages are queued.
-"""
-_POLL_S = 0.05
-"""Period at which new data of the recording are read, s."""
-_SINK_POLL_S = 0.002
-_CLOCK_NS = 20_000_000
-"""Period, in ns of the recording's time, at which this time is sent to the client."""
-_CLOCK_BYTES = 11
-
-
-def sdk() -> Any:
-    """Import the Foxglove SDK.
-
-    Raises:
-        InputError: The Foxglove SDK is not installed.
-    """
-    try:
-        import foxglove
-        import foxglove.websocket
-    except ImportError as error:
-        raise InputError(
-            "--foxglove needs the Foxglove SDK, which is not installed; install it with: pip "
-            "install 'loadrig[live]'"
-        ) from error
-    return foxglove
-
-
-class Session:
-    """Sends the recording to one client.
-
-    Args:
-        name: Name of the source that the client shows.
-        host: Address on which the server of this client listens.
-        tail: The recording.
-        last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
-    """
-
-    def __init__(self, name: str, host: str, tail: Tail, last_s: float | None) -> None:
-        foxglove = sdk()
-        self._foxglove = foxglove
-        self._loop = asyncio.get_running_loop()
-        self._tail = tail
-        self._last_s = last_s
-        self._at: dict[str, int] = {}
-        self._changed = asyncio.Event()
-        self._handed = self._passed = 0
-        self._clock_ns = -1
-        # The SDK deletes the channels of a context with the context.
-        self._context = context = foxglove.Context()
-        self._channels: Mapping[str, Any] = {
-            topic.name: foxglove.Channel(
-                topic.name,
-                schema=foxglove.Schema(
-                    name=topic.schema[0], encoding=topic.schema[1], data=topic.schema[2]
-                ),
-                message_encoding=topic.encoding,
-                context=context,
-            )
-            for topic in TOPICS
-        }
-        # Without capabilities, a client cannot publish, call or set anything.
-        self._server = foxglove.start_server(
-            name=name,
-            host=host,
-            port=0,
-            capabilities=[foxglove.websocket.Capability.Time],
-            server_listener=_Listener(self),
-            context=context,
-            message_backlog_size=BACKLOG_MESSAGES,
-        )
-        self.address = (host, int(self._server.port))
-
-    def subscribed(self, topic: str) -> None:
-        """Accept a subscription; called from the server's thread."""
-        self._loop.call_soon_threadsafe(self._set, topic, True)
-
-    def unsubscribed(self, topic: str) -> None:
-        """Remove a subscription; called from the server's thread."""
-        self._loop.call_soon_threadsafe(self._set, topic, False)
-
-    def passed(self, size: int) -> None:
-        """Count bytes that have left the server."""
-        self._passed += size
-        self._changed.set()
-
-    async def feed(self) -> None:
-        """Pass the recording, including later additions, to the server until cancelled.
-
-        At a damaged place the stream stops, and the client shows the reason.
-        """
-        while True:
-            if not self._at:
-                await self._wait(None)
-                continue
-            if not all(self._channels[name].base.has_sinks() for name in self._at):
-                # The SDK calls the listener before a message would reach the subscriber.
-                await asyncio.sleep(_SINK_POLL_S)
-                continue
-            offset = min(self._at.values())
-            try:
-                piece = self._tail.at(offset)
-            except (DamageError, OSError) as error:
-                self._say(f"the rest of the recording cannot be read: {error}")
-                self._at.clear()
-                continue
-            if piece is None:
-                await self._wait(_POLL_S)
-            else:
-                await self._hand(offset, piece)
-
-    async def close(self) -> None:
-        """Stop the server."""
-        for channel in self._channels.values():
-            channel.close()
-        await asyncio.to_thread(self._server.stop)
-
-    def _set(self, topic: str, wanted: bool) -> None:
-        if not wanted:
-            self._at.pop(topic, None)
-        else:
-            self._at[topic] = START if self._last_s is None else self._tail.since(self._last_s)
-        self._changed.set()
-
-    async def _hand(self, offset: int, piece: Piece) -> None:
-        """Pass the messages of a piece to the topics that are complete up to ``offset``, and
-        advance these topics.
-        """
-        topics = frozenset(name for name, at in self._at.items() if at == offset)
-        for item in outgoing(piece.messages, topics):
-            await self._room()
-            if self._at.get(item.topic) == offset:
-                self._log(item)
-        for name in topics:
-            # Meanwhile the client may have ended its subscription, or subscribed again.
-            if self._at.get(name) == offset:
-                if piece.following is None:
-                    del self._at[name]
-                else:
-                    self._at[name] = piece.following
-        await asyncio.sleep(0)
-
-    def _log(self, item: Outgoing) -> None:
-        if item.time_ns >= self._clock_ns + _CLOCK_NS:
-            self._clock_ns = item.time_ns
-            self._server.broadcast_time(item.time_ns)
-            self._handed += _CLOCK_BYTES
-        self._channels[item.topic].log(item.data, log_time=item.time_ns)
-        self._handed += framed(len(item.data))
-
-    async def _room(self) -> None:
-        while self._handed - self._passed > IN_FLIGHT_BYTES:
-            await self._wait(None)
-
-    async def _wait(self, timeout_s: float | None) -> None:
-        try:
-            await asyncio.wait_for(self._changed.wait(), timeout_s)
-        except TimeoutError:
-            return
-        self._changed.clear()
-
-    def _say(self, words: str) -> None:
-        self._server.publish_status(words, self._foxglove.StatusLevel.Error)
-
-
-class _Listener:
-    """Receives the subscriptions of the client. The SDK calls other methods of a listener only for
-    capabilities that the server does not have.
-    """
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
-    def on_subscribe(self, client: object, channel: Any) -> None:
-        """Pass a new subscription to the session."""
-        self._session.subscribed(channel.topic)
-
-    def on_unsubscribe(self, client: object, channel: Any) -> None:
-        """Pass the end of a subscription to the session."""
-        self._session.unsubscribed(channel.topic)
-
-
-def framed(size: int) -> int:
-    """Return the number of bytes that a message of ``size`` bytes has in the stream: with opcode,
-    subscription and time (13 bytes), in one WebSocket frame (RFC 6455, 5.2).
-    """
-    payload = size + 13
-    return payload + (2 if payload < 126 else 4 if payload < 65536 else 10)
-
-
-HOST = "127.0.0.1"
-MOST_CLIENTS = 16
-_HEAD_S = 5.0
-"""Greatest time from the connection of a client to its first request, s."""
-_READ_BYTES = 1 << 16
-
-
 @dataclass(frozen=True)
 class Offer:
     """Recording that is served, and how it is served.
@@ -459,21 +225,6 @@ class Offer:
     last_s: float | None = None
 
 
-def inner_host() -> str:
-    """Return the address on which the servers behind the gate listen.
-
-    If the system accepts every address of 127.0.0.0/8 without set-up, as Linux does, a random
-    address is used, because no web page can try all of these addresses.
-    """
-    drawn = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
-    with socket.socket() as probe:
-        try:
-            probe.bind((drawn, 0))
-        except OSError:
-            return HOST
-    return drawn
-
-
 async def serve(offer: Offer, port: int, started: Callable[[int], None]) -> None:
     """Serve the recording until the task is cancelled.
 
@@ -485,101 +236,194 @@ async def serve(offer: Offer, port: int, started: Callable[[int], None]) -> None
     Raises:
         OSError: The port cannot be used.
     """
-    doors = _Doors(offer, inner_host())
-    server = await asyncio.start_server(doors.open, HOST, port, limit=HEAD_BYTES)
-    doors.port = server.sockets[0].getsockname()[1]
+    inside: set[asyncio.Task[None]] = set()
+
+    async def opened(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        inside.add(task)
+        try:
+            full = len(inside) > MOST_CLIENTS
+            await _Client(offer, reader, writer).serve(port, full)
+        except (OSError, TimeoutError, RemoteProtocolError, StopAsyncIteration):
+            pass  # the client has closed the connection, or sent no request of this protocol
+        except asyncio.CancelledError:
+            pass  # cancelled below; asyncio would report a raised exception as an error
+        finally:
+            inside.discard(task)
+            writer.close()
+
+    server = await asyncio.start_server(opened, HOST, port)
+    port = server.sockets[0].getsockname()[1]
     async with server:
-        started(doors.port)
+        started(port)
         try:
             await server.serve_forever()
         finally:
-            await doors.close()
+            for task in (tasks := list(inside)):
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
 
-class _Doors:
-    """Accepts clients, and starts a session for each."""
+class _Client:
+    """One client, to which the recording is sent."""
 
-    def __init__(self, offer: Offer, inner: str) -> None:
-        self._offer = offer
-        self._inner = inner
-        self._inside: set[asyncio.Task[None]] = set()
-        self.port = 0
+    def __init__(
+        self, offer: Offer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        self._offer, self._reader, self._writer = offer, reader, writer
+        self._wire = WSConnection(ConnectionType.SERVER)
+        self._topics: dict[int, str] = {}
+        self._at: dict[int, int] = {}
+        self._changed = asyncio.Event()
+        self._clock_ns = -1
 
-    async def open(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one client from its request to the end of its connection."""
-        task = asyncio.current_task()
-        assert task is not None
-        self._inside.add(task)
-        try:
-            await self._serve(reader, writer)
-        except (OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
-            pass  # the client has closed the connection, or sent no request in time
-        except asyncio.CancelledError:
-            pass  # cancelled by :meth:`close`; asyncio would report a raised exception as an error
-        finally:
-            self._inside.discard(task)
-            writer.close()
-
-    async def close(self) -> None:
-        """End every session."""
-        inside = list(self._inside)
-        for task in inside:
-            task.cancel()
-        await asyncio.gather(*inside, return_exceptions=True)
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        head = await asyncio.wait_for(reader.readuntil(END), _HEAD_S)
-        gate = Gate(self.port, self._offer.token)
-        try:
-            gate.pass_on(head, "")
-            if len(self._inside) > MOST_CLIENTS:
-                raise RefusedError(
-                    f"{MOST_CLIENTS} clients are already connected; close one of them"
-                )
-        except RefusedError as error:
-            writer.write(refusal(str(error)))
-            await writer.drain()
+    async def serve(self, port: int, full: bool) -> None:
+        """Answer the request of the client, then serve it until it closes the connection."""
+        events = self._events()
+        request = await asyncio.wait_for(anext(events), _REQUEST_S)
+        if not isinstance(request, Request):
             return
+        refused = refusal(request, port, self._offer.token)
+        if refused is None and full:
+            refused = f"{MOST_CLIENTS} clients are already connected; close one of them"
+        if refused is not None:
+            kind = [(b"content-type", b"text/plain; charset=utf-8")]
+            await self._send(
+                RejectConnection(status_code=403, headers=kind, has_body=True),
+                RejectData(data=f"{refused}\n".encode()),
+            )
+            return
+        spoken = next((name for name in PROTOCOLS if name in request.subprotocols), None)
+        await self._send(AcceptConnection(subprotocol=spoken))
+        await self._greet()
         with Tail(self._offer.recording) as tail:
-            session = Session(self._offer.name, self._inner, tail, self._offer.last_s)
+            tasks = [asyncio.ensure_future(self._feed(tail))]
+            tasks.append(asyncio.ensure_future(self._listen(events, tail)))
             try:
-                host, port = session.address
-                inner_reader, inner_writer = await asyncio.open_connection(host, port)
-                try:
-                    inner_writer.write(gate.pass_on(head, f"{host}:{port}"))
-                    await _until_one_ends(
-                        _pump(reader, inner_writer, None),
-                        _pump(inner_reader, writer, session.passed),
-                        session.feed(),
-                    )
-                finally:
-                    inner_writer.close()
+                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                for task in done:
+                    task.result()
             finally:
-                await session.close()
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
 
+    async def _events(self) -> AsyncIterator[Event]:
+        while data := await self._reader.read(_READ_BYTES):
+            self._wire.receive_data(data)
+            for event in self._wire.events():
+                yield event
 
-async def _pump(
-    reader: asyncio.StreamReader,
-    writer: asyncio.StreamWriter,
-    count: Callable[[int], None] | None,
-) -> None:
-    while data := await reader.read(_READ_BYTES):
-        writer.write(data)
-        await writer.drain()
-        if count is not None:
-            count(len(data))
+    async def _send(self, *events: Event) -> None:
+        """Send events, and wait until the client has taken most of what was sent."""
+        self._writer.write(b"".join(self._wire.send(event) for event in events))
+        await self._writer.drain()
 
+    async def _say(self, **message: Any) -> None:
+        await self._send(TextMessage(data=json.dumps(message)))
 
-async def _until_one_ends(*work: Coroutine[Any, Any, None]) -> None:
-    """Run all tasks until the first task ends, then cancel the others; raise the error of the first
-    task.
-    """
-    tasks = [asyncio.ensure_future(one) for one in work]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+    async def _greet(self) -> None:
+        # Without other capabilities, a client cannot publish, call or set anything.
+        await self._say(
+            op="serverInfo",
+            name=self._offer.name,
+            capabilities=["time"],
+            supportedEncodings=[],
+            metadata={},
+            sessionId=secrets.token_hex(8),
+        )
+        channels = [
+            {
+                "id": number,
+                "topic": topic.name,
+                "encoding": topic.encoding,
+                "schemaName": topic.schema[0],
+                "schemaEncoding": topic.schema[1],
+                "schema": topic.schema[2].decode(),
+            }
+            for number, topic in enumerate(TOPICS, start=1)
+        ]
+        await self._say(op="advertise", channels=channels)
+
+    async def _listen(self, events: AsyncIterator[Event], tail: Tail) -> None:
+        """Follow the client's subscriptions until the client closes the connection."""
+        text = ""
+        async for event in events:
+            if isinstance(event, Ping):
+                await self._send(event.response())
+            elif isinstance(event, CloseConnection):
+                await self._send(event.response())
+                return
+            elif isinstance(event, BytesMessage):
+                await self._refuse("a client cannot publish")
+            elif isinstance(event, TextMessage):
+                text += event.data
+                if len(text) > _LONGEST_MESSAGE:
+                    return
+                if event.message_finished:
+                    await self._take(text, tail)
+                    text = ""
+
+    async def _take(self, text: str, tail: Tail) -> None:
+        try:
+            message = json.loads(text)
+            if message["op"] == "subscribe":
+                for each in message["subscriptions"]:
+                    self._topics[int(each["id"])] = TOPICS[int(each["channelId"]) - 1].name
+                    last_s = self._offer.last_s
+                    at = START if last_s is None else tail.since(last_s)
+                    self._at[int(each["id"])] = at
+            elif message["op"] == "unsubscribe":
+                for number in message["subscriptionIds"]:
+                    self._at.pop(int(number), None)
+            else:
+                await self._refuse(f"{message['op']!r} is not possible: this stream is read only")
+        except (ValueError, TypeError, LookupError) as error:
+            await self._refuse(f"not a message of this protocol: {error!r}")
+        self._changed.set()
+
+    async def _refuse(self, words: str) -> None:
+        await self._say(op="status", level=_ERROR, message=words)
+
+    async def _feed(self, tail: Tail) -> None:
+        """Send the recording, including later additions, until cancelled.
+
+        At a damaged place the stream stops, and the client shows the reason.
+        """
+        while True:
+            piece = None
+            if self._at:
+                offset = min(self._at.values())
+                try:
+                    piece = tail.at(offset)
+                except (DamageError, OSError) as error:
+                    await self._refuse(f"the rest of the recording cannot be read: {error}")
+                    self._at.clear()
+                    continue
+            if piece is not None:
+                await self._hand(offset, piece)
+                continue
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._changed.wait(), _POLL_S if self._at else None)
+            self._changed.clear()
+
+    async def _hand(self, offset: int, piece: Piece) -> None:
+        """Send the messages of a piece to the subscriptions that are complete up to ``offset``, and
+        advance these subscriptions.
+        """
+        ready = {self._topics[number]: number for number, at in self._at.items() if at == offset}
+        events: list[Event] = []
+        for item in outgoing(piece.messages, frozenset(ready)):
+            if item.time_ns >= self._clock_ns + _CLOCK_NS:
+                self._clock_ns = item.time_ns
+                events.append(BytesMessage(data=_TIME.pack(2, item.time_ns)))
+            head = _DATA.pack(1, ready[item.topic], item.time_ns)
+            events.append(BytesMessage(data=head + item.data))
+        # Meanwhile the client may end its subscription, or subscribe again.
+        for number in ready.values():
+            if piece.following is None:
+                del self._at[number]
+            else:
+                self._at[number] = piece.following
+        await self._send(*events)

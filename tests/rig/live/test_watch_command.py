@@ -80,14 +80,6 @@ def test_a_port_in_use_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -
     assert f"--port: {port} cannot be used" in capsys.readouterr().err
 
 
-def test_without_the_sdk_the_extra_is_named(
-    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    assert status(["watch", str(run), "--foxglove"]) == 2
-    assert "pip install 'loadrig[live]'" in capsys.readouterr().err
-
-
 def _values(item: Any) -> Iterator[str]:
     if isinstance(item, dict):
         for key, value in item.items():
