@@ -129,6 +129,12 @@ MOST_READERS: Final = 6
 """Greatest number of open pages without the token."""
 MOST_GREETING: Final = 24
 """Greatest number of WebSockets that have not sent their token yet."""
+YOUNG_S: Final = 1.0
+"""Age up to which a connection without a request stays open, s."""
+YOUNG_SHARE: Final = 4
+"""Number of connections beyond which young ones are closed too, as a multiple of
+:data:`MOST_OPEN`.
+"""
 REQUEST_S: Final = 5.0
 """Time for the first request of a connection, s."""
 BURST: Final = 32
@@ -148,20 +154,26 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
 
     A WebSocket leaves this protocol when its request is complete.
     """
-    held: dict[Bounded, None] = {}
+    held: dict[Bounded, float] = {}
 
     class Bounded(H11Protocol):
         """HTTP connection of a bounded number."""
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-            """Register the connection; close the oldest connection if there are too many."""
+            """Register the connection; close another one if there are too many."""
             super().connection_made(transport)
-            held[self] = None
+            now = self.loop.time()
+            held[self] = now
             self._expiry = self.loop.call_later(REQUEST_S, self._expire)
-            if len(held) > most:
-                oldest = next((each for each in held if not each.commands), next(iter(held)))
-                del held[oldest]
-                oldest.transport.abort()
+            if len(held) <= most:
+                return
+            spare = (each for each in held if not each.commands)
+            if len(held) <= YOUNG_SHARE * most:
+                # A young one without a request may still bring a command.
+                spare = (each for each in spare if each.asked or now - held[each] > YOUNG_S)
+            for closed in list(spare)[: len(held) - most]:
+                del held[closed]
+                closed.transport.abort()
 
         def connection_lost(self, exc: Exception | None) -> None:
             """Forget the connection."""
@@ -176,6 +188,11 @@ def bounded(most: int = MOST_OPEN) -> type[H11Protocol]:
                 self.transport.close()
                 return
             super().handle_websocket_upgrade(event)
+
+        @property
+        def asked(self) -> bool:
+            """Whether a request was read."""
+            return getattr(self, "cycle", None) is not None
 
         @property
         def commands(self) -> bool:

@@ -4,6 +4,7 @@ const KEPT = "loadrig-token";
 const REPLY_MS = 4000;
 const LONG_MS = 200000;
 const LONG = ["/dry-run", "/compare", "/trend", "/off"];
+const STOPS = 5; // how often a STOP is sent again whose connection broke
 const RETRY_MS = 500;
 const REFUSED_MS = 5000; // the console has no room for a further page
 const SILENT_MS = 1500;
@@ -82,8 +83,17 @@ export class Link {
     }
   }
 
-  // Returns {ok, words, ...}; never throws.
+  // Returns {ok, words, ...}; never throws. A STOP whose connection broke is sent again: the console
+  // may have closed the connection because of too many others, and a second STOP changes nothing.
   async post(path, content) {
+    let answer = await this.postOnce(path, content);
+    for (let again = 0; answer.broken && content.command === "stop" && again < STOPS; again += 1) {
+      answer = await this.postOnce(path, content);
+    }
+    return answer;
+  }
+
+  async postOnce(path, content) {
     this.number = Math.max(this.number + 1, Date.now());
     const waiting = new AbortController();
     const timer = setTimeout(() => waiting.abort(), LONG.includes(path) ? LONG_MS : REPLY_MS);
@@ -102,7 +112,8 @@ export class Link {
       const found = await answer.json();
       return { ...found, ok: answer.ok };
     } catch (error) {
-      return { ok: false, lost: true, words: "the console did not answer" };
+      const broken = !waiting.signal.aborted;
+      return { ok: false, broken, words: "the console did not answer" };
     } finally {
       clearTimeout(timer);
     }
