@@ -41,6 +41,7 @@ from rig.results.acceptance import (
 )
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.document import (
+    Block,
     Document,
     Note,
     Picture,
@@ -274,21 +275,25 @@ _BAD, _GOOD = "#b00020", "#00713d"
 
 def certificate_lines(certificate: Document) -> list[str]:
     """Return the certificate as lines of text; long cells of a table have several lines."""
-    facts = [
-        f"{name + ':':<15}{line}"
-        for name, value in certificate.facts
-        for line in textwrap.wrap(value, 44)
-    ]
-    lines = [certificate.title, "", *facts]
-    for section in certificate.sections:
-        for part in section.blocks if not section.title else (section,):
-            sides = (part.left, part.right) if isinstance(part, SideBySide) else (part,)
-            for side in sides:
-                assert isinstance(side, Section)
-                lines += ["", side.title, ""]
-                for block in side.blocks:
-                    lines += _table_lines(block) if isinstance(block, Table) else [block.text]
-    return lines
+    lines = [certificate.title, ""]
+    for name, value in certificate.facts:
+        lines += [f"{name + ':':<15}{line}" for line in textwrap.wrap(value, 44)]
+    return lines + [line for section in certificate.sections for line in _lines(section)]
+
+
+def _lines(block: Block) -> Iterator[str]:
+    match block:
+        case Section():
+            yield from ("", block.title, "") if block.title else ()
+            for inner in block.blocks:
+                yield from _lines(inner)
+        case SideBySide():
+            yield from _lines(block.left)
+            yield from _lines(block.right)
+        case Table():
+            yield from _table_lines(block)
+        case Note():
+            yield block.text
 
 
 def _table_lines(cells: Table) -> list[str]:

@@ -332,8 +332,8 @@ def _with_gaps(series: Series, before: NDArray[np.intp]) -> Series:
     """Return a series with an empty column before some of its columns."""
     time, low, high, width_s = series
     middle = 0.5 * (time[before] + time[before - 1])
-    empty = [np.insert(each, before, math.nan, axis=1) for each in (low, high)]
-    return Series(np.insert(time, before, middle), *empty, width_s)
+    low, high = (np.insert(each, before, math.nan, axis=1) for each in (low, high))
+    return Series(np.insert(time, before, middle), low, high, width_s)
 
 
 def read_traces(path: Path, bench: Constants, cycle_s: float) -> Traces:

@@ -145,8 +145,8 @@ class _Row(NamedTuple):
     @classmethod
     def of(cls, folder: str, signature: str, head: Head, details: Details) -> _Row:
         """Return the row of a run folder."""
-        texts = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
-        fields = (folder, signature, *texts)
+        first, second = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
+        fields = (folder, signature, first, second)
         return cls(*fields, _checksum(fields))
 
     @property
