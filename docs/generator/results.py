@@ -101,17 +101,17 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.catalogue.compare:figures_record",
     ),
     "rig runs trend --json": (
-        "rig.results.catalogue.trend:trend_record",
-        "rig.results.catalogue.trend:_history_record",
-        "rig.results.catalogue.trend:_course_record",
+        "rig.results.catalogue.compare:trend_record",
+        "rig.results.catalogue.compare:_history_record",
+        "rig.results.catalogue.compare:_course_record",
     ),
     "rig runs verify --json": (
         "rig.results.catalogue.listing:verification_record",
         "rig.results.catalogue.listing:_run_record",
     ),
     "rig runs accept: acceptance.json": (
-        "rig.results.certificate:acceptance_record",
-        "rig.results.certificate:_check_record",
+        "rig.results.acceptance.certificate:acceptance_record",
+        "rig.results.acceptance.certificate:_check_record",
     ),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",

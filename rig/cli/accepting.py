@@ -22,7 +22,7 @@ from rig.runs.run_file import read_record
 from rig.runs.run_record import RECORDING_FILE, SEQUENCE_ATTACHMENT
 
 if TYPE_CHECKING:
-    from rig.results.certificate import Acceptance
+    from rig.results.acceptance.certificate import Acceptance
 
 
 def accept_run(
@@ -33,7 +33,7 @@ def accept_run(
     Raises:
         InputError: The folder is not a run folder, or a file cannot be written.
     """
-    from rig.results.certificate import accept, acceptance_document, write_bytes
+    from rig.results.acceptance.certificate import accept, acceptance_document, write_bytes
     from rig.results.document import text
     from rig.terminal.output import ShareBar
 

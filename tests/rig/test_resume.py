@@ -18,7 +18,7 @@ from rig.cli.entry import status
 from rig.common.errors import StorageError
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
-from rig.results import certificate
+from rig.results.acceptance import certificate
 from rig.results.document import Document
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder

@@ -216,7 +216,7 @@ def trend(
       rig runs trend --bench practical --since 2026-10-01 --out trend
       rig runs trend --constant Mc --last 30
     """
-    from rig.results.catalogue.trend import histories, trend_document, trend_record
+    from rig.results.catalogue.compare import histories, trend_document, trend_record
     from rig.runs.catalogue.entry import latest
 
     _, wanted = _chosen(folder, given)

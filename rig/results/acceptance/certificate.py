@@ -30,7 +30,7 @@ from rig.common.provenance import sha256_file, utc_now, versions
 from rig.common.tables import interval, number, table
 from rig.common.text import valid
 from rig.config.acceptance import Limit
-from rig.results.acceptance import (
+from rig.results.acceptance.evidence import (
     DIAGNOSIS_FOLDER,
     Check,
     Evidence,

@@ -1,0 +1,1 @@
+"""Acceptance of a finished run: compares the run with its limits, and writes the certificate."""
