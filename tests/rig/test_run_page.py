@@ -279,12 +279,6 @@ def test_lateness_of_a_real_bench_is_by_the_clock_of_the_host(runner: Any, fake_
     assert "simulated time" not in html
     clocks = [data_of(html, k)["frame"]["clock"] for k in range(len(titles(html)))]
     assert set(clocks) == {"host time"}
-
-
-def test_a_real_bench_is_called_real(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    folder.record.simulated = False
-    html = page_of(folder)
     assert "REAL BENCH" in html
     assert "SIMULATED" not in html
 

@@ -2,8 +2,7 @@
 
 import { Charts, Friction } from "./charts.js";
 import { Link } from "./link.js";
-import { Recorded } from "./recorded.js";
-import { setUpStart } from "./start.js";
+import { Recorded, setUpStart } from "./runs.js";
 import { activityWords, driveWords, headlineOf, PHASES, showTables, timeWords, whenWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
