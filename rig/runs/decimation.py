@@ -124,8 +124,9 @@ class _Level:
         """
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         held = numbers[starts]
-        low = np.fmin.reduceat(low, starts, axis=1)
-        high = np.fmax.reduceat(high, starts, axis=1)
+        if len(starts) < len(numbers):
+            low = np.fmin.reduceat(low, starts, axis=1)
+            high = np.fmax.reduceat(high, starts, axis=1)
         self._make_room(int(held[0]), int(held[-1]))
         inside = held >= self._first
         places = held[inside] - self._first
