@@ -94,24 +94,24 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.look:_column_record",
     ),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
-    "rig runs show --json": ("rig.results.catalogue.show:show_record",),
+    "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
     "rig runs compare --json": (
         "rig.results.catalogue.compare:compare_record",
         "rig.results.catalogue.compare:_difference_record",
         "rig.results.catalogue.compare:figures_record",
     ),
     "rig runs trend --json": (
-        "rig.results.catalogue.trend:trend_record",
-        "rig.results.catalogue.trend:_history_record",
-        "rig.results.catalogue.trend:_course_record",
+        "rig.results.catalogue.compare:trend_record",
+        "rig.results.catalogue.compare:_history_record",
+        "rig.results.catalogue.compare:_course_record",
     ),
     "rig runs verify --json": (
-        "rig.results.catalogue.show:verification_record",
-        "rig.results.catalogue.show:_run_record",
+        "rig.results.catalogue.listing:verification_record",
+        "rig.results.catalogue.listing:_run_record",
     ),
     "rig runs accept: acceptance.json": (
-        "rig.results.acceptance.record:acceptance_record",
-        "rig.results.acceptance.record:_check_record",
+        "rig.results.acceptance.certificate:acceptance_record",
+        "rig.results.acceptance.certificate:_check_record",
     ),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",

@@ -170,7 +170,7 @@ def cli(verbose: bool) -> None:
         # This program reports every important problem as its own error; without a handler, the logs
         # of the libraries would be printed. matplotlib warns of folders that cannot be written and
         # continues without these folders.
-        for name in ("can", "canopen", "foxglove", "matplotlib"):
+        for name in ("can", "canopen", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
 
 

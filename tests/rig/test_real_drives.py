@@ -21,7 +21,7 @@ from rig.config.canopen import ServoSection
 from rig.config.configuration import resolve
 from rig.config.serial_bus import NO_WATCHDOG
 from rig.control.check import describe, examine
-from rig.results.run.page.limits import read_attachments
+from rig.results.run.recorded import read_attachments
 from rig.runs.mcap.reader import read_run
 from rig.wiring.bench_text import watcher, watcher_of
 from rig.wiring.connect import connect, servo_data

@@ -18,7 +18,8 @@ from rig.cli.entry import status
 from rig.common.errors import StorageError
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
-from rig.results.acceptance import pdf
+from rig.results.acceptance import certificate
+from rig.results.document import Document
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder
 from rig.runs.run import load_run, read_record
@@ -339,20 +340,17 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
 def test_the_certificate_states_a_stop_and_the_continuation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    drawn: list[str] = []
-    write = pdf._Sheet.text
-
-    def note(self: Any, x: float, y: float, words: str, *rest: Any, **kept: Any) -> None:
-        drawn.append(words)
-        write(self, x, y, words, *rest, **kept)
-
-    monkeypatch.setattr(pdf._Sheet, "text", note)
+    made: list[Document] = []
+    write = certificate.certificate_pdf
+    monkeypatch.setattr(
+        certificate, "certificate_pdf", lambda found: made.append(found) or write(found)
+    )
     given = limits("given.yaml", "lost samples < 1")
     resume = ["resume", "out", "--yes", "--operator", "Bob", "--acceptance", given]
     assert status(resume) == 0
     first, second = read_record(Path("out")).parts
     page = Path("out/certificate.html").read_text()
-    on_paper = " ".join(drawn)
+    on_paper = "\n".join(certificate.certificate_lines(made[-1]))
     for shown in (page, on_paper):
         for words in ("Course of the run", "continued", "Ann", "Bob"):
             assert words in shown

@@ -1,15 +1,16 @@
 """Computes minimum and maximum of every channel over intervals of 2^k cycles as samples arrive.
 
-A page draws one or two intervals per pixel, so that a peak remains visible for any number of
+A chart draws one or two intervals per pixel, so that a peak remains visible for any number of
 samples per pixel.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.recording import Array
 
@@ -18,8 +19,7 @@ KEPT = 4096
 _ROOM = 2 * KEPT
 
 
-@dataclass(frozen=True)
-class Slice:
+class Slice(NamedTuple):
     """Consecutive intervals of one length.
 
     Attributes:
@@ -73,11 +73,13 @@ class Decimation:
         if not len(times):
             return
         self.latest_s = float(times[-1])
-        cycles = np.floor(times / self._cycle_s + 1e-6).astype(np.int64)
-        while not self._levels or int(cycles[-1]) >> (len(self._levels) - 1) > 1:
+        numbers = np.floor(times / self._cycle_s + 1e-6).astype(np.int64)
+        while not self._levels or int(numbers[-1]) >> (len(self._levels) - 1) > 1:
             self._grow()
-        for number, level in enumerate(self._levels):
-            level.add(cycles >> number, values)
+        low = high = values
+        for level in self._levels:
+            numbers, low, high = level.add(numbers, low, high)
+            numbers = numbers >> 1
 
     def since(self, level: int, first: int) -> Slice:
         """Return the intervals of a level from number ``first`` on; intervals that were dropped are
@@ -92,11 +94,9 @@ class Decimation:
         """Add a level with intervals of twice the length, computed from the last level."""
         grown = _Level(self._channels)
         if self._levels:
-            below = self._levels[-1].since(0, 0)
-            if below.low.shape[1]:
-                numbers = (below.first + np.arange(below.low.shape[1])) >> 1
-                grown.add(numbers, below.low)
-                grown.add(numbers, below.high)
+            _, first, low, high = self._levels[-1].since(0, 0)
+            if low.shape[1]:
+                grown.add((first + np.arange(low.shape[1])) >> 1, low, high)
         self._levels.append(grown)
 
 
@@ -109,22 +109,32 @@ class _Level:
         self._low = np.full((channels, _ROOM), np.nan)
         self._high = np.full((channels, _ROOM), np.nan)
 
-    def add(self, numbers: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Array) -> None:
-        """Merge samples into intervals; the numbers of the intervals, one per sample, must not
-        decrease.
+    def add(
+        self, numbers: NDArray[np.int64], low: Array, high: Array
+    ) -> tuple[NDArray[np.int64], Array, Array]:
+        """Merge shorter intervals or samples into the intervals of this level.
+
+        Args:
+            numbers: Number of the interval of each column, not decreasing.
+            low: Minima, shape (channels, n).
+            high: Maxima, shape (channels, n).
+
+        Returns:
+            The arguments, merged to one column an interval.
         """
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         held = numbers[starts]
-        low = np.fmin.reduceat(values, starts, axis=1)
-        high = np.fmax.reduceat(values, starts, axis=1)
+        if len(starts) < len(numbers):
+            low = np.fmin.reduceat(low, starts, axis=1)
+            high = np.fmax.reduceat(high, starts, axis=1)
         self._make_room(int(held[0]), int(held[-1]))
-        places = held - self._first
-        inside = places >= 0
-        places, low, high = places[inside], low[:, inside], high[:, inside]
-        self._low[:, places] = np.fmin(self._low[:, places], low)
-        self._high[:, places] = np.fmax(self._high[:, places], high)
+        inside = held >= self._first
+        places = held[inside] - self._first
+        self._low[:, places] = np.fmin(self._low[:, places], low[:, inside])
+        self._high[:, places] = np.fmax(self._high[:, places], high[:, inside])
         if len(places):
             self._count = max(self._count, int(places[-1]) + 1)
+        return held, low, high
 
     def since(self, level: int, first: int) -> Slice:
         """Return the intervals from number ``first`` on, the newest :data:`KEPT` at most."""
