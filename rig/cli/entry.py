@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 from drivers.errors import DeviceError
 from rig.cli import crash
 from rig.common.errors import InputError, InUseError, StorageError
-from rig.common.start_up import keep_freed_memory
+from rig.common.start_up import find_kernel_folder, keep_freed_memory
 from rig.terminal.output import Streams, complain
 from rig.terminal.stop_button import ignore_stops
 
@@ -189,6 +189,7 @@ def main() -> None:
     logging.raiseExceptions = False
     gc.set_threshold(GARBAGE_THRESHOLD)
     keep_freed_memory()
+    find_kernel_folder()
     arguments = sys.argv[1:]
     with _Threads(arguments) as threads:
         try:

@@ -1,15 +1,20 @@
 """Imports a module in a thread while the program computes something else.
 
-Keeps freed memory in the process for reuse by later arrays.
+Keeps freed memory in the process for reuse by later arrays, and finds a folder for compiled
+kernels.
 """
 
 from __future__ import annotations
 
 import ctypes
+import os
+import stat
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from pathlib import Path
 from threading import Thread
 
 
@@ -53,3 +58,23 @@ def keep_freed_memory() -> None:
     if tune is not None:
         tune(_MMAP_THRESHOLD, _LARGEST_BYTES)
         tune(_TRIM_THRESHOLD, _KEPT_BYTES)
+
+
+def find_kernel_folder() -> None:
+    """Let numba store compiled kernels in a private temporary folder if neither the folder of the
+    program nor the cache folder of the user is writable; must be called before numba is imported.
+    """
+    if os.name != "posix":
+        return
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    existing = next((path for path in (home, *home.parents) if path.exists()), home)
+    if os.access(Path(__file__).parent, os.W_OK) or os.access(existing, os.W_OK):
+        return
+    private = Path(tempfile.gettempdir()) / f"loadrig-kernels-{os.geteuid()}"
+    with suppress(OSError):
+        private.mkdir(mode=0o700, exist_ok=True)
+        found = private.lstat()
+        # Machine code is executed; no other user may be able to write it.
+        mine = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+        if mine and not found.st_mode & 0o077:
+            os.environ.setdefault("NUMBA_CACHE_DIR", str(private))
