@@ -6,11 +6,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from identification.estimate.profile import LEVEL
 from identification.numerics.arrays import Array
 from identification.plots.fit import LABELS
-from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure, plain_numbers
+from identification.plots.style import BLACK, BLUE, GREY, VERMILION, figure, plain_numbers
 from identification.result import Parameter, Profile, Starts
 
 _COLUMNS = 3

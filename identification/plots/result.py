@@ -34,7 +34,7 @@ def result(
     rotary = recordings[0].bench.motion == "rotary"
     scale, unit = (np.rad2deg(1.0), "deg") if rotary else (1e3, "mm")
     rows = [
-        (f"tracking error ({unit})", [_error(each, scale) for each in recordings]),
+        (f"tracking error ({unit})", [_tracking_error(each, scale) for each in recordings]),
         ("current (A)", [each.channels.get("current") for each in recordings]),
         ("temperature (C)", [each.channels.get("temperature") for each in recordings]),
     ]
@@ -50,7 +50,7 @@ def result(
     return made
 
 
-def _error(recording: Recording, scale: float) -> Array | None:
+def _tracking_error(recording: Recording, scale: float) -> Array | None:
     command, angle = (recording.channels.get(name) for name in ("command", "angle"))
     return None if command is None or angle is None else np.asarray(scale * (command - angle))
 
