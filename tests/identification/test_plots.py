@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from identification.diagnosis.result import Fit as EquationError
 from identification.diagnosis.result import Map, ResidualTrace
 from identification.plots import fit as fit_plots
+from identification.plots import fit as opening
+from identification.plots import fit as profile_plots
 from identification.plots import mismatch, signals
-from identification.plots import profile as profile_plots
-from identification.plots import result as opening
-from identification.plots.spread import spread
+from identification.plots.fit import spread
 from identification.plots.style import COMPRESSION, MAX_POINTS, arrange, continuing, png
 from identification.recording import Bench, Recording
 from identification.result import (

@@ -13,7 +13,6 @@ from identification.estimate.prediction.simulated_ladder import SimulatedRung
 from identification.model.ladder import LADDER, SIMULATED
 from identification.model.parameters import LINEAR
 from identification.plots import fit as fit_plots
-from identification.plots import result as opening
 from identification.plots import signals
 from identification.recording import Recording
 from identification.result import Fit, Identification, Parameter, Trace
@@ -604,7 +603,7 @@ def _how_sure(results: Sequence[Identification]) -> Iterator[Table | Note | Pict
 def _lead(outcome: Outcome) -> Picture:
     """Return the figure at the top of the page."""
     recordings, first = outcome.dataset.recordings, outcome.results[0]
-    drawn = opening.result(first, _moments(recordings), recordings)
+    drawn = fit_plots.result(first, _moments(recordings), recordings)
     what = "friction against speed, measured (dots) and identified (black); below it the recordings"
     return Picture.of("result", f"Result: {what}", drawn, lead=True)
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 
 from identification.model.parameters import LINEAR
-from identification.plots import profile as plots
+from identification.plots import fit as fit_plots
 from identification.result import Identification, MeasuredNoise, Profile, Resampled
 from rig.common.tables import interval, number
 from rig.results.document import Picture, Table
@@ -197,12 +197,12 @@ def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
     for result in results:
         several = [s for s in result.starts if len(s.ends) > 1]
         if result.profiles:
-            made = plots.profiles(result.profiles, list(result.parameters.values()))
+            made = fit_plots.profiles(result.profiles, list(result.parameters.values()))
             pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
         if several:
             pictures.append(
                 Picture.of(
-                    f"starts_{result.method}", "Where the starts ended", plots.waterfall(several)
+                    f"starts_{result.method}", "Where the starts ended", fit_plots.waterfall(several)
                 )
             )
     return pictures
