@@ -10,10 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.prediction.loop_fit import PER_VOLT, Motor, open_horizon, pieces_of
-from identification.estimate.prediction.simulated_ladder import (
+from identification.estimate.simulated_ladder import (
+    PER_VOLT,
+    Motor,
     SimulatedRung,
     climb_simulated,
+    open_horizon,
+    pieces_of,
     predictable,
 )
 from identification.model.ladder import DIRECTIONAL, TRANSMITTED

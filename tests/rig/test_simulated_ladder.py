@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.estimate.prediction.simulated_ladder import climb_simulated
+from identification.estimate.simulated_ladder import climb_simulated
 from identification.model.ladder import DIRECTIONAL, SIMULATED, TRANSMITTED
 from rig.cli.entry import status
 from rig.sources import load_source

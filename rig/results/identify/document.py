@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from identification.estimate.ladder import Interval, Rung, Transfer
 from identification.estimate.paper_method import Contender
-from identification.estimate.prediction.loop_fit import PER_VOLT, Constant
-from identification.estimate.prediction.simulated_ladder import SimulatedRung
+from identification.estimate.simulated_ladder import PER_VOLT, Constant, SimulatedRung
 from identification.model.ladder import LADDER, SIMULATED
 from identification.model.parameters import LINEAR
 from identification.plots import fit as fit_plots

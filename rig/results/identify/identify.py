@@ -17,7 +17,7 @@ from identification.estimate.covariance import uncertain_constants
 from identification.estimate.default import identify_any_length
 from identification.estimate.ladder import Rung, Transfer, climb, transfer
 from identification.estimate.paper_method import Contender, compare, identify_paper
-from identification.estimate.prediction.simulated_ladder import SimulatedRung, climb_simulated
+from identification.estimate.simulated_ladder import SimulatedRung, climb_simulated
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
