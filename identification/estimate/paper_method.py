@@ -13,7 +13,7 @@ from identification.estimate import equation_error as projection
 from identification.estimate.equation_error import require_motion
 from identification.estimate.parameter_table import fit_of, trace_of, units_of
 from identification.model.friction import stribeck_shape, system_friction
-from identification.model.ladder import NOMINAL
+from identification.model.ladder import PAPER_FRICTION
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 from identification.numerics.least_squares import Design
@@ -180,9 +180,9 @@ def _left_out(model: Model) -> tuple[str, ...]:
     Raises:
         RecordingError: A friction model other than that of the paper is declared.
     """
-    if model.friction != NOMINAL:
+    if model.friction != PAPER_FRICTION:
         raise RecordingError(
-            f"the paper's method supports only the friction model {NOMINAL}; for the model "
+            f"the paper's method supports only the friction model {PAPER_FRICTION}; for the model "
             f"{model.friction} use the default method"
         )
     if not model.terms:

@@ -31,7 +31,7 @@ from identification.filter.likelihood import (
 )
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import Noise, motion
-from identification.model.ladder import NOMINAL
+from identification.model.ladder import PAPER_FRICTION
 from identification.model.parameters import INDEX, LOGARITHMIC, STRIBECK_TERMS, pack, unpack
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import equilibrated
@@ -306,9 +306,9 @@ def refine_recordings(
     """
     if not names:
         return "every parameter is fixed"
-    if model.friction != NOMINAL:
+    if model.friction != PAPER_FRICTION:
         return (
-            f"prediction errors support only the friction model {NOMINAL}, but the model "
+            f"prediction errors support only the friction model {PAPER_FRICTION}, but the model "
             f"{model.friction} is declared"
         )
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):

@@ -34,8 +34,8 @@ drives the load or is driven by it. These two rungs need a simulated motor torqu
 measured motor torque in a regressor would correlate with the residual.
 """
 
-NOMINAL = "stribeck"
-"""Rung of the paper's system load, eq. 9."""
+PAPER_FRICTION = "stribeck"
+"""Model of the ladder that is the paper's system load, eq. 9."""
 
 
 def rises(rung: str) -> bool:

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, field_validator, mode
 
 from identification.effects import EFFECTS
 from identification.model.gas_generator import PAPER
-from identification.model.ladder import LADDER, NOMINAL
+from identification.model.ladder import LADDER, PAPER_FRICTION
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
 from rig.common.timing import iso_time
@@ -138,7 +138,7 @@ class ModelSection(Schema):
             which is combined with the estimate from the recordings.
     """
 
-    friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
+    friction: Annotated[str, AfterValidator(_known_friction)] = PAPER_FRICTION
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
     fixed: dict[Annotated[str, AfterValidator(_known_parameter)], KnownNumber] = Field(
         default_factory=dict
