@@ -11,7 +11,7 @@ import numpy as np
 from scipy import optimize
 
 from identification.model.friction import stribeck_shape, system_friction
-from identification.model.ladder import LADDER, bears_load, rises
+from identification.model.parameters import LADDER, bears_load, rises
 from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import Spread, correlation_samples

@@ -24,8 +24,7 @@ from identification.estimate.equation_error import (
     unloaded_stage,
 )
 from identification.estimate.parameter_table import fit_of
-from identification.model.ladder import LADDER, bears_load
-from identification.model.parameters import LOAD_PARAMETERS
+from identification.model.parameters import LADDER, LOAD_PARAMETERS, bears_load
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import CONFIDENCE

@@ -13,8 +13,7 @@ from identification.estimate import equation_error as projection
 from identification.estimate.equation_error import require_motion
 from identification.estimate.parameter_table import fit_of, trace_of, units_of
 from identification.model.friction import stribeck_shape, system_friction
-from identification.model.ladder import PAPER_FRICTION
-from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.parameters import LOAD_PARAMETERS, PAPER_FRICTION, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 from identification.numerics.least_squares import Design
 from identification.numerics.optimisers import (

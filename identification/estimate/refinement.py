@@ -31,8 +31,14 @@ from identification.filter.likelihood import (
 )
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import Noise, motion
-from identification.model.ladder import PAPER_FRICTION
-from identification.model.parameters import INDEX, LOGARITHMIC, STRIBECK_TERMS, pack, unpack
+from identification.model.parameters import (
+    INDEX,
+    LOGARITHMIC,
+    PAPER_FRICTION,
+    STRIBECK_TERMS,
+    pack,
+    unpack,
+)
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import equilibrated
 from identification.numerics.spread import Spread

@@ -15,8 +15,13 @@ import numpy as np
 from identification.estimate.default import by_load, solve_stages
 from identification.estimate.equation_error import common_bandwidth
 from identification.estimate.ladder import REPLICATES, Interval
-from identification.model.ladder import DIRECTIONAL, SIMULATED, bears_load, drive_share
-from identification.model.parameters import DRIVE_SHARE
+from identification.model.parameters import (
+    DIRECTIONAL,
+    DRIVE_SHARE,
+    SIMULATED,
+    bears_load,
+    drive_share,
+)
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import (
     Box,
@@ -261,7 +266,7 @@ class Coordinates:
     """The free coordinates of one friction model (rung) of the ladder.
 
     Attributes:
-        rung: Name of the rung, of :data:`identification.model.ladder.SIMULATED`.
+        rung: Name of the rung, of :data:`identification.model.parameters.SIMULATED`.
         names: Free coordinates, in the order of x.
         axes: Bounds and step of each coordinate, by name.
         model: Declared model; its fixed parameters do not change.
@@ -673,7 +678,7 @@ class SimulatedRung:
     """One friction model, fitted to the simulated angle.
 
     Attributes:
-        friction: Name of the rung, of :data:`identification.model.ladder.SIMULATED`.
+        friction: Name of the rung, of :data:`identification.model.parameters.SIMULATED`.
         free: Whether the motor constants were free within their priors.
         alpha: Stribeck exponent.
         fitted: Parameters by name, SI; ``lateness`` of the command, s.

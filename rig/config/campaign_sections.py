@@ -8,8 +8,12 @@ from pydantic import AfterValidator, Field, PositiveFloat, field_validator, mode
 
 from identification.effects import EFFECTS
 from identification.model.gas_generator import PAPER
-from identification.model.ladder import LADDER, PAPER_FRICTION
-from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.parameters import (
+    LADDER,
+    LOAD_PARAMETERS,
+    PAPER_FRICTION,
+    SYSTEM_PARAMETERS,
+)
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
 from rig.common.timing import iso_time
 from rig.config.campaign_columns import ChannelSection, ReadSection

@@ -19,7 +19,7 @@ from identification.estimate.simulated_ladder import (
     pieces_of,
     predictable,
 )
-from identification.model.ladder import DIRECTIONAL, TRANSMITTED
+from identification.model.parameters import DIRECTIONAL, TRANSMITTED
 from identification.prepare import prepare
 from identification.recording import Dataset, Recording
 

@@ -12,7 +12,7 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.ladder import climb, transfer
-from identification.model.ladder import LADDER
+from identification.model.parameters import LADDER
 from identification.result import Identification
 from rig.results.simulate.simulate import simulate_source
 from rig.sources import load_source

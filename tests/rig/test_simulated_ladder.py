@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.simulated_ladder import climb_simulated
-from identification.model.ladder import DIRECTIONAL, SIMULATED, TRANSMITTED
+from identification.model.parameters import DIRECTIONAL, SIMULATED, TRANSMITTED
 from rig.cli.entry import status
 from rig.sources import load_source
 

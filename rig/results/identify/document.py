@@ -9,8 +9,7 @@ from typing import NamedTuple
 from identification.estimate.ladder import Interval, Rung, Transfer
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import PER_VOLT, Constant, SimulatedRung
-from identification.model.ladder import LADDER, SIMULATED
-from identification.model.parameters import LINEAR
+from identification.model.parameters import LADDER, LINEAR, SIMULATED
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Recording

@@ -9,7 +9,7 @@ from typing import Any
 from identification.estimate.ladder import Interval, Moved, Rung, Transfer
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant, SimulatedRung
-from identification.model.ladder import LADDER, SIMULATED
+from identification.model.parameters import LADDER, SIMULATED
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite
 from rig.results.identify.identify import Outcome
