@@ -13,8 +13,13 @@ from scipy import stats
 
 from identification.estimate.covariance import matching_means, replicate_information
 from identification.estimate.inertia import Replicate, inflation_by, instruments
-from identification.filter.likelihood import Point, optimise_breakaway_times
-from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
+from identification.filter.likelihood import (
+    HUBER_THRESHOLD,
+    Point,
+    likeliest_noise,
+    optimise_breakaway_times,
+    torque_noise,
+)
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import (
     INDEX,

@@ -16,8 +16,7 @@ import numpy as np
 
 from identification.estimate.inertia import influence_on_inertia, instruments
 from identification.estimate.searches import Refined
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.likelihood import HUBER_THRESHOLD, Point
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
 from identification.numerics.least_squares import BlockArrow, huber_weight

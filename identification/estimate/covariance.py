@@ -16,8 +16,7 @@ from identification.estimate.inertia import (
     instruments,
     replicated_segments,
 )
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.likelihood import HUBER_THRESHOLD, Point
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, STRIBECK_TERMS
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import each

@@ -13,8 +13,7 @@ from scipy import fft
 
 from identification.filter.experiment import Experiment
 from identification.filter.kalman import DIRECTION, FIRST, LAST
-from identification.filter.likelihood import Point, Searched
-from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise
+from identification.filter.likelihood import HUBER_THRESHOLD, Point, Searched, likeliest_noise
 from identification.filter.segments import Motion
 from identification.model.parameters import INERTIA, LOGARITHMIC, OFFSET
 from identification.numerics.arrays import Array

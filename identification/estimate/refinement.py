@@ -22,6 +22,7 @@ from identification.estimate.parameter_table import typical_error
 from identification.estimate.replicates import Bias, likelihood_bias
 from identification.estimate.searches import Refined
 from identification.filter.likelihood import (
+    HUBER_THRESHOLD,
     ROUNDS,
     Point,
     Reduced,
@@ -29,7 +30,6 @@ from identification.filter.likelihood import (
     reduce,
     search_breakaway_times,
 )
-from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import (
     INDEX,

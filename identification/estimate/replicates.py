@@ -26,8 +26,12 @@ from itertools import islice
 import numpy as np
 
 from identification.estimate.inertia import Replicate, segment_inflation
-from identification.filter.likelihood import Point, search_breakaway_times
-from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
+from identification.filter.likelihood import (
+    HUBER_THRESHOLD,
+    Point,
+    search_breakaway_times,
+    torque_noise,
+)
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import (
     INERTIA,

@@ -15,9 +15,11 @@ import numpy as np
 from identification.estimate.covariance import covariances, named_covariances
 from identification.estimate.inertia import SOLVED, equations_chi2, fit_beside_inertia, solve
 from identification.filter.experiment import Filter
-from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
-from identification.filter.noise_level import (
+from identification.filter.likelihood import (
     HUBER_THRESHOLD,
+    PARAMETER_STEP,
+    Point,
+    Searched,
     deviance,
     first_correlated_noise,
     likeliest_noise,

@@ -11,7 +11,7 @@ from identification.estimate.bootstrap import bootstrap
 from identification.estimate.default import identify
 from identification.estimate.refinement import refine_recordings
 from identification.estimate.searches import Refined
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.likelihood import HUBER_THRESHOLD
 from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Dataset, Model, Recording
 

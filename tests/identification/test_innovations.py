@@ -10,8 +10,7 @@ from scipy import linalg
 
 from identification.filter import kalman as kernel
 from identification.filter.kalman import LANES, slip_variance
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import deviance, likeliest_noise
+from identification.filter.likelihood import Point, deviance, likeliest_noise
 from identification.filter.segments import Motion, Noise, motion
 from identification.model.parameters import INDEX, LOAD_RISE, SYSTEM_RISE, pack, unpack
 from identification.recording import Model, Recording

@@ -10,7 +10,7 @@ import pytest
 from identification.estimate.default import identify
 from identification.estimate.profile import LEVEL, crossings, profiles
 from identification.estimate.searches import Refined, refine_stages
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.likelihood import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX
 from identification.numerics import least_squares as levenberg

@@ -35,8 +35,7 @@ from identification.estimate.replicates import (
 )
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.kalman import DIRECTION
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
+from identification.filter.likelihood import HUBER_THRESHOLD, Point, likeliest_noise, torque_noise
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
