@@ -15,7 +15,6 @@ import numpy as np
 
 from identification.estimate import equation_error as varpro
 from identification.estimate import refinement
-from identification.estimate.bootstrap import bootstrap
 from identification.estimate.covariance import (
     shifts_of_constants,
     with_constants,
@@ -38,7 +37,6 @@ from identification.estimate.parameter_table import (
     typical_error,
     units_of,
 )
-from identification.estimate.profile import profiles
 from identification.estimate.refinement import (
     Found,
     floors_of,
@@ -49,6 +47,7 @@ from identification.estimate.refinement import (
     refine_pieces,
     spread_of,
 )
+from identification.estimate.uncertainty import bootstrap, profiles
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress, silent
 from identification.prepare import (

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identification.estimate.profile import LEVEL
+from identification.estimate.uncertainty import LEVEL
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.parameters import torque_word, unit_on
 from identification.numerics.arrays import Array

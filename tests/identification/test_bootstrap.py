@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.bootstrap import bootstrap
 from identification.estimate.default import identify
 from identification.estimate.refinement import refine_recordings
 from identification.estimate.searches import Refined
+from identification.estimate.uncertainty import bootstrap
 from identification.filter.likelihood import HUBER_THRESHOLD
 from identification.model.parameters import NOMINAL, SYSTEM_PARAMETERS
 from identification.recording import Dataset, Model, Recording

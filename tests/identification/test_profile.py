@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.profile import LEVEL, crossings, profiles
 from identification.estimate.searches import Refined, refine_stages
+from identification.estimate.uncertainty import LEVEL, crossings, profiles
 from identification.filter.likelihood import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX
