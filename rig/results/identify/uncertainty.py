@@ -200,9 +200,6 @@ def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
             made = fit_plots.profiles(result.profiles, list(result.parameters.values()))
             pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
         if several:
-            pictures.append(
-                Picture.of(
-                    f"starts_{result.method}", "Where the starts ended", fit_plots.waterfall(several)
-                )
-            )
+            made = fit_plots.waterfall(several)
+            pictures.append(Picture.of(f"starts_{result.method}", "Where the starts ended", made))
     return pictures
