@@ -67,10 +67,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
-        "rig.results.simulate.document:simulation_record",
-        "rig.results.simulate.document:_case_record",
-        "rig.results.simulate.document:_sums_record",
-        "rig.results.simulate.document:_record_errors",
+        "rig.results.simulate:simulation_record",
+        "rig.results.simulate:_case_record",
+        "rig.results.simulate:_sums_record",
+        "rig.results.simulate:_record_errors",
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",
