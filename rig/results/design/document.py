@@ -13,7 +13,7 @@ from rig.common.provenance import finite, utc_now, versions
 from rig.common.tables import number, percent
 from rig.config.sequence import Sequence, StageSection
 from rig.results.design.experiment import Experiment
-from rig.results.document import Document, Note, Section, Table
+from rig.results.document import Document as Page, Note, Section, Table
 
 PROPOSAL_FILE = "proposal.yaml"
 
@@ -50,12 +50,12 @@ def intervals_words(found: Intervals) -> str:
     )
 
 
-def plan_document(experiment: Experiment) -> Document:
+def plan_document(experiment: Experiment) -> Page:
     """Return the parameters that the given and the proposed sequence determine, and the stages of
     the proposal.
     """
     title = f"Experiment in place of {experiment.sequence.name}"
-    return Document(title, "", tuple(_summary(experiment)))
+    return Page(title, "", tuple(_summary(experiment)))
 
 
 def _summary(experiment: Experiment) -> Iterator[Section]:
@@ -72,7 +72,7 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
         _advice(experiment),
     )
     yield Section("", tuple(map(Note, lines)))
-    yield Section("", (_stages(experiment),))
+    yield Section("", (_stage_table(experiment),))
     last = (
         f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
         f"rms; {_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
@@ -98,7 +98,7 @@ def _widths(experiment: Experiment) -> Table:
     return Table(("parameter", "nominal", *names, "times tighter"), rows, (1, 2, 3, 4))
 
 
-def _stages(experiment: Experiment) -> Table:
+def _stage_table(experiment: Experiment) -> Table:
     rows = tuple(
         (stage.name, f"{stage.weight_kg:g}", f"{stage.duration_s:g}", excitation_words(stage))
         for stage in experiment.proposed.stages
