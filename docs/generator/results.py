@@ -52,8 +52,8 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.record:comparison_record",
     ),
     "rig identify --plan: plan file": (
-        "rig.results.design.document:plan_record",
-        "rig.results.design.document:_intervals_record",
+        "rig.results.design:plan_record",
+        "rig.results.design:_intervals_record",
     ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.model_file:diagnosis_record",

@@ -209,14 +209,14 @@ def _plan(options: _Options, sequence: str) -> None:
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
-    from rig.results.design.document import (
+    from rig.results.design import (
         PROPOSAL_FILE,
         RESULT_FILE,
         plan_document,
+        plan_experiment,
         plan_record,
         proposal_text,
     )
-    from rig.results.design.experiment import plan_experiment
     from rig.results.document import text, write_record, write_texts
     from rig.terminal.output import ShareBar
 
