@@ -35,7 +35,7 @@ from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
 from rig.results.design import PROPOSAL_FILE, excitation_words, plan_experiment, proposal_text
 from rig.results.document import write_texts
-from rig.results.identify.record import identification_record, uncertainty_record
+from rig.results.identify.identify import identification_record, uncertainty_record
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
 

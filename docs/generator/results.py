@@ -44,12 +44,12 @@ _PROVENANCE = "Every result file"
 WRITERS: Mapping[str, tuple[str, ...]] = {
     _PROVENANCE: ("rig.common.provenance:Provenance.record",),
     "rig identify: identify.json": (
-        "rig.results.identify.record:identification_record",
-        "rig.results.identify.record:uncertainty_record",
-        "rig.results.identify.record:ladder_record",
-        "rig.results.identify.record:simulated_record",
-        "rig.results.identify.record:transfer_record",
-        "rig.results.identify.record:comparison_record",
+        "rig.results.identify.identify:identification_record",
+        "rig.results.identify.identify:uncertainty_record",
+        "rig.results.identify.identify:ladder_record",
+        "rig.results.identify.identify:simulated_record",
+        "rig.results.identify.identify:transfer_record",
+        "rig.results.identify.identify:comparison_record",
     ),
     "rig identify --plan: plan file": (
         "rig.results.design:plan_record",

@@ -22,7 +22,7 @@ from rig.results.identify.document import (
     uncertainty_pictures,
     uncertainty_tables,
 )
-from rig.results.identify.record import uncertainty_record
+from rig.results.identify.identify import uncertainty_record
 
 RESULT = Identification(
     "default",

@@ -169,8 +169,12 @@ def _identify_source(options: _Options, source: Path) -> None:
     from rig.common.provenance import RESULT_FILE
     from rig.common.start_up import imported_ahead
     from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.identify.identify import Request, compare_methods, identify_source
-    from rig.results.identify.record import outcome_record
+    from rig.results.identify.identify import (
+        Request,
+        compare_methods,
+        identify_source,
+        outcome_record,
+    )
     from rig.results.measured import facts_of
     from rig.runs.recorded_inputs import truth_of
     from rig.terminal.output import ShareBar
