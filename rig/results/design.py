@@ -315,8 +315,8 @@ def _stages(
     stage and a number.
     """
     out = []
-    for number, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
-        own = [p.excitation for p in parts if p.frame == number]
+    for k, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
+        own = [p.excitation for p in parts if p.frame == k]
         if own == [frame.present]:
             out.append(stage)  # unchanged, with its phases and repeats
         else:
