@@ -218,12 +218,7 @@ def propose(
 def _best_confirmed(
     designs: Iterable[Design], search: Search, now: Intervals, report: Progress
 ) -> tuple[Intervals, Design | None, int]:
-    """Return the intervals of the best design by simulation and identification, the design, and the
-    number of designs simulated.
-
-    The best is the first design whose simulated trials confirm the expected intervals; if no design
-    is confirmed, it is the design with the best attained intervals.
-    """
+    """Return intervals and design of the first confirmed or best trial, and their number."""
     frames, nominals = search.frames, search.nominals
     judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
     # If the likelihood is steep at the simulated values, the estimate ends far from these values;
@@ -246,9 +241,7 @@ def _best_confirmed(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Intervals:
-    """Return the intervals of the worst of a few simulated trials; no trial follows a trial that
-    fails.
-    """
+    """Return the intervals of the worst simulated trial; none follows one that fails."""
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):
         found.append(attained(stages, search.nominals[0], np.random.default_rng(seed)))

@@ -314,9 +314,7 @@ def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> 
 
 
 def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array:
-    """Return the information of a run from products with its replicates, with variance inflation,
-    shape (p, p).
-    """
+    """Return a run's information from products with its replicates, (p, p)."""
     point, jacobian = run.point, run.sensitivities
     alike = matching_means(jacobian, instruments(point, jacobian), point.experiment.matching_count)
     by_segment = replicate_information(point, alike, others)
@@ -324,9 +322,7 @@ def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return two covariances of the scores of a stage, with breakaway times eliminated: by the
-    noise model, and as observed over the motion segments; shape (p, p) each.
-    """
+    """Return covariances of a stage's scores, by noise model and observed, (p, p) each."""
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
     segments, owners = jacobian.blocks, jacobian.owners
@@ -349,12 +345,8 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
 
 
 def _bounded(information: Array, power: Array) -> Array:
-    """Return the information from replicates, limited in every direction to between zero and
-    ``power``, the information from products of each run with itself.
-
-    Products of two different runs are not bounded: with few matching half cycles they can by chance
-    be negative, or far greater than ``power``.
-    """
+    """Return the information, between zero and ``power`` in every direction."""
+    # Products of two different runs can by chance be negative, or far greater than ``power``.
     scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
     values, vectors = np.linalg.eigh(power / np.outer(scale, scale))
     clear = values > _CLEAR * np.max(values)
@@ -393,9 +385,7 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
 
 
 def _turn(names: Sequence[str], nominal: PlannedModel) -> Array:
-    """Return the matrix that transforms relative changes of named parameters to changes of the
-    coordinates of a search (logarithms, rises).
-    """
+    """Return d coordinates of a search / d relative changes of named parameters."""
     turn = np.eye(len(names))
     for k, name in enumerate(names):
         if INDEX[name] not in LOGARITHMIC:

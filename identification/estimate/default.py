@@ -196,9 +196,7 @@ def _asked(
     rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
-    """Return the requested profiles and bootstrap results, or a warning if they cannot be
-    computed.
-    """
+    """Return the requested profiles and bootstrap results, or why they cannot be computed."""
     if found.taken is None:
         what = " and ".join(
             w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
@@ -399,9 +397,7 @@ def identify_long(
 
 
 def _cut(recording: Recording, near: int) -> int:
-    """Return the sample at which a recording is cut: the middle of the last rest shortly before the
-    sample ``near``, or ``near`` if there is no rest.
-    """
+    """Return the sample of the middle of the last rest shortly before ``near``, else ``near``."""
     window = slice(near - _SEARCH_SAMPLES, near)
     angle = joint_angle(
         replace(recording, channels={c: v[window] for c, v in recording.channels.items()})

@@ -148,9 +148,7 @@ def _solved(triangles: Sequence[Array], low: Array, high: Array) -> tuple[Array,
 
 
 def _vertex(x: Array, y: Array) -> float:
-    """Return the x at which the parabola through three points has its minimum, within the range of
-    the points.
-    """
+    """Return the minimum of the parabola through three points, within their range."""
     first, second = (y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1])
     curvature = (second - first) / (x[2] - x[0])
     if not curvature > 0.0:
@@ -266,11 +264,7 @@ def climb(
 
 
 def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
-    """Return the recordings to fit.
-
-    Raises:
-        RecordingError: A recording is loaded, or none has role ``fit``.
-    """
+    """Return the recordings to fit; raise RecordingError if none, or if one is loaded."""
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
         raise RecordingError(

@@ -174,11 +174,7 @@ def identify_paper(
 
 
 def _left_out(model: Model) -> tuple[str, ...]:
-    """Return a warning about declared terms that the paper's method does not contain.
-
-    Raises:
-        RecordingError: A friction model other than that of the paper is declared.
-    """
+    """Return a warning about declared terms; raise RecordingError for another friction model."""
     if model.friction != PAPER_FRICTION:
         raise RecordingError(
             f"the paper's method supports only the friction model {PAPER_FRICTION}; for the model "
@@ -334,9 +330,7 @@ def _parameter(
     samples: StageSamples,
     cost: float,
 ) -> Parameter:
-    """Return one parameter; J is not identifiable if the torque of the inertia is smaller than the
-    torque error of the fit.
-    """
+    """Return one parameter; J is withheld if its torque is below the torque error."""
     inertial = value * float(np.linalg.norm(samples.acceleration))
     if name == "J" and inertial < cost:
         reason = (
@@ -598,9 +592,7 @@ def _contender(
 
 
 def _worst(values: Mapping[str, float], reference: Mapping[str, float]) -> tuple[float, str]:
-    """Return the greatest relative error over the common parameters, and the name of the parameter
-    with this error.
-    """
+    """Return the greatest relative error over the common parameters, and its parameter."""
     errors = [
         (abs(values[n] / v - 1.0), n) for n, v in reference.items() if n in values and v != 0.0
     ]

@@ -94,9 +94,7 @@ def try_refinements(
 
 
 def _coloured(refined: Refined, limits: AcceptanceLimits) -> bool:
-    """Return whether innovations are correlated, or imply a torque noise above the torque
-    scatter.
-    """
+    """Return whether innovations are correlated or imply too much torque noise."""
     return (
         abs(refined.whiteness) > limits.whiteness
         or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
@@ -249,9 +247,7 @@ def refine(
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Subtract the bias (M36) and add its variance (M42); a correction that would lead beyond the
-    range of its parameter is omitted.
-    """
+    """Subtract the bias (M36) and add its variance (M42), unless a value leaves its range."""
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
     rises = all(
         values[static] >= values[coulomb]
@@ -476,15 +472,7 @@ def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
 def _over_all(
     start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> Refined:
-    """Return the estimate of the heads, with values, covariance and innovations replaced by those
-    of all pieces.
-
-    Args:
-        start: The estimate of the heads.
-        found: Normal equations of the pieces.
-        names: Parameters that all pieces determine.
-        vector: Parameters.
-    """
+    """Return the estimate of the heads with values and statistics of all pieces."""
     achieved, floor = start.covariance.copy(), start.floor.copy()
     order = np.ix_(*2 * [[start.names.index(n) for n in names]])
     achieved[order], floor[order] = _covariances(found, names, vector)
@@ -508,17 +496,7 @@ def _settled(
     noise: Noise,
     begins: tuple[Array, ...] | None,
 ) -> Point | None:
-    """Return a piece with optimised breakaway times, or None if prediction errors do not apply to
-    the piece.
-
-    Args:
-        piece: The piece.
-        vector: Parameters.
-        free: Indices of the free parameters.
-        model: Declared terms and fixed values.
-        noise: Noise of torque and angle.
-        begins: Breakaway times of the previous pass, s; None in the first pass.
-    """
+    """Return a piece with optimised breakaway times, or None where the filter does not apply."""
     moving = motion(piece)
     if moving is None:
         return None
@@ -531,9 +509,7 @@ def _settled(
 def _covariances(
     found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters and its Cramer-Rao bound; the covariance is the
-    larger of the inverse information and the sandwich covariance.
-    """
+    """Return covariance (larger of information and sandwich) and Cramer-Rao bound."""
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])
     bread = np.linalg.pinv(normal, hermitian=True)

@@ -180,9 +180,7 @@ def basins(fit: LoadedFit) -> list[Point]:
 
 
 def _apart(one: Point, other: Point) -> bool:
-    """Return whether two ends are in different basins, that is, differ in the Stribeck speed or the
-    rise of the load friction.
-    """
+    """Return whether two ends differ in the Stribeck speed or rise of load friction."""
     places = [OMEGA_SL, LOAD_RISE]
     away = np.abs(one.vector[places] - other.vector[places])
     return bool(np.any(away > _APART * np.abs(other.vector[places])))
@@ -236,18 +234,9 @@ def _missed(end: End) -> bool:
 
 
 def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
-    """Search from the start points with finite differences over wide steps, until the residuals at
-    an end agree with the noise; return the best end.
-
-    Far from the true values the model in the filter may stick and slip in slow ramps. The
-    prediction errors then depend irregularly on the parameters: derivatives over small steps are a
-    hundred times as large as derivatives over wide steps, and give no useful search direction.
-
-    Args:
-        starts: Starts of the searches.
-        best: The best end so far.
-        ends: List to which the ends of the searches are appended.
-    """
+    """Search with wide finite differences until the residuals agree with the noise."""
+    # Far from the true values the model in the filter may stick and slip in slow ramps; derivatives
+    # over small steps then give no useful direction.
     before = best
     for start in starts:
         if spent(start):
@@ -260,16 +249,9 @@ def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
 
 
 def _neighbours(best: End, ends: list[End]) -> End:
-    """Search again from neighbours of an end, with breakaway times computed anew; return the
-    likeliest of all ends.
-
-    Parameters and breakaway times are coupled, so that a search may end where neither a change of
-    parameters alone nor a change of breakaway times alone lowers the cost.
-
-    Args:
-        best: The end whose neighbours are the start points.
-        ends: List to which the ends of the searches are appended.
-    """
+    """Search again from neighbours of an end; append to ``ends``, return the likeliest."""
+    # Parameters and breakaway times are coupled: a search may end where neither alone lowers the
+    # cost.
     for beside in _BESIDE:
         for _ in range(_ROUNDS):
             begun = best
@@ -294,9 +276,7 @@ def _multiplied(begun: Point, place: int, factor: float) -> Point:
 
 
 def _ended_each(starts: Sequence[Point], tempering: Sequence[float]) -> list[End]:
-    """Search from several points of one fit, two at a time; return the ends in the order of the
-    points. Points for which the earlier searches left no passes are omitted.
-    """
+    """Search from several points, two at a time, while passes are left; return the ends."""
 
     def alone(start: Point) -> tuple[End, int]:
         own = replace(start, filter=Filter(start.experiment))
@@ -324,10 +304,7 @@ def _deviance(point: Point) -> float:
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed
-    exceeds a share of the speed that the joint gains within one sample period because load friction
-    falls.
-    """
+    """Return whether samples resolve the load Stribeck speed: gain of speed in a period."""
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))
     period = max(m.recording.period for m in point.motions)
@@ -372,12 +349,7 @@ def _least_squares(point: Point, step: float) -> Searched:
 
 
 def _likelihood(point: Point, reach: float = math.inf) -> Searched:
-    """Search by likelihood, in alternation with a grid search of the breakaway times.
-
-    Args:
-        point: Start.
-        reach: Cost that another search reached; a search that would not reach this cost ends early.
-    """
+    """Search by likelihood, in turn with a grid search of the breakaway times."""
     iterations = 0
     for _ in range(_SEEKS):
         found = levenberg.minimise_deviance(
@@ -529,9 +501,7 @@ def _heavier(point: Point, share: float) -> Point:
 
 
 def _far(point: Point) -> Iterator[Point]:
-    """Yield start points at inertias far from that of the equation error, each with the likeliest
-    breakaway times.
-    """
+    """Yield start points at inertias far from that of the equation error."""
     for share in _FAR:
         yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
 
@@ -539,15 +509,7 @@ def _far(point: Point) -> Iterator[Point]:
 def _best_of(
     starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
 ) -> Solved | None:
-    """Try one start point after another until the estimating equations are solved; return the best
-    end, which may be ``best``.
-
-    Args:
-        starts: Start points, tried in turn.
-        free: Free parameters.
-        best: The best end so far.
-        found: List to which the chi-square of every attempt is appended.
-    """
+    """Try start points until the equations are solved; return the best end so far."""
     for number, start in enumerate(starts):
         if (best is not None and best.chi2 < SOLVED) or (spent(start) and (best or number)):
             break
@@ -628,9 +590,7 @@ class Refined:
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Return the indices of the parameters that are not fixed: of the system load, of the working
-    load, and of the inertia.
-    """
+    """Return the indices of free parameters: of system load, working load, inertia."""
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [
         k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed
@@ -650,9 +610,7 @@ def _first_point(
     model: Model,
     correlated: bool,
 ) -> Point:
-    """Return the start point of the unloaded fit: the values of the equation error, with the
-    likeliest noise at these values.
-    """
+    """Return the start of the unloaded fit: equation error values, likeliest noise."""
     # Without load the equation error gives good start values. Under load the start values of the
     # grid are used, because load friction falls too steeply with speed to be resolved after
     # filtering.
@@ -729,9 +687,7 @@ def refine_stages(
 def _loaded_fit(
     first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
 ) -> tuple[LoadedFit, int]:
-    """Return the fit of the load parameters, with the other parameters fixed at the end of the
-    unloaded fit, and the number of filter runs.
-    """
+    """Return the fit of the load parameters, and the number of filter runs."""
     begun = Point.of(loaded, first.vector, load, model, first.noise)
     found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
     return found, begun.filter.evaluations
@@ -749,16 +705,7 @@ def _joint_fit(
     ends: Sequence[Point],
     model: Model,
 ) -> Searched:
-    """Fit all recordings jointly; of several ends of the loaded fit, the likeliest is the start
-    point.
-
-    Args:
-        first: End of the unloaded fit.
-        motions: Unloaded recordings, then loaded recordings.
-        free: Free parameters.
-        ends: Ends of the loaded fit, or the end of the unloaded fit if no recording is loaded.
-        model: Declared terms and fixed values.
-    """
+    """Fit all recordings jointly, from the likeliest of the ends of the loaded fit."""
     joint = Point.of(motions, first.vector, free, model, first.noise)
     starts = [
         replace(

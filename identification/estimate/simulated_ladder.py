@@ -171,9 +171,7 @@ def open_horizon(prepared: Prepared) -> float:
 
 
 def _ends(time: Array, horizon: float) -> Sequence[int]:
-    """Return the index of the first sample of each piece, followed by the total number of
-    samples.
-    """
+    """Return the first sample of each piece, and the number of samples."""
     whole = float(time[-1] - time[0])
     count = 1 if not math.isfinite(horizon) else max(round(whole / horizon), 1)
     count = max(min(count, len(time) // LEAST_SAMPLES), 1)
@@ -182,12 +180,7 @@ def _ends(time: Array, horizon: float) -> Sequence[int]:
 
 
 def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
-    """Return the measured torque or voltage of the drive as inputs, NaN while the power stage is
-    off, and whether the input is a voltage.
-
-    Raises:
-        RecordingError: No torque, current or voltage channel.
-    """
+    """Return measured torque or voltage (NaN while off), and whether a voltage."""
     channels, bench, time = recording.channels, recording.bench, recording.time
     if "torque" in channels:
         added, volts = channels["torque"], False
@@ -567,9 +560,7 @@ def _errors(pieces: Sequence[Piece], c: Coordinates, x: Array) -> Array:
 
 
 def _slope(pieces: Sequence[Piece], c: Coordinates, x: Array, here: Array) -> Array:
-    """Return the derivatives of the errors by finite differences, shape (n, p); at an upper bound
-    the step is negative.
-    """
+    """Return d errors by finite differences, negative at an upper bound, (n, p)."""
     slope = np.empty((len(here), len(x)))
     for k, (step, high) in enumerate(zip(c.steps(), c.box.high, strict=True)):
         other = x.copy()
@@ -714,9 +705,7 @@ class SimulatedRung:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Data of all rungs: pieces of the recordings to fit and to score, and draws of these
-    recordings.
-    """
+    """Data of all rungs: pieces to fit and to score, and draws of recordings."""
 
     dataset: Dataset
     fitted: Sequence[Piece]
@@ -728,12 +717,7 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Case:
-    """One fit with its bootstrap draws: coordinates of each draw, and errors on fitted and on
-    scored recordings.
-
-    ``crossed`` contains the sum of absolute errors and the number of samples of each fitted
-    recording, which is predicted with a fit to other recordings, shape (m, 2).
-    """
+    """One fit with its bootstrap draws; ``crossed`` has errors and samples, (m, 2)."""
 
     found: LoopFit
     crossed: Array
@@ -849,9 +833,7 @@ def _starts(
     free: bool,
     ends: Mapping[tuple[str, bool], LoopFit],
 ) -> list[Array]:
-    """Return the start points of a search: solutions of the equation error at several Stribeck
-    speeds, and the search ends of the simpler models that are special cases of this model.
-    """
+    """Return start points: of the equation error, and ends of contained models."""
     values = problem.values["stribeck_load_dependent" if bears_load(axes.rung) else "stribeck"]
     starts = [axes.start(values)]
     contained = [axes.rung] if free else []
@@ -898,9 +880,7 @@ def _case(problem: _Problem, axes: Coordinates, starts: Sequence[Array]) -> _Cas
 
 
 def _crossed(problem: _Problem, found: LoopFit) -> Array:
-    """Return sum of absolute errors and number of samples of each fitted recording, which is
-    predicted with a fit to the other folds, shape (m, 2).
-    """
+    """Return absolute errors and samples, each fold by a fit to the others, (m, 2)."""
     sums: list[Array] = []
     for names in _folds([p.recording for p in problem.fitted]):
         own = [p for p in problem.fitted if p.recording.name in names]
@@ -912,9 +892,7 @@ def _crossed(problem: _Problem, found: LoopFit) -> Array:
 
 
 def _folds(recordings: Sequence[Recording]) -> Iterator[set[str]]:
-    """Yield the names of the recordings in each fold of the cross-validation; recordings with one
-    load are in one fold if there are enough different loads.
-    """
+    """Yield the recordings of each fold; with enough loads, one load is in one fold."""
     loads = {
         r.name: (
             0.0 if r.pendulum is None else r.pendulum.mass * r.pendulum.length,
@@ -981,9 +959,7 @@ def _crossed_error(sums: Array) -> float:
 
 
 def _tied(sums: Array, least: Array) -> bool:
-    """Return whether the sum of the errors exceeds that of the best model by no more than 1.645
-    standard errors, which are computed from the differences for each recording.
-    """
+    """Return whether a model's errors exceed the best by 1.645 standard errors or less."""
     apart = sums[:, 0] / sums[:, 1] - least[:, 0] / least[:, 1]
     if not np.all(np.isfinite(apart)):
         return False

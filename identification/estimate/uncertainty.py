@@ -51,11 +51,7 @@ _DEGREE = 4
 
 
 class _Criterion:
-    """Half the deviance (M45) above its minimum at the inertia of the estimate.
-
-    ``curve`` is the part of the criterion that depends only on the change of log J, with the
-    inertia J.
-    """
+    """Half the deviance (M45) above its minimum; ``curve`` depends on log J alone."""
 
     def __init__(self, point: Point) -> None:
         self.held = point.weighted()
@@ -190,15 +186,7 @@ def _directions(point: Point, names: tuple[str, ...]) -> Array:
 
 
 def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return values of ``along`` @ parameters, in rising order, and the deviance at each value,
-    computed from the estimate outwards.
-
-    Args:
-        criterion: Criterion around the estimate.
-        along: Weights of the parameters; the weighted sum of the parameters is fixed at each point.
-        shape: Change of the parameters per unit of the weighted sum, shape (p,).
-        sigma: Standard deviation of the weighted sum.
-    """
+    """Return values of ``along`` @ parameters, rising, and the deviance at each."""
     steps, deviance = [0.0], [0.0]
     for way in (-1.0, 1.0):
         x, at = criterion.x.copy(), 0.0
@@ -215,12 +203,7 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and the deviance Q at each step, and store the difference of Q/2 and
-    the least Huber cost at each J in the criterion.
-
-    The estimating equation is the error of log J with the other parameters at the least-squares
-    solution; its derivative with respect to log J is -1 if the model is linear.
-    """
+    """Return steps of log J with deviance Q, and store Q/2 less the least Huber cost."""
     held, x = criterion.held, criterion.x
     jacobian = held.jacobian(x, criterion.residual)
     influence = influence_on_inertia(
@@ -259,9 +242,7 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
 
 
 def _tangent(normal: Array, along: Array) -> Array:
-    """Return the change of the parameters per unit of ``along`` @ parameters at which the cost is
-    least.
-    """
+    """Return the change of parameters per unit of ``along`` @ them at least cost."""
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))
 
@@ -338,9 +319,7 @@ def _counts(point: Point, rng: np.random.Generator) -> Array:
 
 
 def _deviations(refined: Refined) -> Array:
-    """Return the standard deviation of every free parameter, in the units of the free vector, shape
-    (p,).
-    """
+    """Return the deviation of every free parameter, in units of the free vector, (p,)."""
     by_place = dict(
         zip((INDEX[n] for n in refined.names), np.sqrt(np.diag(refined.covariance)), strict=True)
     )
@@ -351,9 +330,7 @@ def _deviations(refined: Refined) -> Array:
 
 
 class _Equations:
-    """Estimating equations near the estimate: the normal equations of least squares for all
-    parameters except the inertia, and the estimating equation of the inertia.
-    """
+    """Estimating equations near the estimate: least squares, and that of the inertia."""
 
     def __init__(self, point: Point, deviations: Array) -> None:
         self.deviations = deviations

@@ -273,9 +273,7 @@ class Point:
         )
 
     def _seeds(self, x: Array) -> Array:
-        """Return the derivatives of all parameters with respect to the coordinate of each free
-        parameter, and of the breakaway times with respect to a common shift, shape (p + 1, SEEDS).
-        """
+        """Return d parameters and breakaway times / d free coordinates, shape (p + 1, SEEDS)."""
         seeds = np.zeros((len(self.free) + 1, SEEDS))
         p = self.parameters(x)
         for j, k in enumerate(self.free):

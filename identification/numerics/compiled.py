@@ -176,11 +176,7 @@ THREAD = "second thread of the kernels"
 
 @cache
 def _second(_process: int) -> tuple[ThreadPoolExecutor, Lock]:
-    """Return the second thread of a process, and the lock of the caller that uses the thread.
-
-    The process is an argument, so that a forked process, which inherits only its main thread, gets
-    a new second thread.
-    """
+    """Return a process' second thread and its lock; a forked process gets a new one."""
     return ThreadPoolExecutor(1, thread_name_prefix=THREAD), Lock()
 
 

@@ -217,9 +217,7 @@ def _interval_row(
 def _curve(
     speed: Array, moment: float, values: Mapping[str, float], alpha: float
 ) -> tuple[Array, Array] | None:
-    """Return fitted friction at both signs of ``speed``, or None if the friction needs a parameter
-    that is not identifiable.
-    """
+    """Return fitted friction at both signs of ``speed``, or None if a parameter is missing."""
     needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | (
         {"mu_c", "mu_s", "omega_sL", "mu_2"} if moment else set()
     )
@@ -313,9 +311,7 @@ def waterfall(starts: Sequence[Starts]) -> Figure:
 
 
 def _smooth(curve: Profile) -> tuple[Array, Array]:
-    """Return the curve interpolated between its points; the square root of the deviance is
-    linear.
-    """
+    """Return the curve between its points; the root of the deviance is linear."""
     values = np.linspace(curve.values[0], curve.values[-1], 200)
     side = np.sign(np.arange(len(curve.values)) - int(np.argmin(curve.deviance)))
     root = np.interp(values, curve.values, side * np.sqrt(np.maximum(curve.deviance, 0.0)))

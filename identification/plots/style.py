@@ -78,9 +78,7 @@ def _tick_width(made: Figure, axis: Axes) -> float:
 
 
 def _above(made: Figure, axis: Axes) -> float:
-    """Return the room for title and legend above axes, inches; a legend inside the axes counts as
-    above the axes.
-    """
+    """Return the room for title and legend above axes, inches."""
     legend = axis.get_legend()
     size = (
         0.0

@@ -94,12 +94,7 @@ def nominal_values(path: Path | None) -> NominalValues:
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:
-    """Return the total noise of the measured torque in a result file, N m rms, or None if the file
-    states no noise.
-
-    Raises:
-        KeyError, TypeError, ValueError: The part of the file on noise is damaged.
-    """
+    """Return the total torque noise in a result file, N m rms, or None if not stated."""
     if noise is None or noise["unit"] != "N m":
         return None
     whole = math.hypot(float(noise["torque"]), float(noise["correlated"]))
@@ -115,9 +110,7 @@ def _half_width(parameter: dict[str, Any]) -> float:
 
 
 def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
-    """Return the recordings of the input runs that are unchanged; recordings of changed runs are
-    omitted.
-    """
+    """Return the recordings of the input runs that are unchanged."""
     out: list[Recording] = []
     for folder in sorted({file.parent for file in inputs}):
         mine = {file: digest for file, digest in inputs.items() if file.parent == folder}
@@ -217,11 +210,7 @@ def plan_experiment(
 
 
 def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
-    """Check that an experiment can be planned from every stage.
-
-    Raises:
-        InputError: A stage has a ramp or is a hot firing.
-    """
+    """Raise InputError unless an experiment can be planned from every stage."""
     sequence.require(
         (
             ("stages", k, "ramp"),
@@ -311,9 +300,7 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
 def _stages(
     stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]
 ) -> tuple[StageSection, ...]:
-    """Return the stages of a proposal; several stages that replace one stage have the name of that
-    stage and a number.
-    """
+    """Return the stages of a proposal; stages that replace one stage are numbered."""
     out = []
     for k, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
         own = [p.excitation for p in parts if p.frame == k]
@@ -325,9 +312,7 @@ def _stages(
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with another excitation about the centre of the stage, rounded as in a
-    sequence file.
-    """
+    """Return a stage with another excitation about its centre, rounded as in a sequence file."""
     changes: dict[str, Any] = {
         "name": name,
         "weight_kg": e.weight,
@@ -447,9 +432,7 @@ def _stage_table(experiment: Experiment) -> Table:
 
 
 def _advice(experiment: Experiment) -> str:
-    """Return the purpose of the proposal, or a statement that no proposal was better than the given
-    sequence.
-    """
+    """Return the purpose of the proposal, or that no proposal was better."""
     aim = f"aimed at {experiment.proposal.weakest}, so far the least accurate parameter"
     if experiment.proposal.proposed == experiment.proposal.present:
         return (

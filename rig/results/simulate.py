@@ -215,9 +215,7 @@ def simulate_source(
 def _models(
     dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]]
 ) -> tuple[FittedModel, ...]:
-    """Return the models of result files; all must be from a bench with the same kind of motion as
-    the recordings.
-    """
+    """Return the models of result files of benches with the recordings' kind of motion."""
     names = [r.name for r in dataset.recordings]
     for path, record in zip(files, records, strict=True):
         require_motion(record, dataset.recordings[0].bench.motion, str(path))
@@ -232,9 +230,7 @@ def _closed_loop(
     prepared: Sequence[Prepared],
     progress: Callable[[str, float], None],
 ) -> tuple[list[Case], list[Response]]:
-    """Simulate every model with every share of its friction; return the cases, and the responses of
-    the first case.
-    """
+    """Simulate every model and share of friction; return cases, and first responses."""
     cases: list[Case] = []
     shown: list[Response] = []
     total = len(models) * len(SHARES) * len(prepared)
@@ -397,9 +393,7 @@ def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
 
 
 def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
-    """Return figures of the torque equation of the first model, for a few recordings of each
-    role.
-    """
+    """Return figures of the first model's torque equation, for a few recordings."""
     parts = [p for p in found[0].parts if p.equation == "torque"]
     return [
         Picture.of(
@@ -412,9 +406,7 @@ def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
 
 
 def _simulated(found: Simulation) -> list[Picture]:
-    """Return figures of the closed-loop simulation of the first model, for a few recordings of each
-    role.
-    """
+    """Return figures of the first model's closed loop, for a few recordings."""
     pairs = list(zip(found.prepared, found.responses, strict=True))
     shown = few_of_each_role(pairs, lambda pair: pair[0].recording.role, _SHOWN_PER_ROLE)
     return [

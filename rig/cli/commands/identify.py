@@ -135,11 +135,7 @@ class _Options:
 
 
 def _identify(options: _Options) -> None:
-    """Identify SOURCE, or plan with ``--plan``.
-
-    Raises:
-        click.UsageError: The options contradict one another.
-    """
+    """Identify SOURCE, or plan; raise UsageError if options contradict one another."""
     if (options.source is None) is (options.sequence is None):
         raise click.UsageError(
             "give either SOURCE, the recordings, or --plan SEQUENCE, a planned experiment"

@@ -155,9 +155,7 @@ def identify_source(
 def _ladders(
     source: Path, dataset: Dataset, request: Request, progress: Callable[[str, float], None]
 ) -> tuple[tuple[Rung, ...], tuple[SimulatedRung, ...]]:
-    """Return the friction models fitted to the torque, and those fitted to the simulated angle, if
-    requested.
-    """
+    """Return the friction models fitted to torque and to simulated angle, if requested."""
     if not request.ladder:
         return (), ()
     hertz = request.bandwidth_Hz
