@@ -28,7 +28,6 @@ from identification.design.search import (
     best_shares,
     halved,
     planned,
-    predicted,
     shared,
 )
 from identification.design.simulated import (
@@ -46,7 +45,7 @@ from identification.design.simulated import (
     with_drives,
 )
 from identification.model.parameters import NOMINAL
-from identification.recording import Array, Bench
+from identification.recording import Array
 from identification.result import Parameter
 from identification.simulate.drive_loop import drive_loop, respond, usual_loop
 
@@ -192,32 +191,6 @@ def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
     assert coarse > 2.0 * exact + 0.01
 
 
-def test_a_target_in_whole_counts_comes_back_as_torque() -> None:
-    """At 10.5 counts a period it moves by ten and eleven in turn; the feedforward makes steps of
-    torque of it.
-    """
-    count = 2.0 * np.pi / 409600.0
-    loop = usual_loop(NOMINAL["J"], 75.0, count)
-    torques = [
-        respond(pace * count * np.arange(2000.0), PERIOD, NOMINAL, 0.0, 2.0, loop).torque[1000:]
-        for pace in (10.0, 10.5)
-    ]
-    even, uneven = (float(np.std(np.diff(t))) for t in torques)
-    assert uneven > 0.5 * loop.velocity_gain * count / PERIOD > 2.0 * even
-
-
-def test_what_two_noises_do_not_share_is_no_information() -> None:
-    """Near its breakaways a stretch's own sensitivities hold noise; where there is little of it
-    both say the same.
-    """
-    for stage, name, least, most in (
-        (PlannedStage(command(2.0, 0.5, 10.0), 10.0), "omega_sL", 0.2, 0.7),
-        (figure10(0.0), "sigma_2", 0.99, 1.01),
-    ):
-        found, place = information(stage), NAMES.index(name)
-        assert least < found.normal[place, place] / found.power[place, place] < most
-
-
 def test_information_is_believed_between_none_and_a_stages_own() -> None:
     """Breakaway under 30.6 kg is less than a sample; chance made products of two noises 20 times
     the stage's own.
@@ -260,17 +233,6 @@ def test_what_each_gets_in_any_case_counts_toward_its_share() -> None:
     bound = float(free[0]) + 0.2
     held = best_shares(known, "J", loaded=False, least=np.array([bound, 0.0]))
     assert held == pytest.approx([bound, 1.0 - bound], rel=1e-2)
-
-
-def test_what_tells_two_trading_parameters_apart_gets_its_share() -> None:
-    trading = rates((1.0, 1.0, 1.0, 1.0, 1.0))[0].normal.copy()
-    trading[0, 1] = trading[1, 0] = 0.9999
-    apart = rates((0.0, 1.0, 0.0, 0.0, 0.0))[0]
-    useless = rates((1e-6,) * 5)[0]
-    share = best_shares([Information(*(trading,) * 3), apart, useless], "Mc", loaded=False)
-    assert share[0] > 0.3
-    assert share[1] > 0.3
-    assert share[2] < 1e-3
 
 
 def test_a_stage_whose_scores_scatter_more_counts_less() -> None:
@@ -364,14 +326,6 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
     found = propose(stages, nominal(), bounds, np.random.default_rng(1))
     assert found.stages == (Part(0, stages[0].present),)
     assert found.proposed == found.present
-    assert found.weakest == found.present.weakest
-
-
-@pytest.mark.usefixtures("few")
-def test_a_parameter_of_the_load_is_no_aim_of_a_sequence_without_load() -> None:
-    stages = frames((0.0,))
-    bounds = Bounds(-0.5, 0.5, 1.5, 5.0, 0.03, 20.0, (5.0,))
-    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="omega_sL")
     assert found.weakest == found.present.weakest
 
 
@@ -509,30 +463,6 @@ def test_ramps_end_where_they_began() -> None:
     assert ramps.lasting(10.0).seconds == 9.0
     assert ramps.lasting(9.0).seconds == 9.0
     assert ramps.lasting(1.0).seconds == ramps.shortest == 6.0
-
-
-def test_ramps_just_beyond_the_fall_of_friction_tell_more_of_it_than_sines() -> None:
-    """At the least speed that the drive holds every sample tells of the fall; a sine sticks and
-    slips there.
-    """
-    stage, speed = frames((40.0,))[0], 2.0 * NOMINAL["omega_sL"]
-    sine = Excitation(((speed / (2.0 * math.pi), 1.0),), 40.0, 9.0)
-    ramps = Excitation((), 40.0, 9.0, Ramps(speed, 1.5))
-    place = NAMES.index("omega_sL")
-    of_sine, of_ramps = (information(planned(stage, e)).normal[place, place] for e in (sine, ramps))
-    assert of_ramps > 1e6  # 0.1 % and less, were all else known
-    assert of_ramps > 2.0 * of_sine
-
-
-def test_the_predicted_intervals_are_those_of_the_stages_information() -> None:
-    stages = frames((0.0,))
-    found = predicted(stages, [Part(0, stages[0].present)], with_drives(nominal()), "Mc")
-    assert set(found.half_widths) == set(NAMES[:5])
-    assert found.worst < 0.2
-
-
-def test_moment_of_a_bench_without_lever() -> None:
-    assert PlannedModel(NOMINAL, Bench(), Sensors(1e-3, 1e-5, 0.1), 1.0).moment(0.0) == 0.0
 
 
 @pytest.mark.proof

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from identification.filter.kalman import TORQUE_RATE
-from identification.filter.segments import LEAD, RISING, motion
-from identification.recording import Pendulum, Recording, RecordingError
+from identification.filter.segments import RISING, motion
+from identification.recording import Recording
 
-from .practical import logged, simulated
+from .practical import simulated
 
 
 def drop(recording: Recording, *names: str) -> Recording:
@@ -101,27 +101,6 @@ def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
     assert found.unsure[k + 3] == pytest.approx((0.1 * fastest) ** 2, rel=0.1)
 
 
-def test_peak_torque_is_at_least_the_static_limit(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    assert 12.0 < found.peak_torque() < 1.2 * 12.025
-
-
-def test_pendulum_adds_its_inertia_and_takes_its_torque(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    recording = practical_pair[0]
-    bare, hung = motion(recording), motion(replace(recording, pendulum=Pendulum(2.0, 0.3, 0.1)))
-    assert bare is not None
-    assert hung is not None
-    assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
-    assert bare.torque - hung.torque == pytest.approx(
-        2.0 * 9.80665 * 0.3 * np.sin(bare.angle - 0.1)
-    )
-
-
 def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
@@ -142,20 +121,6 @@ def test_a_single_breakaway_is_not_enough(practical_pair: tuple[Recording, Recor
 
 def swap_all(recording: Recording, part: slice) -> Recording:
     return replace(recording, channels={k: v[part] for k, v in recording.channels.items()})
-
-
-def test_load_without_lever_is_refused() -> None:
-    recording = logged(simulated(10, 30.6), 30.6)
-    with pytest.raises(RecordingError, match=r"needs bench\.moment_arm"):
-        motion(replace(recording, bench=replace(recording.bench, moment_arm=None)))
-
-
-def test_a_stretch_begins_before_anything_is_seen(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    assert np.all(found.seen - found.table[:, 0] >= LEAD - 1)
 
 
 def test_strokes_alike_are_those_of_one_motion_either_way(

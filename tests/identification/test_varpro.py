@@ -6,9 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import optimize
 
 from identification.estimate.default import solve_stages
 from identification.estimate.equation_error import (
@@ -17,7 +14,6 @@ from identification.estimate.equation_error import (
     solve,
     unloaded_stage,
 )
-from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.prepare import prepare
 from identification.recording import Model, Recording
 
@@ -109,31 +105,6 @@ def test_friction_that_falls_toward_rest_ends_on_the_bound() -> None:
     """Ms below Mc is outside the model: the rise stays at 0, exactly."""
     found = estimate(Model(), sine({**TRUTH, "Ms": 0.7 * TRUTH["Mc"]}))
     assert found["Ms"] == found["Mc"]
-
-
-@given(st.integers(0, 10_000))
-@settings(max_examples=60)
-def test_bounded_least_squares_is_the_constrained_minimum(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    columns = rng.normal(size=(40, 4)) * 10.0 ** rng.uniform(-3.0, 3.0, 4)
-    target = rng.normal(size=40)
-    low = np.array([0.0, 0.0, 0.0, -np.inf])
-    high = np.full(4, np.inf)
-    found, cost = bounded_least_squares(Design(columns, target, low, high))
-    assert np.all(found >= low)
-    assert cost == pytest.approx(float(np.sum((columns @ found - target) ** 2)), rel=1e-9)
-    scale = np.linalg.norm(columns, axis=0)
-    reference = optimize.lsq_linear(columns / scale, target, (low, high), tol=1e-14)
-    assert cost <= 2.0 * reference.cost * (1.0 + 1e-9)
-
-
-def test_cost_keeps_full_precision_on_noise_free_data() -> None:
-    rng = np.random.default_rng(0)
-    columns, truth = rng.normal(size=(5000, 4)), np.array([1.0, 2.0, 3.0, 4.0])
-    design = Design(columns, columns @ truth, np.zeros(4), np.full(4, np.inf))
-    found, cost = bounded_least_squares(design)
-    assert found == pytest.approx(truth, rel=1e-12)
-    assert cost < 1e-24
 
 
 def test_history_holds_the_best_so_far() -> None:

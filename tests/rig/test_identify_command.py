@@ -184,15 +184,6 @@ def test_same_seed_same_record(identified: Identified, tmp_path: Path) -> None:
     assert record_of(tmp_path / "two")["seed"] == 4
 
 
-def test_the_default_folder_is_named_after_the_campaign(identified: Identified) -> None:
-    assert (identified.campaign.parent / "bench-identified" / "report.html").is_file()
-
-
-def test_no_such_source(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["identify", str(tmp_path / "nothing")]) == 2
-    assert "nothing" in capsys.readouterr().err
-
-
 def test_a_recording_that_cannot_be_identified(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -267,8 +258,3 @@ def test_corrections_are_told(identified: Identified) -> None:
     assert record_of(identified.folder)["corrections"] == {
         name: ["`torque`: 1 missing samples interpolated"] for name in ("free", "heavy")
     }
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["identify", "--help"]) == 0
-    assert "rig identify runs/demo" in capsys.readouterr().out

@@ -154,38 +154,3 @@ def test_a_file_that_is_no_result(
     error = capsys.readouterr().err
     assert error.startswith(str(found))
     assert said in error
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_diagnosis_says_which_motion_it_is_of(campaign: Path, tmp_path: Path) -> None:
-    """And a rotary one is refused for a linear bench, where its numbers mean something else."""
-    found = tmp_path / "diagnosed.json"
-    arguments = [
-        "diagnose",
-        str(campaign),
-        "--out",
-        str(tmp_path / "out"),
-        "--json",
-        str(found),
-    ]
-    assert status(arguments) == 0
-    assert json.loads(found.read_text())["motion"] == "rotary"
-    assert (
-        status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "same")])
-        == 0
-    )
-    linear = tmp_path / "linear.yaml"
-    linear.write_text(
-        campaign.read_text().replace(
-            "torque_constant: 0.03,", "torque_constant: 0.03, motion: linear,"
-        )
-    )
-    assert (
-        status(["simulate", str(linear), "--result", str(found), "--out", str(tmp_path / "other")])
-        == 2
-    )
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["simulate", "--help"]) == 0
-    assert "rig simulate later.yaml --result found.json" in capsys.readouterr().out
