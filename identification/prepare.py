@@ -470,7 +470,11 @@ def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
             filled = first + np.round((filled - first) / step) * step
         filled[index[on]] = values[on]
         channels[name] = filled
-    return replace(recording, channels=channels), _long(~measured)
+    holes = np.zeros(size, dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], (~measured).astype(np.int64), [0]))))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        holes[start:stop] = stop - start > SHORT_HOLE
+    return replace(recording, channels=channels), holes
 
 
 def _grid(
@@ -490,12 +494,3 @@ def _grid(
         if np.sum(near) < 2:
             break
     return index, origin, period
-
-
-def _long(missing: BoolArray) -> BoolArray:
-    """Return the marks in runs of more than :data:`SHORT_HOLE` missing samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], missing.astype(np.int64), [0]))))
-    out = np.zeros(len(missing), dtype=bool)
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        out[start:stop] = stop - start > SHORT_HOLE
-    return out

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.estimate.covariance import matching_means, replicate_information
+from identification.estimate.covariance import replicate_information
 from identification.estimate.inertia import Replicate, inflation_by, instruments
 from identification.filter.likelihood import (
     HUBER_THRESHOLD,
@@ -316,7 +316,8 @@ def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> 
 def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array:
     """Return a run's information from products with its replicates, (p, p)."""
     point, jacobian = run.point, run.sensitivities
-    alike = matching_means(jacobian, instruments(point, jacobian), point.experiment.matching_count)
+    share = 1.0 / point.experiment.matching_count
+    alike = jacobian.mixed(share, instruments(point, jacobian))
     by_segment = replicate_information(point, alike, others)
     return np.asarray(np.sum(by_segment / point.inflation[:, None, None] ** 2, axis=0))
 

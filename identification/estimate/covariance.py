@@ -30,23 +30,12 @@ _SILENT = 1e-12
 """Information that is assumed for an unknown that affects no residual."""
 
 
-def matching_means(jacobian: BlockArrow, others: BlockArrow, counts: Array) -> BlockArrow:
-    """Return the mean of sensitivities over matching half cycles.
-
-    Args:
-        jacobian: Sensitivities of each segment, r rows.
-        others: Mean over the other matching half cycles.
-        counts: Number of matching half cycles of the segment of each row, including the segment
-            itself, shape (r,).
-    """
-    return jacobian.mixed(1.0 / counts, others)
-
-
 def bound(matching: BlockArrow) -> Array:
     """Return the Cramer-Rao bound from matching half cycles, shape (p, p).
 
     Args:
-        matching: d residuals / d unknowns, of r rows and p columns, from :func:`matching_means`.
+        matching: d residuals / d unknowns, of r rows and p columns, the mean over matching
+            half cycles (``own.mixed(1 / count, mean over the others)``).
 
     Returns:
         Shape (p, p).
@@ -173,7 +162,8 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
     jacobian = held.jacobian(x, residual)
     z = instruments(point, jacobian)
     count = len(point.free)
-    least = bound(matching_means(jacobian, z, point.experiment.matching_count))[:count, :count]
+    share = 1.0 / point.experiment.matching_count
+    least = bound(jacobian.mixed(share, z))[:count, :count]
     reached, floor = _replicate_bounds(point, jacobian, replicates) or (least, least)
     units = np.array([point.vector[k] if k in LOGARITHMIC else 1.0 for k in point.free])
     scale = np.outer(units, units)
@@ -208,9 +198,8 @@ def _replicate_bounds(
     if not replicates:
         return None
     uninflated = jacobian.scaled(point.inflation[point.owners])
-    matching = matching_means(
-        uninflated, instruments(point, uninflated), point.experiment.matching_count
-    )
+    share = 1.0 / point.experiment.matching_count
+    matching = uninflated.mixed(share, instruments(point, uninflated))
     information = replicate_information(point, matching, replicates)
     inflated, plain = (
         replicate_bound(information / f[:, None, None] ** 2)
@@ -235,8 +224,8 @@ def _spread(
     jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]
 ) -> Array:
     """Return observed over modelled standard deviations of scores between segments (M41)."""
-    # A recording has few segments; therefore the ratio is combined with its mean over replicates. It
-    # may be below one, because the drive's loop compensates part of the noise within a segment.
+    # A recording has few segments; therefore the ratio is combined with its mean over replicates.
+    # It may be below one, because the drive's loop compensates part of the noise in a segment.
     ratio, segments = _scatter(jacobian, residual)
     prior, worth = np.ones_like(ratio), _PRIOR
     if replicates:

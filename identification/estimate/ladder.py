@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.estimate.default import identify
 from identification.estimate.equation_error import (
@@ -251,7 +251,7 @@ def climb(
         Rung(
             friction=name,
             result=result,
-            train=_interval(result.fit.train_rms, [s.train for s in scores]),
+            train=draw_interval(result.fit.train_rms, [s.train for s in scores]),
             scored=_scored(result, scores),
             angle=_angle(sums, lambda s: s.angle_rms, [s.angle for s in scores]),
             angle_mae=_angle(sums, lambda s: s.angle_mae, [s.angle_mae for s in scores]),
@@ -279,7 +279,7 @@ def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
 
 def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:
     value = result.fit.validate_rms
-    return None if value is None else _interval(value, [s.torque for s in scores])
+    return None if value is None else draw_interval(value, [s.torque for s in scores])
 
 
 def _angles(result: Identification, prepared: Sequence[Prepared]) -> Sums:
@@ -291,14 +291,15 @@ def _angle(
 ) -> Interval | None:
     if sums is None:
         return None
-    return _interval(measure(sums), [drawn for drawn in draws if drawn is not None])
+    return draw_interval(measure(sums), [drawn for drawn in draws if drawn is not None])
 
 
 def _draw(rng: np.random.Generator, count: int) -> Indices:
     return np.asarray(rng.integers(0, count, size=count), dtype=np.int64)
 
 
-def _interval(value: float, draws: Sequence[float]) -> Interval:
+def draw_interval(value: float, draws: ArrayLike) -> Interval:
+    """Return a value with the central 90 % of its bootstrap draws."""
     low, high = np.quantile(draws, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     return Interval(value, float(low), float(high))
 

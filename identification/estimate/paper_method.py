@@ -14,7 +14,7 @@ from identification.estimate.equation_error import require_motion
 from identification.estimate.parameter_table import fit_of, trace_of, units_of
 from identification.model.friction import stribeck_shape, system_friction
 from identification.model.parameters import LOAD_PARAMETERS, PAPER_FRICTION, SYSTEM_PARAMETERS
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, Progress
 from identification.numerics.least_squares import Design
 from identification.numerics.optimisers import (
     GeneticAlgorithm,
@@ -98,8 +98,6 @@ STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded"
 """Parameters that each stage searches: Coulomb level, static level, Stribeck speed, viscous
 coefficient, and J in the unloaded stage.
 """
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -496,7 +494,7 @@ def compare(
     *,
     seeds: Sequence[int] = (0,),
     truth: Mapping[str, float] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Contender, ...]:
     """Run every optimiser on the recordings to which the default method was fitted.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -256,7 +257,7 @@ def _neighbours(best: End, ends: list[End]) -> End:
         for _ in range(_ROUNDS):
             begun = best
             starts = [
-                _multiplied(begun.point, place, factor)
+                begun.point.at(_scaled(begun.point, place, factor))
                 for place, factor in beside
                 if place in best.point.free
             ]
@@ -268,11 +269,11 @@ def _neighbours(best: End, ends: list[End]) -> End:
     return best
 
 
-def _multiplied(begun: Point, place: int, factor: float) -> Point:
-    """Return the point with one parameter multiplied by a factor."""
-    vector = begun.vector.copy()
+def _scaled(point: Point, place: int, factor: float) -> Array:
+    """Return the parameters of a point with one of them multiplied by a factor."""
+    vector = point.vector.copy()
     vector[place] *= factor
-    return begun.at(vector)
+    return vector
 
 
 def _ended_each(starts: Sequence[Point], tempering: Sequence[float]) -> list[End]:
@@ -487,7 +488,9 @@ def solve_unloaded(
         again = replace(best.point, noise=begun.noise)
         best = _best_of([again], free, best, found)
     if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
-        best = _best_of(_far(at_system), free, best, found)
+        heavier = (_heavier(at_system, share) for share in _FAR)
+        far = (breakaway_starts(p, MC, SYSTEM_RISE, OMEGA_SF)[:1] for p in heavier)
+        best = _best_of(chain.from_iterable(far), free, best, found)
     if best is None:
         raise np.linalg.LinAlgError("no start of the search leads to a solution")
     return best, tuple(found)
@@ -495,15 +498,7 @@ def solve_unloaded(
 
 def _heavier(point: Point, share: float) -> Point:
     """Return the point with the inertia multiplied by the factor ``share``."""
-    vector = point.vector.copy()
-    vector[INERTIA] *= share
-    return replace(point, vector=vector)
-
-
-def _far(point: Point) -> Iterator[Point]:
-    """Yield start points at inertias far from that of the equation error."""
-    for share in _FAR:
-        yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
+    return replace(point, vector=_scaled(point, INERTIA, share))
 
 
 def _best_of(
@@ -651,10 +646,13 @@ def refine_stages(
     free, ends = [*system, *inertia], [first.point]
     if loaded:
         progress(f"loaded fit, recordings: {len(loaded)}", 0.0)
-        second, count = _loaded_fit(first.point, loaded, load, model)
-        evaluations, likelihood_drop = evaluations + count, second.drop
+        at_load = Point.of(loaded, first.point.vector, load, model, first.point.noise)
+        second = refine_from(at_load, breakaway_starts(at_load, MU_C, LOAD_RISE, OMEGA_SL))
+        evaluations, likelihood_drop = evaluations + at_load.filter.evaluations, second.drop
         stopped |= second.stopped
-        starts.append(_loaded_starts(second))
+        finite = tuple(end.deviance for end in second.ends if math.isfinite(end.deviance))
+        reached = min(finite, default=math.inf) + SAME_END
+        starts.append(Starts("loaded", "-2 log likelihood", finite, reached))
         free, ends = [*system, *load, *inertia], basins(second)
     progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
     fitted = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
@@ -682,20 +680,6 @@ def refine_stages(
         starts=tuple(starts),
         stopped=stopped,
     )
-
-
-def _loaded_fit(
-    first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
-) -> tuple[LoadedFit, int]:
-    """Return the fit of the load parameters, and the number of filter runs."""
-    begun = Point.of(loaded, first.vector, load, model, first.noise)
-    found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
-    return found, begun.filter.evaluations
-
-
-def _loaded_starts(found: LoadedFit) -> Starts:
-    ends = tuple(end.deviance for end in found.ends if math.isfinite(end.deviance))
-    return Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END)
 
 
 def _joint_fit(

@@ -1,6 +1,5 @@
-"""Fits one friction model to the predicted angle by bounded Levenberg-Marquardt (M50, M51).
-
-Fits the ladder of friction models to the simulated angle of recordings (M48-M51).
+"""Fits the ladder of friction models to the simulated angle of recordings, by bounded
+Levenberg-Marquardt (M48-M51).
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 
 from identification.estimate.default import by_load, solve_stages
 from identification.estimate.equation_error import common_bandwidth
-from identification.estimate.ladder import REPLICATES, Interval
+from identification.estimate.ladder import REPLICATES, Interval, draw_interval
 from identification.model.parameters import (
     DIRECTIONAL,
     DRIVE_SHARE,
@@ -30,7 +29,7 @@ from identification.numerics.least_squares import (
     huber_weight,
     minimise_within,
 )
-from identification.numerics.spread import CONFIDENCE, Spread, correlation_samples
+from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import Prepared, contact_moment, joint_angle, prepare, uniform_grid
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
 from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
@@ -942,9 +941,9 @@ def _rungs(problem: _Problem, cases: Mapping[tuple[str, bool], _Case]) -> Iterat
             free=free,
             alpha=problem.dataset.model.alpha,
             fitted={**point.values, LATENESS: point.lateness},
-            train=_interval(*case.train),
+            train=draw_interval(*case.train),
             crossed=_crossed_error(case.crossed),
-            scored=_interval(*case.scored) if aside else None,
+            scored=draw_interval(*case.scored) if aside else None,
             constants=constants(problem.fitted, case.found, case.points),
             horizon_s=max(float(p.inputs.time[-1] - p.inputs.time[0]) for p in problem.fitted),
             best=float(np.mean(winners == k)),
@@ -967,8 +966,3 @@ def _tied(sums: Array, least: Array) -> bool:
         return not np.any(apart > 0.0)
     deviation = float(np.std(apart, ddof=1)) / math.sqrt(len(apart))
     return bool(np.mean(apart) <= ONE_SIDED * deviation)
-
-
-def _interval(value: float, draws: Array) -> Interval:
-    low, high = np.quantile(draws, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
-    return Interval(value, float(low), float(high))

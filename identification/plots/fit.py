@@ -17,6 +17,7 @@ from identification.plots.style import (
     BLACK,
     BLUE,
     CYCLE,
+    DOTS,
     GREY,
     VERMILION,
     broken,
@@ -82,15 +83,8 @@ def draw_stribeck(
         speeds = np.concatenate([t.velocity[moving(t)] for t in traces])
         torques = np.concatenate([t.friction[moving(t)] for t in traces])
         few = thinned(len(speeds), _POINTS_PER_LOAD)
-        axis.plot(
-            speeds[few],
-            torques[few],
-            ".",
-            color=color,
-            markersize=5.0,
-            alpha=0.3,
-            label=f"measured, {name}",
-        )
+        dots = axis.plot(speeds[few], torques[few], color=color, markersize=5.0, **DOTS)
+        dots[0].set(alpha=0.3, label=f"measured, {name}")
         top = float(np.max(np.abs(speeds), initial=0.0))
         curve = None
         if top > 0.0 and moment != _VARYING:
@@ -100,8 +94,9 @@ def draw_stribeck(
         else:
             # Some friction parameters are not identifiable by themselves; the fitted friction at
             # the samples is drawn instead of a curve.
-            model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
-            axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
+            friction = (t.torque_model - (t.torque - t.friction) for t in traces)
+            model = np.concatenate([f[moving(t)] for f, t in zip(friction, traces, strict=True)])
+            axis.plot(speeds[few], model[few], color=BLACK, markersize=1.5, label=label, **DOTS)
         label = None
     axis.set_xlabel(f"velocity ({unit_on(result.motion, 'rad/s')})")
     axis.set_ylabel(f"friction {torque_word(result.motion)} ({unit})")
@@ -139,12 +134,8 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     legend_above(upper, 6)
     lower.plot(_generations(costs), costs, color=BLUE, label=f"best {cost}")
     if stage.target is not None:
-        lower.axhline(
-            stage.target,
-            color=VERMILION,
-            linestyle="--",
-            label=f"target {stage.target:g} {stage.cost_unit}",
-        )
+        label = f"target {stage.target:g} {stage.cost_unit}"
+        lower.axhline(stage.target, color=VERMILION, linestyle="--", label=label)
     floor = min(float(np.min(costs)), stage.target or math.inf)
     if 0.0 < _FEW_TIMES * floor < float(np.max(costs)):
         lower.set_yscale("log")
@@ -230,10 +221,6 @@ def _curve(
     return both, torque
 
 
-def _model_friction(trace: Trace) -> Array:
-    return np.asarray(trace.torque_model - (trace.torque - trace.friction))
-
-
 def _generations(history: Array) -> Array:
     return np.arange(1.0, len(history) + 1.0)
 
@@ -263,9 +250,7 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
                 axis.axvline(end, color=BLUE, linewidth=0.9, linestyle=":")
         p = by_name[curve.name]
         if p.low is not None and p.high is not None:
-            axis.plot(
-                [p.low, p.high], [0.0, 0.0], color=VERMILION, linewidth=4.0, solid_capstyle="butt"
-            )
+            axis.hlines(0.0, p.low, p.high, color=VERMILION, linewidth=4.0)
         axis.set_ylim(-0.3, _TOP * LEVEL)
         axis.ticklabel_format(axis="x", useOffset=False)
         axis.tick_params(labelsize=7)
@@ -291,13 +276,8 @@ def waterfall(starts: Sequence[Starts]) -> Figure:
         solved = search.absolute
         shown = ends if solved else ends - ends[0]
         limit = search.reached if solved else search.reached - float(ends[0])
-        axis.plot(
-            np.arange(1, len(ends) + 1),
-            np.maximum(shown, 0.01 * limit),
-            "o-",
-            color=BLACK,
-            markersize=5,
-        )
+        places = np.arange(1, len(ends) + 1)
+        axis.plot(places, np.maximum(shown, 0.01 * limit), "o-", color=BLACK, markersize=5)
         axis.axhline(limit, color=GREY, linewidth=0.9, linestyle="--")
         axis.set_yscale("log")
         plain_numbers(axis.yaxis, (1.0,))
@@ -396,26 +376,12 @@ def spread(
             place = (
                 column + 0.24 * (k - 0.5 * (len(errors) - 1)) + np.linspace(-0.08, 0.08, len(shown))
             )
-            axis.plot(
-                place,
-                np.maximum(shown, _FLOOR_PERCENT),
-                "o",
-                color=color,
-                markersize=3.5,
-                alpha=0.7,
-                label=label,
-            )
+            drawn = axis.plot(place, np.maximum(shown, _FLOOR_PERCENT), "o", color=color)
+            drawn[0].set(markersize=3.5, alpha=0.7, label=label)
             label = None
     columns = [column for column, name in enumerate(names) if printed.get(name, 0.0) > 0.0]
-    axis.plot(
-        columns,
-        [printed[names[c]] for c in columns],
-        "_",
-        color=BLACK,
-        markersize=22,
-        mew=2,
-        label="printed",
-    )
+    stated = [printed[names[c]] for c in columns]
+    axis.plot(columns, stated, "_", color=BLACK, markersize=22, mew=2, label="printed")
     axis.set_yscale("log")
     axis.set_ylabel("error of the identified value (%)")
     axis.set_xticks(range(len(names)), [LABELS.get(name, name) for name in names])

@@ -13,7 +13,6 @@ from scipy import ndimage
 
 from identification.estimate.covariance import (
     bound,
-    matching_means,
     replicate_bound,
     replicate_information,
 )
@@ -139,7 +138,7 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     own = signal + rng.normal(size=(4000, 1))
     others = signal + rng.normal(size=(4000, 1)) / math.sqrt(15.0)
     right = 1.0 / float(np.sum(signal**2))
-    found = bound(matching_means(of_parameters(own), of_parameters(others), np.full(4000, 16.0)))
+    found = bound(of_parameters(own).mixed(np.full(4000, 1.0 / 16.0), of_parameters(others)))
     assert float(found[0, 0]) == pytest.approx(right, rel=0.15)
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
 
