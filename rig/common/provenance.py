@@ -11,12 +11,13 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from drivers.errors import require_plain
-from identification.recording import Recording
+
+if TYPE_CHECKING:
+    # At run time this import would load numba, for which `rig --help` must not wait.
+    from identification.recording import Recording
 
 
 def sha256(content: bytes) -> str:
@@ -154,6 +155,8 @@ def plain(value: Any, *left_out: str) -> Any:
         return {name: plain(getattr(value, name)) for name in names}
     if isinstance(value, Mapping):
         return {name: plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
+    if hasattr(value, "tolist"):  # an array
+        value = value.tolist()
+    if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return finite(value) if isinstance(value, float) else value

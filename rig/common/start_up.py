@@ -68,7 +68,10 @@ def find_kernel_folder() -> None:
         return
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     existing = next((path for path in (home, *home.parents) if path.exists()), home)
-    if os.access(Path(__file__).parent, os.W_OK) or os.access(existing, os.W_OK):
+    if any(
+        os.access(path, os.W_OK, effective_ids=os.access in os.supports_effective_ids)
+        for path in (Path(__file__).parent, existing)
+    ):
         return
     private = Path(tempfile.gettempdir()) / f"loadrig-kernels-{os.geteuid()}"
     with suppress(OSError):

@@ -257,30 +257,27 @@ def test_coarser_encoder_asks_for_less_bandwidth() -> None:
     [
         ({"torque": None}, "no torque, current or voltage channel"),
         ({"angle": None, "velocity": None}, "no angle, motor_angle or velocity channel"),
+        ({"torque": None, "voltage": np.zeros(5000)}, r"bench\.resistance"),
     ],
 )
-def test_missing_channels_are_named(change: dict[str, None], message: str) -> None:
+def test_missing_channels_are_named(change: dict[str, np.ndarray | None], message: str) -> None:
     with pytest.raises(RecordingError, match=message):
-        prepare(with_channels(sine(name="run7"), **change), 40.0)
+        prepare(with_channels(sine(name="run7", bench=Bench()), **change), 40.0)
 
 
-def test_recording_shorter_than_the_filter_is_refused() -> None:
-    with pytest.raises(RecordingError, match="has 100 samples, but the filter"):
-        prepare(sine(duration=0.1), 5.0)
-
-
-@pytest.mark.parametrize("bandwidth", [0.0, -1.0, float("nan"), float("inf"), 500.1])
-def test_a_bandwidth_the_rate_cannot_carry(bandwidth: float) -> None:
-    with pytest.raises(
-        RecordingError,
-        match="state a bandwidth above 0 and at most half the sampling rate, 500 Hz",
-    ):
-        prepare(sine(), bandwidth)
-
-
-def test_a_filter_longer_than_memory_is_refused_before_it_is_built() -> None:
-    with pytest.raises(RecordingError, match="needs at least 32000"):
-        prepare(sine(), 1e-9)
+@pytest.mark.parametrize(
+    ("bandwidth", "duration", "key"),
+    [
+        *((bandwidth, 5.0, "500 Hz") for bandwidth in (0.0, -1.0, np.nan, np.inf, 500.1)),
+        (5.0, 0.1, "has 100 samples"),
+        (1e-9, 5.0, "needs at least 32000"),  # refused before the filter is built
+    ],
+)
+def test_a_bandwidth_that_rate_or_length_do_not_allow(
+    bandwidth: float, duration: float, key: str
+) -> None:
+    with pytest.raises(RecordingError, match=key):
+        prepare(sine(duration=duration), bandwidth)
 
 
 def test_only_the_exception_among_sample_intervals_is_irregular() -> None:

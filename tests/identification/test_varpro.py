@@ -43,7 +43,7 @@ def assert_close(found: Mapping[str, float], truth: Mapping[str, float], rel: fl
         assert found[name] == pytest.approx(value, rel=rel), name
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_all_nine_come_back_on_noise_free_data(seed: int) -> None:
     truth = random_truth(seed)
     found = estimate(Model(), sine(truth), sine(truth, weight=WEIGHT_KG))
@@ -59,8 +59,6 @@ def test_other_stribeck_exponents(alpha: float) -> None:
 @pytest.mark.parametrize(
     "fixed",
     [
-        {"Mc": 7.0},
-        {"Ms": 11.5},
         {"Mc": 7.0, "Ms": 11.5},
         {"omega_sf": 0.05},
         {"sigma_2": 5.0, "J": 0.25},
@@ -76,7 +74,7 @@ def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> No
 
 @pytest.mark.parametrize(
     "names",
-    [("Mc",), ("Ms",), ("Mc", "Ms"), ("omega_sf",), ("J",), ("mu_c",), ("mu_s", "omega_sL")],
+    [("Mc",), ("Ms",), ("omega_sf", "J"), ("mu_c",), ("mu_s", "omega_sL")],
     ids="+".join,
 )
 def test_the_others_come_back_where_the_fixed_ones_are_right(names: tuple[str, ...]) -> None:

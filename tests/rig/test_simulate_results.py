@@ -111,46 +111,27 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "named"),
     [
-        (
-            {"schema": "loadrig.paper/1"},
-            "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.paper/1')",
-        ),
-        ({"parameters": {}}, "parameters: no parameter has a value"),
-        ({"parameters": {"J": "much"}}, "parameters.J: must be a finite number (got 'much')"),
-        (
-            {"effects": [{"name": "witchcraft", "parameters": {}}]},
-            "witchcraft is not an effect of the catalogue",
-        ),
-        ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
-        (
-            {"motion": "linear"},
-            "motion: the result is of a linear bench, but the recordings are of a rotary bench",
-        ),
-        (
-            {
-                "parameters": {
-                    "J": {"value": 95.1, "unit": "kg"},
-                    "Mc": {"value": 20.4, "unit": "N"},
-                }
-            },
-            "motion: the result is of a linear bench",
-        ),
+        ({"schema": "loadrig.paper/1"}, ["schema:", "'loadrig.paper/1'"]),
+        ({"parameters": {}}, ["parameters:"]),
+        ({"parameters": {"J": "much"}}, ["parameters.J:", "'much'"]),
+        ({"effects": [{"name": "witchcraft", "parameters": {}}]}, ["witchcraft"]),
+        ({"effects": [{"name": "backlash", "parameters": {}}]}, ["backlash", "gap_rad"]),
+        ({"motion": "linear"}, ["motion:", "linear", "rotary"]),
+        ({"parameters": {"J": {"value": 95.1, "unit": "kg"}}}, ["motion:", "linear"]),
     ],
 )
 def test_a_file_that_is_no_result(
     more: dict[str, Any],
-    said: str,
+    named: list[str],
     campaign: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     found = result(tmp_path, **more)
-    assert (
-        status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "out")])
-        == 2
-    )
+    out = tmp_path / "out"
+    assert status(["simulate", str(campaign), "--result", str(found), "--out", str(out)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(str(found))
-    assert said in error
+    assert all(name in error for name in named)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 from identification.estimate.ladder import Interval, Rung, Transfer
 from identification.estimate.paper_method import Contender
@@ -14,12 +15,13 @@ from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Recording
 from identification.result import (
+    Convergence,
     Fit,
     Identification,
+    KnownConstant,
     MeasuredNoise,
     Parameter,
     Profile,
-    Resampled,
     Trace,
 )
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number, percent
@@ -104,31 +106,37 @@ def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
     )
 
 
+def _columns(
+    items: Iterable[Any], right: tuple[int, ...], *columns: tuple[str, Callable[[Any], str]]
+) -> Table:
+    """Return a table of one row per item, from titles and cells of its columns."""
+    rows = tuple(tuple(cell(item) for _, cell in columns) for item in items)
+    return Table(tuple(title for title, _ in columns), rows, right)
+
+
 def profile_table(result: Identification) -> Table:
     """Return one row for each profile: the 90 % range of the profile and the interval."""
-    rows = [_profile_row(curve, result) for curve in result.profiles]
-    return Table(
-        ("parameter", "90 % interval", "profile", "skew", "scaled", "unit"),
-        tuple(rows),
-        (1, 2, 3, 4),
-    )
 
-
-def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
-    p = result.parameters[curve.name]
-    skew = None
-    if curve.low is not None and curve.high is not None:
+    def skew(curve: Profile) -> float | None:
+        if curve.low is None or curve.high is None:
+            return None
         here = result.fitted[curve.name]
-        skew = (curve.high - here) / (here - curve.low)
-    reach = interval(curve.low, curve.high) if skew is not None else _open(curve)
-    return (
-        curve.name,
-        interval(p.low, p.high),
-        reach,
-        number(skew, 3),
-        number(curve.scale, 3),
-        curve.unit,
+        return (curve.high - here) / (here - curve.low)
+
+    return _columns(
+        result.profiles,
+        (1, 2, 3, 4),
+        ("parameter", lambda c: c.name),
+        ("90 % interval", lambda c: _interval(result.parameters[c.name])),
+        ("profile", lambda c: _open(c) if skew(c) is None else interval(c.low, c.high)),
+        ("skew", lambda c: number(skew(c), 3)),
+        ("scaled", lambda c: number(c.scale, 3)),
+        ("unit", lambda c: c.unit),
     )
+
+
+def _interval(parameter: Parameter) -> str:
+    return interval(parameter.low, parameter.high)
 
 
 def _open(curve: Profile) -> str:
@@ -156,60 +164,51 @@ def priors_table(result: Identification) -> Table:
     """Return one row for each prior: the prior, the estimate from the recordings alone, and the
     combined estimate.
     """
-    rows = tuple(
-        (
-            p.name,
-            f"{number(p.value)} +- {number(p.uncertainty, 2)}",
-            f"{number(p.alone)} +- {number(p.alone_uncertainty, 2)}",
-            f"{number(p.posterior)} +- {number(p.posterior_uncertainty, 2)}",
-            result.parameters[p.name].unit,
-        )
-        for p in result.priors
+    return _columns(
+        result.priors,
+        (1, 2, 3),
+        ("parameter", lambda p: p.name),
+        ("prior", lambda p: f"{number(p.value)} +- {number(p.uncertainty, 2)}"),
+        ("recordings alone", lambda p: f"{number(p.alone)} +- {number(p.alone_uncertainty, 2)}"),
+        ("both", lambda p: f"{number(p.posterior)} +- {number(p.posterior_uncertainty, 2)}"),
+        ("unit", lambda p: result.parameters[p.name].unit),
     )
-    return Table(("parameter", "prior", "recordings alone", "both", "unit"), rows, (1, 2, 3))
 
 
 def constants_table(result: Identification) -> Table:
     """Return one row for each uncertain constant: value, uncertainty, and the parameters that it
     changes most.
     """
-    rows = []
-    for constant in result.known_constants:
+
+    def most(constant: KnownConstant) -> str:
         shares = {
             name: shift / value
             for name, shift in constant.shifts.items()
             if (value := result.parameters[name].value)
         }
-        most = sorted(shares, key=lambda name: -abs(shares[name]))[:_MOVED]
-        rows.append(
-            (
-                constant.place,
-                number(constant.value),
-                f"+- {number(constant.uncertainty, 3)}",
-                ", ".join(f"{name} {100.0 * shares[name]:+.3g} %" for name in most) or "nothing",
-            )
-        )
-    return Table(
-        ("constant", "value", "uncertainty", "changed most by one uncertainty"), tuple(rows), (1, 2)
+        moved = sorted(shares, key=lambda name: -abs(shares[name]))[:_MOVED]
+        return ", ".join(f"{name} {100.0 * shares[name]:+.3g} %" for name in moved) or "nothing"
+
+    return _columns(
+        result.known_constants,
+        (1, 2),
+        ("constant", lambda c: c.place),
+        ("value", lambda c: number(c.value)),
+        ("uncertainty", lambda c: f"+- {number(c.uncertainty, 3)}"),
+        ("changed most by one uncertainty", most),
     )
 
 
 def bootstrap_table(result: Identification) -> Table:
     """Return one row for each parameter: the spread of the bootstrap estimates and the interval."""
-    rows = [_bootstrap_row(r, result) for r in result.resampled]
-    return Table(
-        ("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3)
-    )
-
-
-def _bootstrap_row(r: Resampled, result: Identification) -> tuple[str, ...]:
-    p = result.parameters[r.name]
-    return (
-        r.name,
-        interval(p.low, p.high),
-        interval(r.low, r.high),
-        f"{r.solved} of {r.draws}",
-        r.unit,
+    return _columns(
+        result.resampled,
+        (1, 2, 3),
+        ("parameter", lambda r: r.name),
+        ("90 % interval", lambda r: _interval(result.parameters[r.name])),
+        ("bootstrap", lambda r: interval(r.low, r.high)),
+        ("draws solved", lambda r: f"{r.solved} of {r.draws}"),
+        ("unit", lambda r: r.unit),
     )
 
 
@@ -232,88 +231,64 @@ COMPARISON_NOTE = (
     "default method then minimises the prediction errors. Failed: searches that ended more than "
     "0.1 % above the least cost found. Errors: of the worst parameter, in the median run."
 )
-_FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
 
-def fit_table(results: Sequence[Identification]) -> Table:
-    """Return one row for each fit: the error of the fit, and the error on the recordings with role
-    validate.
-    """
-    rows = []
+def fit_tables(results: Sequence[Identification]) -> tuple[Table, Table]:
+    """Return the error of each method on all recordings of a role, and on each recording."""
+    of_roles, of_recordings = [], []
     for result in results:
         fit = result.fit
-        rows.append(
+        of_roles.append(
             (result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative))
         )
         if fit.validate_rms is not None:
-            rows.append(
-                (
-                    result.method,
-                    "all",
-                    "validate",
-                    *_fit_cells(fit, fit.validate_rms, fit.validate_relative),
-                )
-            )
-    return Table(("method", "recordings", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
-
-
-def recording_fit_table(results: Sequence[Identification]) -> Table:
-    """Return the error of each method on each recording."""
-    rows = []
-    for result in results:
+            cells = _fit_cells(fit, fit.validate_rms, fit.validate_relative)
+            of_roles.append((result.method, "all", "validate", *cells))
         roles = {trace.recording: trace.role for trace in result.traces}
-        rows += [
-            (result.method, name, roles[name], *_fit_cells(fit, fit.train_rms, fit.train_relative))
-            for name, fit in result.fits_by_recording.items()
+        of_recordings += [
+            (result.method, name, roles[name], *_fit_cells(own, own.train_rms, own.train_relative))
+            for name, own in result.fits_by_recording.items()
         ]
-    return Table(("method", "recording", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+    header = ("role", "bandwidth", "error, rms", "relative")
+    return (
+        Table(("method", "recordings", *header), tuple(of_roles), (3, 4, 5)),
+        Table(("method", "recording", *header), tuple(of_recordings), (3, 4, 5)),
+    )
 
 
 def stage_table(results: Sequence[Identification]) -> Table:
     """Return the number of evaluations and the final state of each stage of each method."""
-    rows = tuple(
-        (
-            result.method,
-            stage.stage,
-            stage.method,
-            str(stage.evaluations),
-            str(stage.generations),
-            f"{number(stage.cost, 4)} {stage.cost_unit}",
-            "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}",
-            {None: "-", True: "yes", False: "no"}[stage.reached],
-        )
-        for result in results
-        for stage in result.stages
+
+    def target(row: tuple[str, Convergence]) -> str:
+        stage = row[1]
+        return "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}"
+
+    return _columns(
+        [(result.method, stage) for result in results for stage in result.stages],
+        (3, 4, 5, 6),
+        ("method", lambda s: s[0]),
+        ("stage", lambda s: s[1].stage),
+        ("optimiser", lambda s: s[1].method),
+        ("evaluations", lambda s: str(s[1].evaluations)),
+        ("generations", lambda s: str(s[1].generations)),
+        ("cost", lambda s: f"{number(s[1].cost, 4)} {s[1].cost_unit}"),
+        ("target", target),
+        ("reached", lambda s: {None: "-", True: "yes", False: "no"}[s[1].reached]),
     )
-    header = (
-        "method",
-        "stage",
-        "optimiser",
-        "evaluations",
-        "generations",
-        "cost",
-        "target",
-        "reached",
-    )
-    return Table(header, rows, (3, 4, 5, 6))
 
 
 def recording_table(recordings: Sequence[Recording]) -> Table:
     """Return the identified recordings, and the corrections that were made on reading."""
-    rows = tuple(
-        (
-            r.name,
-            r.role,
-            r.stage,
-            "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg",
-            str(len(r.time)),
-            f"{number(1.0 / r.period, 4)} Hz",
-            "; ".join(r.notes) or "none",
-        )
-        for r in recordings
-    )
-    return Table(
-        ("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5)
+    return _columns(
+        recordings,
+        (3, 4, 5),
+        ("recording", lambda r: r.name),
+        ("role", lambda r: r.role),
+        ("stage", lambda r: r.stage),
+        ("weight", lambda r: "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg"),
+        ("samples", lambda r: str(len(r.time))),
+        ("rate", lambda r: f"{number(1.0 / r.period, 4)} Hz"),
+        ("corrections", lambda r: "; ".join(r.notes) or "none"),
     )
 
 
@@ -321,31 +296,25 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
     """Return one row for each estimator; the error column is omitted if the true values are
     unknown.
     """
-    known = any(c.true_error is not None for c in contenders)
-    header = (
-        "estimator",
-        "runs",
-        "failed",
-        "evaluations",
-        "s",
-        "cost above least",
-        "error against default",
-    )
-    rows = [
-        (
-            c.name,
-            str(c.runs),
-            str(c.failures),
-            str(c.evaluations),
-            number(c.seconds, 2),
-            "-" if c.excess is None else percent(100.0 * c.excess),
-            "reference" if c.excess is None else f"{percent(100.0 * c.error)} ({c.worst})",
-            *([_true(c)] if known else []),
-        )
-        for c in contenders
-    ]
-    return Table(
-        (*header, *(["error against truth"] if known else [])), tuple(rows), (1, 2, 3, 4, 5)
+
+    def worst(error: float | None, name: str) -> str:
+        return "-" if error is None else f"{percent(100.0 * error)} ({name})"
+
+    def against_default(c: Contender) -> str:
+        return "reference" if c.excess is None else worst(c.error, c.worst)
+
+    true = ("error against truth", lambda c: worst(c.true_error, c.true_worst))
+    return _columns(
+        contenders,
+        (1, 2, 3, 4, 5),
+        ("estimator", lambda c: c.name),
+        ("runs", lambda c: str(c.runs)),
+        ("failed", lambda c: str(c.failures)),
+        ("evaluations", lambda c: str(c.evaluations)),
+        ("s", lambda c: number(c.seconds, 2)),
+        ("cost above least", lambda c: "-" if c.excess is None else percent(100.0 * c.excess)),
+        ("error against default", against_default),
+        *([true] if any(c.true_error is not None for c in contenders) else []),
     )
 
 
@@ -356,32 +325,17 @@ def ladder_table(rungs: Sequence[Rung]) -> Table:
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
     scale = 1e3 if first.motion == "rotary" else 1e6
-    header = (
-        "friction",
-        "terms",
-        f"fit ({unit})",
-        "90 %",
-        f"validate ({unit})",
-        "90 %",
-        f"angle ({small})",
-        "90 %",
-        f"angle, MAE ({small})",
-        "90 %",
-        "best in",
+    return _columns(
+        rungs,
+        (2, 4, 6, 8, 10),
+        ("friction", lambda r: r.friction),
+        ("terms", lambda r: ", ".join(LADDER[r.friction])),
+        *_with_interval(f"fit ({unit})", lambda r: r.train),
+        *_with_interval(f"validate ({unit})", lambda r: r.scored),
+        *_with_interval(f"angle ({small})", lambda r: r.angle, scale),
+        *_with_interval(f"angle, MAE ({small})", lambda r: r.angle_mae, scale),
+        ("best in", lambda r: percent(100.0 * r.best)),
     )
-    rows = [
-        (
-            rung.friction,
-            ", ".join(LADDER[rung.friction]),
-            *_cells(rung.train, 1.0),
-            *_cells(rung.scored, 1.0),
-            *_cells(rung.angle, scale),
-            *_cells(rung.angle_mae, scale),
-            percent(100.0 * rung.best),
-        )
-        for rung in rungs
-    ]
-    return Table(header, tuple(rows), (2, 4, 6, 8, 10))
 
 
 def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
@@ -405,20 +359,17 @@ def transfer_table(found: Transfer) -> Table:
     """Return one row for each parameter: its value from either source, the difference, and whether
     the difference exceeds the joint interval.
     """
-    rows = tuple(
-        (
-            m.name,
-            number(m.first.value),
-            number(m.second.value),
-            number(m.difference, 3),
-            "-" if m.joint is None else f"+- {number(m.joint, 3)}",
-            m.unit,
-            {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}[m.moved],
-        )
-        for m in found.parameters
-    )
-    return Table(
-        ("parameter", "here", "there", "difference", "90 %", "unit", "finding"), rows, (1, 2, 3, 4)
+    findings = {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}
+    return _columns(
+        found.parameters,
+        (1, 2, 3, 4),
+        ("parameter", lambda m: m.name),
+        ("here", lambda m: number(m.first.value)),
+        ("there", lambda m: number(m.second.value)),
+        ("difference", lambda m: number(m.difference, 3)),
+        ("90 %", lambda m: "-" if m.joint is None else f"+- {number(m.joint, 3)}"),
+        ("unit", lambda m: m.unit),
+        ("finding", lambda m: findings[m.moved]),
     )
 
 
@@ -460,14 +411,20 @@ def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str
     )
 
 
-def _true(c: Contender) -> str:
-    return "-" if c.true_error is None else f"{percent(100.0 * c.true_error)} ({c.true_worst})"
+def _with_interval(
+    title: str, error: Callable[[Any], Interval | None], scale: float = 1.0
+) -> tuple[tuple[str, Callable[[Any], str]], tuple[str, Callable[[Any], str]]]:
+    """Return a column of errors and the column of their intervals."""
 
+    def value(item: Any) -> str:
+        found = error(item)
+        return "-" if found is None else number(scale * found.value, 3)
 
-def _cells(found: Interval | None, scale: float) -> tuple[str, str]:
-    if found is None:
-        return "-", "-"
-    return number(scale * found.value, 3), interval(scale * found.low, scale * found.high)
+    def reach(item: Any) -> str:
+        found = error(item)
+        return "-" if found is None else interval(scale * found.low, scale * found.high)
+
+    return (title, value), ("90 %", reach)
 
 
 def parameter_table(
@@ -541,14 +498,6 @@ def note(parameter: Parameter) -> str:
     return "at the bound of the search" if parameter.at_bound else ""
 
 
-def _floor(parameter: Parameter) -> str:
-    return "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}"
-
-
-def _error(value: float | None, true: float | None) -> str:
-    return percent(None if value is None or not true else 100.0 * (value / true - 1.0))
-
-
 def _row(
     name: str, results: Sequence[Identification], truth: Mapping[str, float] | None
 ) -> tuple[str, ...]:
@@ -565,10 +514,11 @@ def _row(
         cells += [
             number(parameter.value),
             interval(parameter.low, parameter.high),
-            _floor(parameter),
+            "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}",
         ]
         if truth:
-            cells.append(_error(parameter.value, true))
+            off = parameter.value / true - 1.0 if parameter.value is not None and true else None
+            cells.append(percent(None if off is None else 100.0 * off))
         if said := note(parameter):
             notes.append(said if len(results) == 1 else f"{result.method}: {said}")
     return (*cells, unit, *([number(true)] if truth else []), "; ".join(notes))
@@ -587,35 +537,23 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
     """
     small, scale = ("um", 1e6) if motion == LINEAR else ("mrad", 1e3)
     names = [c.name for c in next((r.constants for r in rungs if r.constants), ())]
-    header = (
-        "friction",
-        "terms",
-        "motor constants",
-        f"fit, MAE ({small})",
-        "90 %",
-        "cross-validated",
-        "validate",
-        "90 %",
-        "best in",
-        *names,
-        "by cross-validation",
+
+    def crossed(rung: SimulatedRung) -> str:
+        return "-" if math.isnan(rung.crossed) else number(scale * rung.crossed, 3)
+
+    return _columns(
+        rungs,
+        (3, 5, 6, 8, *range(9, 9 + len(names))),
+        ("friction", lambda r: r.friction),
+        ("terms", lambda r: ", ".join(SIMULATED[r.friction])),
+        ("motor constants", lambda r: "free" if r.free else "declared"),
+        *_with_interval(f"fit, MAE ({small})", lambda r: r.train, scale),
+        ("cross-validated", crossed),
+        *_with_interval("validate", lambda r: r.scored, scale),
+        ("best in", lambda r: f"{100.0 * r.best:.3g} %"),
+        *((name, partial(_change, name=name)) for name in names),
+        ("by cross-validation", lambda r: "least" if r.chosen else "tied" if r.tied else ""),
     )
-    rows = [
-        (
-            rung.friction,
-            ", ".join(SIMULATED[rung.friction]),
-            "free" if rung.free else "declared",
-            *_cells(rung.train, scale),
-            "-" if math.isnan(rung.crossed) else number(scale * rung.crossed, 3),
-            *_cells(rung.scored, scale),
-            f"{100.0 * rung.best:.3g} %",
-            *(_changes(rung.constants, names)),
-            "least" if rung.chosen else "tied" if rung.tied else "",
-        )
-        for rung in rungs
-    ]
-    numbers = (3, 5, 6, 8, *range(9, 9 + len(names)))
-    return Table(header, tuple(rows), numbers)
 
 
 def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
@@ -644,14 +582,11 @@ def _constant_line(c: Constant, friction: str) -> str:
     )
 
 
-def _changes(found: Sequence[Constant], names: Sequence[str]) -> list[str]:
-    by_name = {c.name: c for c in found}
-    return [
-        "-"
-        if n not in by_name
-        else f"{100.0 * by_name[n].change:+.1f} %{f' {CHANGED}' if by_name[n].moved else ''}"
-        for n in names
-    ]
+def _change(rung: SimulatedRung, name: str) -> str:
+    found = next((c for c in rung.constants if c.name == name), None)
+    if found is None:
+        return "-"
+    return f"{100.0 * found.change:+.1f} %{f' {CHANGED}' if found.moved else ''}"
 
 
 _SHOWN_PER_ROLE = 6
@@ -728,8 +663,7 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     yield Section(
         "Fit",
         (
-            fit_table(results),
-            recording_fit_table(results),
+            *fit_tables(results),
             *(_stribeck(result, recordings) for result in results),
         ),
     )

@@ -93,8 +93,8 @@ class Request:
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
-        draws: Bootstrap draws of the default method, 0 for none.
-        take_partial: Whether to use unfinished excitations of a run as well; a warning in the
+        draws: Bootstrap draws of the default method, None for none.
+        partial: Whether to use unfinished excitations of a run as well; a warning in the
             result names these excitations.
     """
 
@@ -104,8 +104,8 @@ class Request:
     ladder: bool = False
     score: Path | None = None
     profile: bool = False
-    draws: int = 0
-    take_partial: bool = False
+    draws: int | None = None
+    partial: bool = False
 
 
 def identify_source(
@@ -123,7 +123,7 @@ def identify_source(
     """
     started = time.perf_counter()
     progress("reading", 0.0)
-    dataset = load_source(source, partial=request.take_partial)
+    dataset = load_source(source, partial=request.partial)
     other = None if request.score is None else load_source(request.score)
     warnings = _warnings(source, dataset)
     with _named(source, without_partial(dataset)):
@@ -177,7 +177,7 @@ def _identified(
     begun = time.perf_counter()
     estimate = METHODS[method]
     if method == "default":
-        estimate = partial(identify_any_length, profile=request.profile, draws=request.draws)
+        estimate = partial(identify_any_length, profile=request.profile, draws=request.draws or 0)
     result = estimate(
         dataset,
         bandwidth_Hz=request.bandwidth_Hz,
