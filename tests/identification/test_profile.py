@@ -18,6 +18,7 @@ from identification.numerics import least_squares as levenberg
 from identification.recording import Array, Dataset, Model, Recording
 from identification.result import Identification
 
+from .practical import beginning
 from .synthetic import SYSTEM, TRUTH
 
 UNITS = dict.fromkeys(TRUTH, "1")
@@ -32,7 +33,7 @@ def refine(recording: Recording, model: Model) -> Refined:
 
 @pytest.fixture(scope="module")
 def profiled(practical_pair: tuple[Recording, Recording]) -> Identification:
-    return identify(Dataset(practical_pair[:1]), profile=True)
+    return identify(Dataset((beginning(practical_pair[0], 10.0),)), profile=True)
 
 
 def test_every_fitted_parameter_has_one(profiled: Identification) -> None:
