@@ -33,8 +33,13 @@ from rig.common.tables import table
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.results.design import PROPOSAL_FILE, excitation_words, plan_experiment, proposal_text
 from rig.results.document import write_texts
+from rig.results.identify.design import (
+    PROPOSAL_FILE,
+    excitation_words,
+    plan_experiment,
+    proposal_text,
+)
 from rig.results.identify.identify import identification_record, uncertainty_record
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run

@@ -52,8 +52,8 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.identify:comparison_record",
     ),
     "rig identify --plan: plan file": (
-        "rig.results.design:plan_record",
-        "rig.results.design:_intervals_record",
+        "rig.results.identify.design:plan_record",
+        "rig.results.identify.design:_intervals_record",
     ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.model_file:diagnosis_record",
@@ -67,10 +67,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
-        "rig.results.simulate:simulation_record",
-        "rig.results.simulate:_case_record",
-        "rig.results.simulate:_sums_record",
-        "rig.results.simulate:_record_errors",
+        "rig.results.identify.simulate:simulation_record",
+        "rig.results.identify.simulate:_case_record",
+        "rig.results.identify.simulate:_sums_record",
+        "rig.results.identify.simulate:_record_errors",
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",

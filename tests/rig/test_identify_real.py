@@ -14,7 +14,7 @@ from identification.estimate.default import identify
 from identification.estimate.ladder import climb, transfer
 from identification.model.parameters import LADDER
 from identification.result import Identification
-from rig.results.simulate import simulate_source
+from rig.results.identify.simulate import simulate_source
 from rig.sources import load_source
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"

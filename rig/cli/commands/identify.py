@@ -185,7 +185,8 @@ def _plan(
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
-    from rig.results.design import (
+    from rig.results.document import text, write_record, write_texts
+    from rig.results.identify.design import (
         PROPOSAL_FILE,
         RESULT_FILE,
         plan_document,
@@ -193,7 +194,6 @@ def _plan(
         plan_record,
         proposal_text,
     )
-    from rig.results.document import text, write_record, write_texts
     from rig.terminal.output import ShareBar
 
     folder = out or Path(f"{Path(sequence).stem}-planned")

@@ -49,7 +49,7 @@ def command(
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder, source_name
     from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
-    from rig.results.simulate import (
+    from rig.results.identify.simulate import (
         RESULT_FILE,
         as_bench,
         simulate_document,
