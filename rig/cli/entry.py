@@ -6,9 +6,13 @@ import gc
 import importlib
 import logging
 import os
+import stat
 import sys
+import tempfile
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Self
 
 import click
@@ -174,6 +178,29 @@ def cli(verbose: bool) -> None:
             logging.getLogger(name).addHandler(_SILENCE)
 
 
+def find_kernel_folder() -> None:
+    """Let numba store compiled kernels in a private temporary folder if neither the folder of the
+    program nor the cache folder of the user is writable; must be called before numba is imported.
+    """
+    if os.name != "posix":
+        return
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    existing = next((path for path in (home, *home.parents) if path.exists()), home)
+    if any(
+        os.access(path, os.W_OK, effective_ids=os.access in os.supports_effective_ids)
+        for path in (Path(__file__).parent, existing)
+    ):
+        return
+    private = Path(tempfile.gettempdir()) / f"loadrig-kernels-{os.geteuid()}"
+    with suppress(OSError):
+        private.mkdir(mode=0o700, exist_ok=True)
+        found = private.lstat()
+        # Machine code is executed; no other user may be able to write it.
+        mine = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+        if mine and not found.st_mode & 0o077:
+            os.environ.setdefault("NUMBA_CACHE_DIR", str(private))
+
+
 def main() -> None:
     """Entry point: run the command line and exit with its status.
 
@@ -186,6 +213,7 @@ def main() -> None:
     # A handler that cannot write must not print a traceback of its own.
     logging.raiseExceptions = False
     gc.set_threshold(GARBAGE_THRESHOLD)
+    find_kernel_folder()
     arguments = sys.argv[1:]
     with _Threads(arguments) as threads:
         try:

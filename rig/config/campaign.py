@@ -11,8 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from identification.model.ladder import bears_load, rises
-from identification.model.parameters import LOAD_PARAMETERS
+from identification.model.parameters import LOAD_PARAMETERS, bears_load, rises
 from rig.common.errors import InputError
 from rig.common.text import stored_path
 from rig.common.yaml_tree import DocumentError, Node, csv_rows, read_text, row

@@ -18,8 +18,12 @@ from pydantic import (
 
 from identification.effects import EFFECTS
 from identification.model.gas_generator import PAPER, GasGenerator, ValveGeometry
-from identification.model.ladder import LADDER, NOMINAL
-from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.parameters import (
+    LADDER,
+    LOAD_PARAMETERS,
+    PAPER_FRICTION,
+    SYSTEM_PARAMETERS,
+)
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
 from rig.common.text import stored_path
 from rig.common.timing import iso_time
@@ -390,7 +394,7 @@ class ModelSection(Schema):
             which is combined with the estimate from the recordings.
     """
 
-    friction: Annotated[str, _one_of(LADDER, "friction")] = NOMINAL
+    friction: Annotated[str, _one_of(LADDER, "friction")] = PAPER_FRICTION
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
     fixed: dict[Annotated[str, _one_of(PARAMETERS, "parameter")], KnownNumber] = Field(
         default_factory=dict

@@ -228,7 +228,7 @@ def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
         InputError, match="too short; without --partial, only finished excitations are used"
     ):
         identify.identify_source(
-            folder.path, identify.Request(["paper"], take_partial=True), lambda *_: None
+            folder.path, identify.Request(["paper"], partial=True), lambda *_: None
         )
     with pytest.raises(InputError, match=r"too short$"):
         identify.identify_source(folder.path, identify.Request(["paper"]), lambda *_: None)

@@ -30,8 +30,7 @@ from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basi
 from identification.diagnosis.rules import RULES
 from identification.estimate.default import free_names, solve_stages
 from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
-from identification.model.ladder import LADDER, bears_load
-from identification.model.parameters import STRIBECK_TERMS
+from identification.model.parameters import LADDER, STRIBECK_TERMS, bears_load
 from identification.prepare import prepare, torque_unit
 from identification.recording import Array, Dataset, Model, Recording, RecordingError
 from identification.views.nominal import LARGEST_STEP, SPEEDS, Nominal

@@ -18,7 +18,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from drivers.mock.plant.effects.pack import GAS_KNOWN, KNOWN
 from drivers.mock.plant.parts.constants import Machine
-from identification.model.ladder import LADDER
+from identification.model.parameters import LADDER
 from identification.recording import CHANNELS
 from rig.config.bench import Bench
 from rig.config.campaign import Campaign

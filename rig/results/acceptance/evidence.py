@@ -22,8 +22,7 @@ from rig.results.diagnose.document import diagnose_document
 from rig.results.diagnose.exports import exports
 from rig.results.document import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.identify.document import identify_document
-from rig.results.identify.identify import Request, identify_source
-from rig.results.identify.record import outcome_record
+from rig.results.identify.identify import Request, identify_source, outcome_record
 from rig.results.measured import QUANTITIES, clock_words, facts_of
 from rig.runs.catalogue.entry import Constant
 from rig.runs.catalogue.index import constants_of

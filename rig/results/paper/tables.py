@@ -14,7 +14,7 @@ from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
 from identification.plots import fit as fit_plots
 from identification.plots import signals
-from identification.plots.spread import spread
+from identification.plots.fit import spread
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.result import Convergence, Identification
 from rig.common.provenance import Provenance, finite

@@ -11,11 +11,20 @@ The profile therefore differs from an ordinary profile likelihood in two ways:
 - The deviance is scaled so that its curvature agrees with the interval (Chandler and Bate,
   Biometrika 94 (2007) 167). Unlike an interval, a profile shows asymmetry, flat ends and a second
   minimum.
+
+Computes the spread of the estimates by a bootstrap: motion segments are drawn with replacement.
+
+The bootstrap assumes only that the errors of different segments are independent. It therefore
+checks intervals that depend on a noise model (Efron and Tibshirani, An Introduction to the
+Bootstrap, 1993, ch. 8). Each draw solves the estimating equations with every segment counted as
+often as it was drawn; weights, noise levels and the instrument of the inertia are those of the
+estimate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -23,13 +32,12 @@ from scipy import special
 from identification.estimate.covariance import rise_to_static
 from identification.estimate.inertia import influence_on_inertia, instruments
 from identification.estimate.searches import Refined
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.likelihood import HUBER_THRESHOLD, Point
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
-from identification.numerics.least_squares import Eliminated, huber_cost, huber_weight
+from identification.numerics.least_squares import BlockArrow, Eliminated, huber_cost, huber_weight
 from identification.numerics.spread import CONFIDENCE
-from identification.result import Profile
+from identification.result import Profile, Resampled
 
 REACH = (0.8, 1.6, 2.4, 3.2)
 """Distances of the points of a profile from the estimate, in standard deviations."""
@@ -43,11 +51,7 @@ _DEGREE = 4
 
 
 class _Criterion:
-    """Half the deviance (M45) above its minimum at the inertia of the estimate.
-
-    ``curve`` is the part of the criterion that depends only on the change of log J, with the
-    inertia J.
-    """
+    """Half the deviance (M45) above its minimum; ``curve`` depends on log J alone."""
 
     def __init__(self, point: Point) -> None:
         self.held = point.weighted()
@@ -182,15 +186,7 @@ def _directions(point: Point, names: tuple[str, ...]) -> Array:
 
 
 def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return values of ``along`` @ parameters, in rising order, and the deviance at each value,
-    computed from the estimate outwards.
-
-    Args:
-        criterion: Criterion around the estimate.
-        along: Weights of the parameters; the weighted sum of the parameters is fixed at each point.
-        shape: Change of the parameters per unit of the weighted sum, shape (p,).
-        sigma: Standard deviation of the weighted sum.
-    """
+    """Return values of ``along`` @ parameters, rising, and the deviance at each."""
     steps, deviance = [0.0], [0.0]
     for way in (-1.0, 1.0):
         x, at = criterion.x.copy(), 0.0
@@ -207,12 +203,7 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and the deviance Q at each step, and store the difference of Q/2 and
-    the least Huber cost at each J in the criterion.
-
-    The estimating equation is the error of log J with the other parameters at the least-squares
-    solution; its derivative with respect to log J is -1 if the model is linear.
-    """
+    """Return steps of log J with deviance Q, and store Q/2 less the least Huber cost."""
     held, x = criterion.held, criterion.x
     jacobian = held.jacobian(x, criterion.residual)
     influence = influence_on_inertia(
@@ -251,9 +242,7 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
 
 
 def _tangent(normal: Array, along: Array) -> Array:
-    """Return the change of the parameters per unit of ``along`` @ parameters at which the cost is
-    least.
-    """
+    """Return the change of parameters per unit of ``along`` @ them at least cost."""
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))
 
@@ -272,3 +261,128 @@ def _inverse(matrix: Array) -> Array:
     return np.asarray(
         np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     )
+
+
+_SETTLED = 0.1
+"""Step, in standard deviations, below which the equations of a draw count as solved."""
+_LONGEST = 3.0
+"""Greatest step of an iteration, in standard deviations."""
+
+
+def bootstrap(
+    refined: Refined,
+    units: Mapping[str, str],
+    draws: int,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> tuple[Resampled, ...]:
+    """Return the spread of every parameter over bootstrap draws of each recording's segments.
+
+    Args:
+        refined: The estimate.
+        units: Parameter name to unit.
+        draws: Number of bootstrap draws.
+        rng: Random generator for the draws.
+        progress: Called with the share of the draws that is done.
+
+    Returns:
+        One result per parameter; its bounds are None if the equations of fewer than half of the
+        draws were solved.
+    """
+    joint = refined.joint
+    equations = _Equations(joint, _deviations(refined))
+    values: dict[str, list[float]] = {name: [] for name in refined.names}
+    for k in range(draws):
+        found = equations.solve(_counts(joint, rng))
+        if found is not None:
+            for name, value in unpack(joint.parameters(found), refined.names).items():
+                values[name].append(value)
+        progress((k + 1) / draws)
+    tails = (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE)
+    out = []
+    for name in refined.names:
+        low, high = (
+            np.quantile(values[name], tails).tolist()
+            if 2 * len(values[name]) > draws
+            else (None, None)
+        )
+        out.append(Resampled(name, units[name], low, high, draws, len(values[name])))
+    return tuple(out)
+
+
+def _counts(point: Point, rng: np.random.Generator) -> Array:
+    """Return how often each segment is drawn among the segments of its recording, shape (m,)."""
+    sizes = [len(m.table) for m in point.motions]
+    return np.concatenate(
+        [rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]
+    ).astype(np.float64)
+
+
+def _deviations(refined: Refined) -> Array:
+    """Return the deviation of every free parameter, in units of the free vector, (p,)."""
+    by_place = dict(
+        zip((INDEX[n] for n in refined.names), np.sqrt(np.diag(refined.covariance)), strict=True)
+    )
+    values = refined.joint.vector
+    return np.array(
+        [by_place[k] / (values[k] if k in LOGARITHMIC else 1.0) for k in refined.joint.free]
+    )
+
+
+class _Equations:
+    """Estimating equations near the estimate: least squares, and that of the inertia."""
+
+    def __init__(self, point: Point, deviations: Array) -> None:
+        self.deviations = deviations
+        self.held = point.weighted()
+        self.origin = point.origin()
+        residual = self.held.residuals(self.origin)
+        jacobian = self.held.jacobian(self.origin, residual)
+        self.begun = (residual, jacobian)
+        self.inertia = point.free.index(INERTIA) if INERTIA in point.free else None
+        self.influence = np.zeros(0)
+        if self.inertia is not None:
+            z = instruments(point, jacobian)
+            self.influence = influence_on_inertia(point, z, jacobian, residual)
+        # The search may have ended at a small distance from the solution of these equations; draws
+        # are compared with this solution.
+        self.rest = self.sums(residual, jacobian, np.ones(point.breakaways))[0]
+        self.rest[len(deviations) :] = 0.0
+
+    def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
+        """Return the left sides of the equations and their derivatives, shapes (x,) and (x, x),
+        with each segment counted ``counts`` times.
+        """
+        weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
+        side = jacobian
+        if self.inertia is not None:
+            columns = jacobian.parameters.copy()
+            columns[:, self.inertia] = self.influence
+            side = replace(jacobian, parameters=columns)
+        return side.back(weight * residual), side.product(weight, jacobian)
+
+    def solve(self, counts: Array) -> Array | None:
+        """Return the free vector that solves the equations with each segment counted ``counts``
+        times, or None if the search does not converge.
+        """
+        x = self.origin.copy()
+        residual, jacobian = self.begun
+        for _ in range(_ROUNDS):
+            value, slope = self.sums(residual, jacobian, counts)
+            scale = np.sqrt(np.maximum(np.abs(np.diag(slope)), 1e-300))
+            step = (
+                -(
+                    np.linalg.pinv(slope / np.outer(scale, scale), rcond=1e-10)
+                    @ ((value - self.rest) / scale)
+                )
+                / scale
+            )
+            size = float(np.max(np.abs(step[: len(self.deviations)]) / self.deviations))
+            x = x + min(1.0, _LONGEST / max(size, 1e-300)) * step
+            if size < _SETTLED:
+                return x
+            residual = self.held.residuals(x)
+            if not np.all(np.isfinite(residual)):
+                return None
+            jacobian = self.held.jacobian(x, residual)
+        return None

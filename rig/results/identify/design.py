@@ -1,27 +1,27 @@
-"""``rig identify --plan``: predicts which parameters a sequence determines, and searches for a
-sequence that determines the weakest parameter better.
-"""
+"""Proposes experiments for a bench, and writes the proposals."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from drivers.amt21.encoder import COUNTS_PER_TURN
 from identification.design.propose import Proposal, propose
 from identification.design.search import Bounds, Excitation, Frame, Part
-from identification.design.simulated import NAMES, PlannedModel, Sensors
+from identification.design.simulated import NAMES, Intervals, PlannedModel, Sensors
 from identification.model.parameters import NOMINAL
 from identification.recording import Recording
 from identification.simulate.drive_loop import drive_loop
 from rig.common.errors import InputError
-from rig.common.provenance import sha256_file
+from rig.common.provenance import finite, sha256_file, utc_now, versions
+from rig.common.tables import number, percent
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
@@ -29,6 +29,8 @@ from rig.config.sequence import Array, Ramp, Sequence, StageSection, Tone, excit
 from rig.planning.limits import Limits
 from rig.planning.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
 from rig.planning.reference import read_identification
+from rig.results.document import Document as Page
+from rig.results.document import Note, Section, Table
 from rig.runs.run import bench_constants, load_run
 
 _SMALLEST = 1e-12
@@ -92,12 +94,7 @@ def nominal_values(path: Path | None) -> NominalValues:
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:
-    """Return the total noise of the measured torque in a result file, N m rms, or None if the file
-    states no noise.
-
-    Raises:
-        KeyError, TypeError, ValueError: The part of the file on noise is damaged.
-    """
+    """Return the total torque noise in a result file, N m rms, or None if not stated."""
     if noise is None or noise["unit"] != "N m":
         return None
     whole = math.hypot(float(noise["torque"]), float(noise["correlated"]))
@@ -113,9 +110,7 @@ def _half_width(parameter: dict[str, Any]) -> float:
 
 
 def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
-    """Return the recordings of the input runs that are unchanged; recordings of changed runs are
-    omitted.
-    """
+    """Return the recordings of the input runs that are unchanged."""
     out: list[Recording] = []
     for folder in sorted({file.parent for file in inputs}):
         mine = {file: digest for file, digest in inputs.items() if file.parent == folder}
@@ -215,11 +210,7 @@ def plan_experiment(
 
 
 def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
-    """Check that an experiment can be planned from every stage.
-
-    Raises:
-        InputError: A stage has a ramp or is a hot firing.
-    """
+    """Raise InputError unless an experiment can be planned from every stage."""
     sequence.require(
         (
             ("stages", k, "ramp"),
@@ -309,12 +300,10 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
 def _stages(
     stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]
 ) -> tuple[StageSection, ...]:
-    """Return the stages of a proposal; several stages that replace one stage have the name of that
-    stage and a number.
-    """
+    """Return the stages of a proposal; stages that replace one stage are numbered."""
     out = []
-    for number, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
-        own = [p.excitation for p in parts if p.frame == number]
+    for k, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
+        own = [p.excitation for p in parts if p.frame == k]
         if own == [frame.present]:
             out.append(stage)  # unchanged, with its phases and repeats
         else:
@@ -323,9 +312,7 @@ def _stages(
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with another excitation about the centre of the stage, rounded as in a
-    sequence file.
-    """
+    """Return a stage with another excitation about its centre, rounded as in a sequence file."""
     changes: dict[str, Any] = {
         "name": name,
         "weight_kg": e.weight,
@@ -351,3 +338,172 @@ def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
         name: StageSection.model_fields[name].default for name in ("ramp_in_s", "ramp_out_s")
     }
     return stage.model_copy(update={**changes, "tones": (), "ramp": ramp, **unfaded})
+
+
+PROPOSAL_FILE = "proposal.yaml"
+
+
+def proposal_text(experiment: Experiment, bench: str) -> str:
+    """Return the sequence file of a proposal; a comment states its purpose."""
+    determined = intervals_words(experiment.proposal.proposed)
+    head = (
+        f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
+        f"{bench}, seed {experiment.seed}.\n"
+        f"# Nominal: {experiment.nominal_source}.\n# {determined}.\n"
+    )
+    return head + yaml.safe_dump(
+        plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
+    )
+
+
+def plain_sequence(sequence: Sequence) -> dict[str, Any]:
+    """Return a sequence as the mapping of its file; most keys with default values are omitted."""
+    given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
+    return {"sequence": sequence.sequence, **given}
+
+
+def intervals_words(found: Intervals) -> str:
+    """Return a message on the number of determined parameters and on the least accurate
+    parameter.
+    """
+    open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
+    if open_names:
+        return f"does not determine {', '.join(open_names)}"
+    return (
+        f"determines all {len(found.half_widths)}; the weakest is {found.weakest}, to "
+        f"{percent(100.0 * found.worst)}"
+    )
+
+
+def plan_document(experiment: Experiment) -> Page:
+    """Return the parameters that the given and the proposed sequence determine, and the stages of
+    the proposal.
+    """
+    title = f"Experiment in place of {experiment.sequence.name}"
+    return Page(title, "", tuple(_summary(experiment)))
+
+
+def _summary(experiment: Experiment) -> Iterator[Section]:
+    now, then = experiment.proposal.present, experiment.proposal.proposed
+    sequence, proposed = experiment.sequence.name, experiment.proposed.name
+    head = (
+        "90 % interval over the value, half width, from simulated replicates of the nominal model:"
+    )
+    yield Section("", (Note(head),))
+    yield Section("", (_widths(experiment),))
+    lines = (
+        f"{sequence}: {intervals_words(now)}",
+        f"{proposed}: {intervals_words(then)}",
+        _advice(experiment),
+    )
+    yield Section("", tuple(map(Note, lines)))
+    yield Section("", (_stage_table(experiment),))
+    last = (
+        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
+        f"rms; {_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
+        f"{experiment.proposal.identified} experiments simulated and "
+        f"identified, in {experiment.seconds:.1f} s"
+    )
+    yield Section("", (Note(last),))
+
+
+def _widths(experiment: Experiment) -> Table:
+    now, then = experiment.proposal.present, experiment.proposal.proposed
+    names = (experiment.sequence.name, experiment.proposed.name)
+    rows = tuple(
+        (
+            n,
+            number(experiment.nominal.values[n]),
+            _width(now, n),
+            _width(then, n),
+            _gain(now, then, n),
+        )
+        for n in now.half_widths
+    )
+    return Table(("parameter", "nominal", *names, "times tighter"), rows, (1, 2, 3, 4))
+
+
+def _stage_table(experiment: Experiment) -> Table:
+    rows = tuple(
+        (stage.name, f"{stage.weight_kg:g}", f"{stage.duration_s:g}", excitation_words(stage))
+        for stage in experiment.proposed.stages
+    )
+    return Table(("stage", "kg", "s", "excitation"), rows, (1, 2))
+
+
+def _advice(experiment: Experiment) -> str:
+    """Return the purpose of the proposal, or that no proposal was better."""
+    aim = f"aimed at {experiment.proposal.weakest}, so far the least accurate parameter"
+    if experiment.proposal.proposed == experiment.proposal.present:
+        return (
+            f"{aim}: no other experiment had narrower intervals when it was simulated and "
+            "identified, so the given sequence is proposed unchanged; with another --seed, other "
+            "experiments are tried"
+        )
+    return (
+        f"{aim}; if another parameter gets a wider interval, run both sequences and "
+        "identify both runs together"
+    )
+
+
+def _drive(experiment: Experiment) -> str:
+    loop = experiment.nominal.loop
+    if loop is None:
+        return "a stiff drive loop is assumed"
+    return f"drive loop as recorded: velocity gain {loop.velocity_gain:.3g} N m s/rad"
+
+
+def _width(found: Intervals, name: str) -> str:
+    width = found.half_widths[name]
+    return percent(100.0 * width) if math.isfinite(width) else "not determined"
+
+
+def _gain(now: Intervals, then: Intervals, name: str) -> str:
+    ratio = now.half_widths[name] / then.half_widths[name]
+    return f"{ratio:.2g}" if math.isfinite(ratio) else "-"
+
+
+def excitation_words(stage: StageSection) -> str:
+    """Return a description of the excitation of a stage: sines or ramps."""
+    if stage.ramp is not None:
+        ramp = stage.ramp
+        return (
+            f"{ramp.times} times {ramp.travel_deg:g} deg out and back at {ramp.speed_deg_s:g} deg/s"
+        )
+    return ", ".join(f"{t.amplitude_deg:g} deg at {t.frequency_Hz:g} Hz" for t in stage.tones)
+
+
+PLAN_SCHEMA = "loadrig.plan/1"
+RESULT_FILE = "plan.json"
+
+
+def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
+    """Return the record of ``rig identify --plan --json``."""
+    used = versions()
+    return {
+        "schema": PLAN_SCHEMA,
+        "version": used["loadrig"],
+        "versions": dict(used),
+        "created": utc_now().isoformat(timespec="seconds"),
+        "seconds": experiment.seconds,
+        "seed": experiment.seed,
+        "bench": bench,
+        "nominal": {"source": experiment.nominal_source, "values": dict(experiment.nominal.values)},
+        "current_noise_A": experiment.current_noise_A,
+        "aimed_at": experiment.proposal.weakest,
+        "present": _intervals_record(experiment.sequence, experiment.proposal.present),
+        "proposed": _intervals_record(experiment.proposed, experiment.proposal.proposed),
+        "fisher_half_widths": {
+            n: finite(w) for n, w in experiment.proposal.predicted.half_widths.items()
+        },
+        "judged": experiment.proposal.judged,
+        "rehearsed": experiment.proposal.identified,
+    }
+
+
+def _intervals_record(sequence: Sequence, found: Intervals) -> dict[str, Any]:
+    return {
+        "sequence": plain_sequence(sequence),
+        "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},
+        "weakest": found.weakest,
+    }
