@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.within_limits import bandwidth_of, views_and_fit, within_limits
+from identification.diagnosis.held_out import validation_rms
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.oracle import greedy_bic, library
 from identification.diagnosis.result import Diagnosis
-from identification.diagnosis.score.significance import trial_candidates
-from identification.diagnosis.selection.held_out import validation_rms
+from identification.diagnosis.significance import trial_candidates
+from identification.diagnosis.within_limits import bandwidth_of, views_and_fit, within_limits
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.prepare import torque_unit

@@ -14,8 +14,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Joint, identifiable, nominal_at
-from identification.diagnosis.fit.within_limits import choose, fit_from_estimate, views_and_fit
+from identification.diagnosis.held_out import (
+    DROPPED,
+    dropped_effects,
+    validated_effects,
+    validation_rms,
+    with_indistinct_effects,
+)
+from identification.diagnosis.joint import Joint, identifiable, nominal_at
+from identification.diagnosis.judgement import (
+    Judged,
+    effects_of,
+    named_or_ambiguous,
+    verdict_of,
+    without_unlogged,
+)
+from identification.diagnosis.locate import curve
+from identification.diagnosis.observable import Observable, collinear_effects, observable
+from identification.diagnosis.reasons import explains_nearly_all
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -25,27 +41,11 @@ from identification.diagnosis.result import (
     Verdict,
 )
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.locate import curve
-from identification.diagnosis.score.observable import Observable, collinear_effects, observable
-from identification.diagnosis.score.significance import crowded_recordings, rests_under_torque
-from identification.diagnosis.selection.held_out import (
-    DROPPED,
-    dropped_effects,
-    validated_effects,
-    validation_rms,
-    with_indistinct_effects,
-)
-from identification.diagnosis.selection.search import Options, Progress, Search, search
-from identification.diagnosis.verdict.judgement import (
-    Judged,
-    effects_of,
-    named_or_ambiguous,
-    verdict_of,
-    without_unlogged,
-)
-from identification.diagnosis.verdict.reasons import explains_nearly_all
-from identification.diagnosis.verdict.statement import statement, warnings_of
-from identification.diagnosis.verdict.unexplained import unexplained, unrecorded_effects
+from identification.diagnosis.search import Options, Progress, Search, search
+from identification.diagnosis.significance import crowded_recordings, rests_under_torque
+from identification.diagnosis.statement import statement, warnings_of
+from identification.diagnosis.unexplained import unexplained, unrecorded_effects
+from identification.diagnosis.within_limits import choose, fit_from_estimate, views_and_fit
 from identification.effects import MOTION
 from identification.effects.effect import Effect
 from identification.estimate.parameter_table import units_of

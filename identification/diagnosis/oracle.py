@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate, Stack
+from identification.diagnosis.held_out import validation_rms
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import trial_candidates
-from identification.diagnosis.selection.held_out import validation_rms
+from identification.diagnosis.significance import trial_candidates
+from identification.diagnosis.stack import Candidate, Stack
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Context, Effect, Shape
 from identification.prepare import torque_unit

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import LOWER_NOISE_RATIO, Joint, fit, with_lower_noise
-from identification.diagnosis.fit.rows import held_voltage
+from identification.diagnosis.joint import LOWER_NOISE_RATIO, Joint, fit, with_lower_noise
+from identification.diagnosis.removal import needed_share
+from identification.diagnosis.rows import held_voltage
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.removal import needed_share
 from identification.effects.effect import CLOSE, EXACT, ROUGH
 from identification.numerics.series import dahl, first_order_lag
 

@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import pytest
 
+from identification.diagnosis.comparison import Round
+from identification.diagnosis.crossing import crossing_torque, gap_or_loop
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Round
-from identification.diagnosis.selection.crossing import crossing_torque, gap_or_loop
 from identification.effects import MOTION
 from identification.recording import Dataset, Model, Recording
 from identification.views.nominal import Nominal

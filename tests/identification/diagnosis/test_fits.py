@@ -11,17 +11,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit import joint as fitting
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.linear import predicted_and_attained
-from identification.diagnosis.fit.rows import equations, noise, without_tones
-from identification.diagnosis.fit.stack import Candidate, stack_of
-from identification.diagnosis.fit.within_limits import (
+from identification.diagnosis import joint as fitting
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.linear import predicted_and_attained
+from identification.diagnosis.rows import equations, noise, without_tones
+from identification.diagnosis.significance import size_p_value, trial_candidates
+from identification.diagnosis.stack import Candidate, stack_of
+from identification.diagnosis.within_limits import (
     feasible_or_first,
     infeasible,
     infeasible_as_fitted,
 )
-from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Pendulum, Recording

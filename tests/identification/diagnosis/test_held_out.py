@@ -8,12 +8,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint, estimates, fit, undetermined_size
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection import held_out
-from identification.diagnosis.selection.comparison import Contender, Round
-from identification.diagnosis.selection.held_out import (
+from identification.diagnosis import held_out
+from identification.diagnosis.comparison import Contender, Round
+from identification.diagnosis.held_out import (
     DROPPED,
     _Case,
     _unseen_share,
@@ -26,7 +23,10 @@ from identification.diagnosis.selection.held_out import (
     validated_effects,
     validation_rms,
 )
-from identification.diagnosis.selection.search import Search
+from identification.diagnosis.joint import Added, Joint, estimates, fit, undetermined_size
+from identification.diagnosis.result import Step
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
 from identification.effects import MOTION
 from identification.recording import Recording
 from identification.views.view import View, views

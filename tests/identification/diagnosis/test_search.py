@@ -11,15 +11,15 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from identification.diagnosis.comparison import implausible
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Added, fit, identifiable
-from identification.diagnosis.fit.stack import Candidate, log_surprise, wald_statistic
-from identification.diagnosis.fit.within_limits import fit_from_estimate, views_and_fit
+from identification.diagnosis.held_out import validation_rms
+from identification.diagnosis.joint import Added, fit, identifiable
+from identification.diagnosis.removal import needed_share
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
-from identification.diagnosis.selection.comparison import implausible
-from identification.diagnosis.selection.held_out import validation_rms
-from identification.diagnosis.selection.removal import needed_share
+from identification.diagnosis.significance import DRAWS, flipped_statistics, sign_flip_p_value
+from identification.diagnosis.stack import Candidate, log_surprise, wald_statistic
+from identification.diagnosis.within_limits import fit_from_estimate, views_and_fit
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Bench, Dataset, Model, Recording

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from identification.diagnosis import diagnose
+from identification.diagnosis.held_out import DROPPED
 from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.held_out import DROPPED
 from identification.effects import EFFECTS, MOTION
 from identification.recording import RecordingError
 

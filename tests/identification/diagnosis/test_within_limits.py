@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.rows import equations
-from identification.diagnosis.fit.within_limits import cross_validation_residual, within_limits
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.rows import equations
+from identification.diagnosis.within_limits import cross_validation_residual, within_limits
 from identification.effects import MOTION
 from identification.recording import Array, Recording
 from identification.views.nominal import Nominal

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.rows import between_samples, least_noise
+from identification.diagnosis.joint import Joint
+from identification.diagnosis.rows import between_samples, least_noise
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import beyond_noise, size_p_value
-from identification.diagnosis.selection.search import _Case, _missing_test
+from identification.diagnosis.search import _Case, _missing_test
+from identification.diagnosis.significance import beyond_noise, size_p_value
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion

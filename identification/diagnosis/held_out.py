@@ -14,27 +14,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Joint, fit, nominal_after_effects, undetermined_size
-from identification.diagnosis.fit.linear import Added, effect_derivatives
-from identification.diagnosis.fit.rows import Equation, equations
-from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
-from identification.diagnosis.fit.within_limits import (
-    cross_validation_residual,
-    parameter_derivatives,
-    within_limits,
-)
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import (
+from identification.diagnosis.comparison import (
     Contender,
     Round,
     implausible,
     parameter_count,
     preference,
 )
-from identification.diagnosis.selection.crossing import distinguished_by_crossings
-from identification.diagnosis.selection.removal import LEAST_FURTHER, judging_equations
-from identification.diagnosis.selection.search import Search
+from identification.diagnosis.crossing import distinguished_by_crossings
+from identification.diagnosis.joint import Joint, fit, nominal_after_effects, undetermined_size
+from identification.diagnosis.linear import Added, effect_derivatives
+from identification.diagnosis.removal import LEAST_FURTHER, judging_equations
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows import Equation, equations
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
+from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
+from identification.diagnosis.within_limits import (
+    cross_validation_residual,
+    parameter_derivatives,
+    within_limits,
+)
 from identification.effects import EFFECTS
 from identification.effects.effect import Context, Effect, title
 from identification.recording import Array
@@ -356,7 +356,7 @@ def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array
     """Return the residual of another fit relative to the noise of ``joint``.
 
     The noises of the two fits differ if the noise of one fit was estimated again
-    (:func:`identification.diagnosis.fit.joint.with_lower_noise`).
+    (:func:`identification.diagnosis.joint.with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}
     stack, out = seen[0], seen[1].copy()

@@ -9,13 +9,7 @@ from collections.abc import Sequence
 
 from scipy import stats
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.rows import AT_INSTANTS
-from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.fit.within_limits import feasible_or_first, infeasible
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import (
+from identification.diagnosis.comparison import (
     Contender,
     Round,
     advantage,
@@ -26,6 +20,12 @@ from identification.diagnosis.selection.comparison import (
     preferred,
     simplest,
 )
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows import AT_INSTANTS
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.within_limits import feasible_or_first, infeasible
 from identification.effects.effect import EXACT, ROUGH, Effect
 from identification.views.view import View
 

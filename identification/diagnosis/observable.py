@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Stack
 from identification.effects.effect import Context, Effect, Shape
 from identification.recording import Array
 

@@ -10,24 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Added, Joint, fit, with_lower_noise
-from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.fit.within_limits import (
-    feasible_or_first,
-    infeasible,
-    with_assumed_fall,
-)
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import (
-    DRAWS,
-    beyond_noise,
-    generic_candidates,
-    sign_flip_p_value,
-    size_p_value,
-    trial_candidates,
-)
-from identification.diagnosis.selection.comparison import (
+from identification.diagnosis.comparison import (
     Contender,
     Round,
     contains,
@@ -38,14 +21,31 @@ from identification.diagnosis.selection.comparison import (
     preferred,
     simplest,
 )
-from identification.diagnosis.selection.crossing import gap_or_loop
-from identification.diagnosis.selection.removal import (
+from identification.diagnosis.crossing import gap_or_loop
+from identification.diagnosis.joint import Added, Joint, fit, with_lower_noise
+from identification.diagnosis.removal import (
     judging_equations,
     left_beyond_noise,
     share_equation,
     with_best_rivals,
     with_needed_effects,
     would_be_removed,
+)
+from identification.diagnosis.result import Step
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.significance import (
+    DRAWS,
+    beyond_noise,
+    generic_candidates,
+    sign_flip_p_value,
+    size_p_value,
+    trial_candidates,
+)
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.within_limits import (
+    feasible_or_first,
+    infeasible,
+    with_assumed_fall,
 )
 from identification.effects.effect import Context, Effect, Shape
 from identification.views.view import View

@@ -17,17 +17,17 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from identification.diagnosis.fit.joint import Joint, fit, nominal_after_effects, start_fit
-from identification.diagnosis.fit.linear import (
+from identification.diagnosis.joint import Joint, fit, nominal_after_effects, start_fit
+from identification.diagnosis.linear import (
     Added,
     effect_derivatives,
     is_infeasible,
     predicted_and_attained,
     with_rises_held,
 )
-from identification.diagnosis.fit.rows import equations
-from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
+from identification.diagnosis.rows import equations
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
 from identification.estimate.default import free_names, solve_stages
 from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
 from identification.model.ladder import LADDER, bears_load

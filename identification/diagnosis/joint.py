@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.linear import (
+from identification.diagnosis.linear import (
     DERIVATIVE_STEP,
     Solution,
     effect_columns,
@@ -20,8 +20,9 @@ from identification.diagnosis.fit.linear import (
     size_entries,
     solve,
 )
-from identification.diagnosis.fit.linear import Added as Added
-from identification.diagnosis.fit.rows import (
+from identification.diagnosis.linear import Added as Added
+from identification.diagnosis.result import Estimate
+from identification.diagnosis.rows import (
     Equation,
     equations,
     held_voltage,
@@ -30,8 +31,7 @@ from identification.diagnosis.fit.rows import (
     own_noise,
     without_tones,
 )
-from identification.diagnosis.fit.stack import Stack, connected, stack_of, with_effect_basis
-from identification.diagnosis.result import Estimate
+from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
 from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.comparison import Contender, Round, advantage
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Contender, Round, advantage
 from identification.effects.effect import Clearance, Effect
 from identification.effects.transmission import ROTOR_SHARE, count_of_twist, lead
 from identification.recording import Array
