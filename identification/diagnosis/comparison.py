@@ -109,7 +109,7 @@ def implausible(joint: Joint) -> str:
     if infeasible(joint):
         return "nominal parameters outside their physical limits"
     last = joint.effects[-1]
-    views = joint.equations[0].views
+    views = joint.views
     found = last.parameters(Context(views, joint.nominal))
     scales = _scales(views, joint.nominal.get("J"))
     motion = views[0].recording.bench.motion

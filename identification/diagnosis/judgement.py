@@ -207,7 +207,7 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffec
 
 def own_bench(found: Search) -> Bench:
     """Return the bench of the recordings."""
-    return found.baseline.equations[0].views[0].recording.bench
+    return found.baseline.views[0].recording.bench
 
 
 def _effect(
@@ -248,7 +248,7 @@ def _effect(
             entry,
             parameters,
             where.recordings,
-            drive_channel(found.baseline.equations[0].views[0].recording),
+            drive_channel(found.baseline.views[0].recording),
         ),
         assumption_broken=entry.assumption,
         where=where,

@@ -250,7 +250,7 @@ def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
         n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()
     }
     aside = views([replace(recordings[0], channels=still)], 25.0)
-    assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside, "N m")
+    assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside)
 
 
 def test_recordings_of_speed_alone_share_no_origin_of_their_angles() -> None:

@@ -104,7 +104,7 @@ def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     rows = scaled(joint, 0.5 * power)
     rows = rows + pattern * math.sqrt(0.5 * power / float(np.mean(pattern**2)))
     found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
-    case = _Case(torque.views, "N m", TERM, ())
+    case = _Case(TERM, ())
     assert (
         _missing_test(found, case, [term], np.random.default_rng(0)).p_value <= RULES.level
     ) is missing
