@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from identification.diagnosis.diagnose import observable_effects
+from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -18,8 +19,7 @@ from identification.diagnosis.result import (
     ResidualTrace,
 )
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.observable import Observable
-from identification.diagnosis.verdict.statement import readable
+from identification.diagnosis.statement import readable
 from identification.effects import EFFECTS
 from identification.export.model import COORDINATES
 from identification.model.parameters import parameter_title, parameter_unit

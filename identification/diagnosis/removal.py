@@ -9,13 +9,7 @@ from collections.abc import Sequence
 
 from scipy import stats
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.rows import AT_INSTANTS
-from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.fit.within_limits import feasible_or_first, infeasible
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import (
+from identification.diagnosis.comparison import (
     Contender,
     Round,
     advantage,
@@ -26,8 +20,13 @@ from identification.diagnosis.selection.comparison import (
     preferred,
     simplest,
 )
+from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows import AT_INSTANTS
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.within_limits import feasible_or_first, infeasible
 from identification.effects.effect import EXACT, ROUGH, Effect
-from identification.views.view import View
 
 LEAST_FURTHER = RULES.shape_errors * ROUGH
 """Gain of an effect, relative to the gain of another effect, below which the first gain may be due
@@ -41,12 +40,7 @@ of the other effects, unless these regressors are exact; errors of regressors ar
 
 
 def with_needed_effects(
-    views: Sequence[View],
-    unit: str,
-    baseline: Joint,
-    joint: Joint,
-    rounds: list[Round],
-    steps: list[Step],
+    baseline: Joint, joint: Joint, rounds: list[Round], steps: list[Step]
 ) -> tuple[Joint, list[Round]]:
     """Remove effects that explain too little of the mismatch that remains without them, beginning
     with the effect that explains least; return the fit and the selection rounds.
@@ -55,9 +49,7 @@ def with_needed_effects(
         trials = []
         for effect in joint.effects:
             rest = tuple(e for e in joint.effects if e is not effect)
-            without = feasible_or_first(
-                views, unit, fit(views, unit, joint.nominal, rest, baseline)
-            )
+            without = feasible_or_first(baseline.again(joint.nominal, rest))
             share, needed = _explained_share(baseline, without, joint, effect.term)
             trials.append((share / needed, share, needed, effect.term.name, without))
         worth, share, needed, name, without = min(
@@ -152,8 +144,6 @@ def needed_share(others: float, error: float = ROUGH) -> float:
 
 
 def with_best_rivals(
-    views: Sequence[View],
-    unit: str,
     baseline: Joint,
     joint: Joint,
     rounds: list[Round],
@@ -176,7 +166,7 @@ def with_best_rivals(
                 and all(e.term.name != name for e in others)
                 and share_equation(own.term, added.term)
             ):
-                trials.append((added, fit(views, unit, joint.nominal, (*others, added), baseline)))
+                trials.append((added, baseline.again(joint.nominal, (*others, added))))
         ranked = sorted(trials, key=lambda trial: trial[1].cost)
         sound = [trial for trial in ranked if trial[0] is own or not implausible(trial[1])]
         chosen, best = sound[

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Joint, contribution, estimates, without_effect
-from identification.diagnosis.fit.rows import Equation, between_samples
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.comparison import Contender, Round, probability
+from identification.diagnosis.joint import Joint, contribution, estimates, without_effect
+from identification.diagnosis.locate import best_map, location, maps
+from identification.diagnosis.reasons import Excess, Kind, Reason, excess_of, reason_outside
 from identification.diagnosis.result import (
     Estimate,
     IdentifiedEffect,
@@ -19,13 +20,12 @@ from identification.diagnosis.result import (
     Rival,
     Verdict,
 )
+from identification.diagnosis.rows import Equation, between_samples
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.locate import best_map, location, maps
-from identification.diagnosis.score.significance import greatest, over_own_noise
-from identification.diagnosis.selection.comparison import Contender, Round, probability
-from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.reasons import Excess, Kind, Reason, excess_of, reason_outside
-from identification.diagnosis.verdict.statement import finding
+from identification.diagnosis.search import Search
+from identification.diagnosis.significance import greatest, over_own_noise
+from identification.diagnosis.stack import Stack
+from identification.diagnosis.statement import finding
 from identification.effects import EFFECTS
 from identification.model.parameters import parameter_unit
 from identification.prepare import drive_channel
@@ -207,7 +207,7 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[IdentifiedEffec
 
 def own_bench(found: Search) -> Bench:
     """Return the bench of the recordings."""
-    return found.baseline.equations[0].views[0].recording.bench
+    return found.baseline.views[0].recording.bench
 
 
 def _effect(
@@ -248,7 +248,7 @@ def _effect(
             entry,
             parameters,
             where.recordings,
-            drive_channel(found.baseline.equations[0].views[0].recording),
+            drive_channel(found.baseline.views[0].recording),
         ),
         assumption_broken=entry.assumption,
         where=where,

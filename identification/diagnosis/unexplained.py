@@ -7,19 +7,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identification.diagnosis.fit.rows import AT_INSTANTS, Equation, between_samples
-from identification.diagnosis.result import Verdict
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.held_out import DROPPED
-from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.judgement import effects_of, little_unseen
-from identification.diagnosis.verdict.reasons import (
+from identification.diagnosis.held_out import DROPPED
+from identification.diagnosis.judgement import effects_of, little_unseen
+from identification.diagnosis.reasons import (
     Kind,
     Reason,
     equations_of_effects,
     excess_of,
     judged_equation,
 )
+from identification.diagnosis.result import Verdict
+from identification.diagnosis.rows import AT_INSTANTS, Equation, between_samples
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
 from identification.effects import MOTION
 from identification.effects.effect import Needs, title
 from identification.model.parameters import LINEAR

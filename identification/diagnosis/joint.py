@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.linear import (
+from identification.diagnosis.linear import (
     DERIVATIVE_STEP,
     Solution,
     effect_columns,
@@ -20,8 +20,9 @@ from identification.diagnosis.fit.linear import (
     size_entries,
     solve,
 )
-from identification.diagnosis.fit.linear import Added as Added
-from identification.diagnosis.fit.rows import (
+from identification.diagnosis.linear import Added as Added
+from identification.diagnosis.result import Estimate
+from identification.diagnosis.rows import (
     Equation,
     equations,
     held_voltage,
@@ -30,8 +31,7 @@ from identification.diagnosis.fit.rows import (
     own_noise,
     without_tones,
 )
-from identification.diagnosis.fit.stack import Stack, connected, stack_of, with_effect_basis
-from identification.diagnosis.result import Estimate
+from identification.diagnosis.stack import Stack, connected, stack_of, with_effect_basis
 from identification.effects.effect import Context, Shape
 from identification.estimate.parameter_table import WIDEST
 from identification.numerics.least_squares import least_squares
@@ -92,6 +92,26 @@ class Joint:
         """Sum of whitened squares."""
         return float(self.residual @ self.residual)
 
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The fitted recordings."""
+        return self.equations[0].views
+
+    @property
+    def unit(self) -> str:
+        """Unit of the first equation."""
+        return self.equations[0].unit
+
+    def again(self, start: Nominal, effects: Sequence[Added]) -> Joint:
+        """Return a fit of the same recordings with these effects from other nominal values; noise
+        and blocks are those of this fit.
+        """
+        return fit(self.views, self.unit, start, effects, self)
+
+    def rows_at(self, nominal: Nominal) -> tuple[Equation, ...]:
+        """Return the equations of the fitted recordings at other nominal values."""
+        return equations(self.views, nominal, self.unit, self.stack.equations)
+
 
 def fit(
     views: Sequence[View],
@@ -145,7 +165,7 @@ def fit(
         )
         nominal, effects = start_fit(nominal_after_effects(nominal, best.effects), effects)
     assert best is not None
-    best = _closing_steps(views, unit, best, step)
+    best = _closing_steps(best, step)
     if before is None:
         # Blocks of the first round are too long: errors of the start values are correlated longer.
         best = replace(best, stack=stack_of(best.equations, best.nominal))
@@ -177,7 +197,7 @@ def _require_motion(rows: Sequence[Equation]) -> None:
         )
 
 
-def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Solution) -> Joint:
+def _closing_steps(best: Joint, solved: Solution) -> Joint:
     """Return the fit after closing steps of the nominal parameters, which lower the attained torque
     mismatch.
 
@@ -192,31 +212,25 @@ def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Soluti
         enough = attained - LEAST_CLOSING_GAIN * (attained - predicted)
         steps = [share * solved.linear_step for share in CLOSING_SHARES]
         after = next(
-            (
-                a
-                for step in steps
-                if (a := _fit_after_step(views, unit, best, step, enough)) is not None
-            ),
+            (a for step in steps if (a := _fit_after_step(best, step, enough)) is not None),
             None,
         )
         if after is None:
             without = solve(best.stack, best.effects, STATICS).linear_step
-            after = _fit_after_step(views, unit, best, without, enough)
+            after = _fit_after_step(best, without, enough)
         if after is None:
             break
         best, solved = after
     return best
 
 
-def _fit_after_step(
-    views: Sequence[View], unit: str, best: Joint, step: Array, enough: float
-) -> tuple[Joint, Solution] | None:
+def _fit_after_step(best: Joint, step: Array, enough: float) -> tuple[Joint, Solution] | None:
     """Return the fit after a step of its nominal parameters, or None if the attained torque
     mismatch is at least ``enough``, or if the cost rises by a share of more than
     :data:`CLOSING_EXCESS`.
     """
     nominal = best.nominal.moved(step, np.zeros(len(step)))
-    stack = stack_of(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
+    stack = stack_of(best.rows_at(nominal), nominal, best.stack)
     solved = solve(stack, best.effects)
     there = predicted_and_attained(stack, solved.effects, solved.residual)[1]
     if there >= enough or solved.cost > (1.0 + CLOSING_EXCESS) * best.cost:
@@ -385,20 +399,17 @@ def _grid_minimum(cost: Callable[[Shape], float], effect: Added, share: float) -
 # in the form of a fit.
 
 
-def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[str, float]) -> Joint:
+def nominal_at(like: Joint, values: Mapping[str, float]) -> Joint:
     """Return the nominal model at given values of its parameters, with the residual of every
     equation.
 
     Args:
-        views: The fitted recordings.
-        unit: Unit of the torque.
-        like: A fit of the nominal model to these recordings; its noise and its blocks of rows are
-            used.
+        like: A fit of the nominal model, whose recordings, noise and blocks of rows are used.
         values: Name to value; nominal parameters that are not named keep their fitted values.
     """
     known = {n: v for n, v in values.items() if n in like.nominal.values}
     nominal = replace(like.nominal, values={**like.nominal.values, **known})
-    stack = stack_of(equations(views, nominal, unit, like.stack.equations), nominal, like.stack)
+    stack = stack_of(like.rows_at(nominal), nominal, like.stack)
     residual = np.concatenate([_remaining(e, nominal.free) / e.sigma for e in stack.equations])
     return Joint(nominal, (), stack.equations, residual, stack)
 
@@ -436,9 +447,8 @@ def without_effect(joint: Joint, k: int) -> Stack:
     effect; the nominal tangent and the other effects are projected out.
     """
     others = tuple(e for j, e in enumerate(joint.effects) if j != k)
-    views, unit = joint.equations[0].views, joint.equations[0].unit
     nominal = nominal_after_effects(_without_own_values(joint.nominal, joint.effects[k]), others)
-    rows = equations(views, nominal, unit, joint.stack.equations)
+    rows = joint.rows_at(nominal)
     bare = stack_of(rows, nominal, joint.stack)
     left = np.concatenate([e.residual / e.sigma for e in rows])
     for effect in others:
@@ -473,7 +483,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     """
     if not joint.effects:
         return ()
-    context = Context(joint.equations[0].views, joint.nominal)
+    context = Context(joint.views, joint.nominal)
     stack = stack_of(joint.equations, joint.nominal, joint.stack)
     columns = stack.projected(effect_derivatives(stack, joint.effects))
     scale = np.linalg.norm(columns, axis=0)
@@ -518,7 +528,7 @@ def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
     effect, sizes = joint.effects[k], estimates(joint)[k]
     if effect.term.size is not None:
         return None
-    context = Context(joint.equations[0].views, joint.nominal)
+    context = Context(joint.views, joint.nominal)
     twice = effect.term.read(2.0 * np.array(effect.coefficients), effect.shape, context)
     for name, size in sizes.items():
         # The mass of a wrong weight and an efficiency change with the coefficient too, but are not
@@ -606,9 +616,7 @@ cogging and a mismatch outside the catalogue the ratio was 0.55.
 """
 
 
-def with_lower_noise(
-    views: Sequence[View], unit: str, baseline: Joint, joint: Joint
-) -> tuple[Joint, Joint]:
+def with_lower_noise(baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
     """Return the fit of the nominal model and the fit with effects, both with the noise that is
     estimated from the fit with effects, if this noise is lower.
 
@@ -616,8 +624,6 @@ def with_lower_noise(
     differences from row to row, from which the noise is estimated.
 
     Args:
-        views: Recordings.
-        unit: Unit of the torque.
         baseline: Fit of the nominal model.
         joint: Fit with every effect identified so far.
     """
@@ -626,7 +632,7 @@ def with_lower_noise(
     before = _with_lower(baseline, [_with_noise_of(e, joint) for e in joint.equations])
     if before is baseline:
         return baseline, joint
-    return before, fit(views, unit, joint.nominal, joint.effects, before)
+    return before, before.again(joint.nominal, joint.effects)
 
 
 def _with_noise_of(equation: Equation, joint: Joint) -> Equation:

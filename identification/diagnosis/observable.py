@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Stack
 from identification.effects.effect import Context, Effect, Shape
 from identification.recording import Array
 
@@ -71,7 +71,7 @@ def observable(joint: Joint, terms: Sequence[Effect]) -> tuple[Observable, ...]:
         joint: Fit of the nominal model; only its values and its noise are used.
         terms: Terms of the effects.
     """
-    context = Context(joint.equations[0].views, joint.nominal)
+    context = Context(joint.views, joint.nominal)
     trials = [t for term in terms for t in _trials(joint.stack, context, term)]
     explained = _explained(trials)
     needed = RULES.level / max(len(trials), 1)
@@ -174,7 +174,7 @@ def collinear_effects(baseline: Joint, terms: Sequence[Effect]) -> tuple[str, ..
         baseline: Fit of the nominal model.
         terms: Terms of the effects that were tried.
     """
-    context = Context(baseline.equations[0].views, baseline.nominal)
+    context = Context(baseline.views, baseline.nominal)
     stack = baseline.stack
     judging = np.ones(len(stack.residual), dtype=bool)
     for equation in stack.equations:

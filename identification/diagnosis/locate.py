@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.fit.rows import (
+from identification.diagnosis.result import Curve, Location, Map
+from identification.diagnosis.rows import (
     DIRECTION,
     FROM_TORQUE,
     LEAST_ROWS,
@@ -20,9 +21,8 @@ from identification.diagnosis.fit.rows import (
     shows,
     weight_of,
 )
-from identification.diagnosis.fit.stack import NOMINAL_IN, Stack
-from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import NOMINAL_IN, Stack
 from identification.model.parameters import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array

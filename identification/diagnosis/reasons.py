@@ -10,12 +10,12 @@ from enum import Enum
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.rows import AT_INSTANTS, families
-from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.joint import Joint
+from identification.diagnosis.rows import AT_INSTANTS, families
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import greatest_mean_square, level
-from identification.diagnosis.selection.search import Search
+from identification.diagnosis.search import Search
+from identification.diagnosis.significance import greatest_mean_square, level
+from identification.diagnosis.within_limits import infeasible
 from identification.recording import Array
 
 # Tests whether the remaining torque mismatch is hysteretic, in which case the identified effect is

@@ -8,9 +8,9 @@ from string import Formatter
 
 import numpy as np
 
+from identification.diagnosis.reasons import Reason
 from identification.diagnosis.result import Estimate, Fit, IdentifiedEffect, Location, Verdict
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.verdict.reasons import Reason
 from identification.effects import EFFECTS
 from identification.effects.effect import Effect, title
 from identification.recording import Dataset

@@ -17,17 +17,16 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from identification.diagnosis.fit.joint import Joint, fit, nominal_after_effects, start_fit
-from identification.diagnosis.fit.linear import (
+from identification.diagnosis.joint import Joint, fit, nominal_after_effects, start_fit
+from identification.diagnosis.linear import (
     Added,
     effect_derivatives,
     is_infeasible,
     predicted_and_attained,
     with_rises_held,
 )
-from identification.diagnosis.fit.rows import equations
-from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
 from identification.estimate.default import free_names, solve_stages
 from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
 from identification.model.parameters import LADDER, STRIBECK_TERMS, bears_load
@@ -93,8 +92,7 @@ def _attained_within_limits(joint: Joint) -> bool:
     that which the fit predicts.
     """
     promised, _ = predicted_and_attained(joint.stack, joint.effects, joint.residual)
-    equation = next(e for e in joint.equations if e.name == "torque")
-    limited = within_limits(equation.views, equation.unit, joint)
+    limited = within_limits(joint)
     rows = limited.residual[limited.stack.part("torque")]
     return not is_infeasible(promised, float(np.mean(rows**2)))
 
@@ -114,25 +112,19 @@ def infeasible_as_fitted(joint: Joint) -> bool:
     )
 
 
-def within_limits(views: Sequence[View], unit: str, joint: Joint) -> Joint:
+def within_limits(joint: Joint) -> Joint:
     """Return a fit with its nominal parameters and coefficients refined within their limits.
 
     The residual of the returned fit is computed at the refined values, not predicted by a linear
     step.
-
-    Args:
-        views: Recordings that were fitted.
-        unit: Unit of the torque.
-        joint: The fit.
     """
-    best = _point_at(views, unit, joint.nominal, joint.effects, joint.stack)
+    best = _point_at(joint, joint.nominal, joint.effects, joint.stack)
     for _ in range(ROUNDS):
         better = None
         for held in ((), SPEEDS):
             step, effects = _bounded_step(best, held)
             trials = (
-                _point_after(views, unit, best, share * step, effects, share)
-                for share in STEP_SHARES
+                _point_after(joint, best, share * step, effects, share) for share in STEP_SHARES
             )
             better = next((t for t in trials if t.cost < best.cost), None)
             if better is not None:
@@ -178,10 +170,8 @@ def cross_validation_residual(joint: Joint, parts: Array) -> Array:
     return out
 
 
-def _point_at(
-    views: Sequence[View], unit: str, nominal: Nominal, effects: Sequence[Added], like: Stack
-) -> _Point:
-    stack = stack_of(equations(views, nominal, unit, like.equations), nominal, like)
+def _point_at(joint: Joint, nominal: Nominal, effects: Sequence[Added], like: Stack) -> _Point:
+    stack = stack_of(joint.rows_at(nominal), nominal, like)
     left = np.concatenate([e.residual / e.sigma for e in stack.equations])
     for effect in effects:
         columns = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -301,12 +291,7 @@ def _step_limits(nominal: Nominal) -> tuple[Array, Array]:
 
 
 def _point_after(
-    views: Sequence[View],
-    unit: str,
-    point: _Point,
-    step: Array,
-    effects: Sequence[Added],
-    share: float,
+    joint: Joint, point: _Point, step: Array, effects: Sequence[Added], share: float
 ) -> _Point:
     """Return the point after a share of a step."""
     placed = tuple(
@@ -322,7 +307,7 @@ def _point_after(
     nominal, placed = start_fit(
         nominal_after_effects(point.nominal.moved(step, step), placed), placed
     )
-    return _point_at(views, unit, nominal, placed, point.stack)
+    return _point_at(joint, nominal, placed, point.stack)
 
 
 SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
@@ -374,51 +359,37 @@ def fit_from_estimate(here: Sequence[View], unit: str, start: Nominal, model: Mo
     An unmodelled effect can mask the fall of friction with speed in an estimate, so that the
     estimate has no fall; no later step of a fit finds the fall.
     """
-    return with_assumed_fall(here, unit, fit(here, unit, start), start, model.fixed)
+    return with_assumed_fall(fit(here, unit, start), start, model.fixed)
 
 
-def with_assumed_fall(
-    here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]
-) -> Joint:
+def with_assumed_fall(first: Joint, start: Nominal, fixed: Collection[str]) -> Joint:
     """Return the fit ``first``, or a fit with the same effects that starts from an assumed fall of
     friction with speed, if the mismatch of the latter is far smaller.
 
     Args:
-        here: Recordings.
-        unit: Unit of the torque.
         first: The fit; if its mismatch is within the noise, no other fit is tried.
         start: Nominal values from which this fit started.
         fixed: Names of nominal parameters that are not estimated.
     """
     if _mean_square(first) < RULES.excess:
         return first
-    raised = [start.raised(omega, fixed) for omega in _trial_stribeck_speeds(here)]
-    other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_mean_square)
+    raised = [start.raised(omega, fixed) for omega in _trial_stribeck_speeds(first.views)]
+    other = min((first.again(r, first.effects) for r in raised), key=_mean_square)
     return other if _mean_square(other) < ACCEPTED_RATIO * _mean_square(first) else first
 
 
-def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
+def feasible_or_first(first: Joint) -> Joint:
     """Return the fit ``first`` or, if it is infeasible, a feasible fit that starts from an assumed
     fall of friction with speed.
 
     The static friction of the load may become equal to Coulomb friction during a fit, because few
     rows are slow enough to determine the static friction; no later step separates the two levels.
-
-    Args:
-        here: Recordings.
-        unit: Unit of the torque.
-        first: The fit; if it is feasible, no other fit is tried.
     """
     if not infeasible_as_fitted(first):
         return first
     held = first.nominal.values.keys() - set(first.nominal.free)
-    again = fit(
-        here,
-        unit,
-        first.nominal.raised(_trial_stribeck_speeds(here)[TRIAL_SPEEDS // 2], held),
-        first.effects,
-        first,
-    )
+    middle = _trial_stribeck_speeds(first.views)[TRIAL_SPEEDS // 2]
+    again = first.again(first.nominal.raised(middle, held), first.effects)
     return first if infeasible_as_fitted(again) else again
 
 

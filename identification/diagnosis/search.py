@@ -10,24 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Added, Joint, fit, with_lower_noise
-from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.fit.within_limits import (
-    feasible_or_first,
-    infeasible,
-    with_assumed_fall,
-)
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import (
-    DRAWS,
-    beyond_noise,
-    generic_candidates,
-    sign_flip_p_value,
-    size_p_value,
-    trial_candidates,
-)
-from identification.diagnosis.selection.comparison import (
+from identification.diagnosis.comparison import (
     Contender,
     Round,
     contains,
@@ -38,8 +21,9 @@ from identification.diagnosis.selection.comparison import (
     preferred,
     simplest,
 )
-from identification.diagnosis.selection.crossing import gap_or_loop
-from identification.diagnosis.selection.removal import (
+from identification.diagnosis.crossing import gap_or_loop
+from identification.diagnosis.joint import Added, Joint, with_lower_noise
+from identification.diagnosis.removal import (
     judging_equations,
     left_beyond_noise,
     share_equation,
@@ -47,8 +31,23 @@ from identification.diagnosis.selection.removal import (
     with_needed_effects,
     would_be_removed,
 )
+from identification.diagnosis.result import Step
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.significance import (
+    DRAWS,
+    beyond_noise,
+    generic_candidates,
+    sign_flip_p_value,
+    size_p_value,
+    trial_candidates,
+)
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.within_limits import (
+    feasible_or_first,
+    infeasible,
+    with_assumed_fall,
+)
 from identification.effects.effect import Context, Effect, Shape
-from identification.views.view import View
 
 TRIALS = 3
 """Number of trial parameters of an effect without a score; a fit searches within a factor of 4 of
@@ -141,7 +140,7 @@ def unscored(
     effect may be negative.
     """
     names = {c.name for c in scored}
-    context = Context(joint.equations[0].views, joint.nominal)
+    context = Context(joint.views, joint.nominal)
     beyond = beyond_noise(joint)
     out = []
     for name, term in terms.items():
@@ -207,17 +206,8 @@ class Options:
 
 @dataclass(frozen=True)
 class _Case:
-    """Inputs of the whole search.
+    """Effects to choose from, by name, and options of the search."""
 
-    Attributes:
-        views: Recordings.
-        unit: Unit of the torque.
-        terms: Effects to choose from, by name.
-        options: Options of the search.
-    """
-
-    views: tuple[View, ...]
-    unit: str
     terms: Mapping[str, Effect]
     options: Options
 
@@ -240,8 +230,6 @@ class _Test:
 
 
 def search(
-    views: Sequence[View],
-    unit: str,
     baseline: Joint,
     terms: Sequence[Effect],
     rng: np.random.Generator,
@@ -254,15 +242,13 @@ def search(
     explain the whole mismatch although each of them alone explains little.
 
     Args:
-        views: Recordings.
-        unit: Unit of the torque.
         baseline: Fit of the nominal model.
         terms: Effects to choose from.
         rng: Random generator for the sign flips.
         progress: Called with the current step.
         options: Options of the search.
     """
-    case = _Case(tuple(views), unit, {t.name: t for t in terms}, options)
+    case = _Case({t.name: t for t in terms}, options)
     joint = baseline
     rounds: list[Round] = []
     steps: list[Step] = []
@@ -284,7 +270,7 @@ def search(
             break
         joint, added = taken
         rounds.append(added)
-        baseline, joint = with_lower_noise(views, unit, baseline, joint)
+        baseline, joint = with_lower_noise(baseline, joint)
         if options.until_flexible and case.terms[added.name].flexible:
             break
     ended = options.until_flexible and rounds and case.terms[rounds[-1].name].flexible
@@ -304,7 +290,7 @@ def _missing_test(
     """
     beyond = beyond_noise(joint)
     shown = [t for t in left if t.fast or beyond & {*judging_equations(joint, t)}]
-    trials = tuple(trial_candidates(joint.stack, Context(case.views, joint.nominal), shown))
+    trials = tuple(trial_candidates(joint.stack, Context(joint.views, joint.nominal), shown))
     # The name of a generic family starts with the name of its equation.
     unnamed = tuple(c for c in generic_candidates(joint.stack) if c.name.split(" ")[0] in beyond)
     # An effect in a block or two has no statistic by blocks; the test by size shows it.
@@ -367,13 +353,13 @@ def _final_effects(
     """Try to remove each effect, then to replace each remaining effect by its rivals; return the
     final fit and the selection rounds.
     """
-    (baseline, before), views, unit = fits, case.views, case.unit
-    joint, rounds = with_needed_effects(views, unit, baseline, before, rounds, steps)
+    baseline, before = fits
+    joint, rounds = with_needed_effects(baseline, before, rounds, steps)
     dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
     if len(before.effects) > 1:
         progress("comparison with rivals", 0.9)
-        joint, rounds = with_best_rivals(views, unit, baseline, joint, rounds, dropped, steps)
-    return gap_or_loop(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
+        joint, rounds = with_best_rivals(baseline, joint, rounds, dropped, steps)
+    return gap_or_loop(baseline, joint, rounds, list(case.terms.values()), steps)
 
 
 def _best_finalist(
@@ -469,12 +455,12 @@ def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shap
         shape,
         tuple(float(c) for c in candidate.coefficients),
     )
-    tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)
+    tried = baseline.again(joint.nominal, (*joint.effects, added))
     if added.term.follows and tried.nominal.flat:
         # An effect that depends on the fall of friction with speed may have masked this fall in the
         # nominal fit.
-        tried = with_assumed_fall(case.views, case.unit, tried, joint.nominal, case.options.fixed)
-    return feasible_or_first(case.views, case.unit, tried)
+        tried = with_assumed_fall(tried, joint.nominal, case.options.fixed)
+    return feasible_or_first(tried)
 
 
 def _missing(

@@ -9,11 +9,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.rows import Equation, families
-from identification.diagnosis.fit.stack import Candidate, Stack, log_surprise
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import ResidualTrace
+from identification.diagnosis.rows import Equation, families
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Candidate, Stack, log_surprise
 from identification.effects.effect import Context, Effect
 from identification.recording import Array
 from identification.views.view import View

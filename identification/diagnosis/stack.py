@@ -16,7 +16,7 @@ from functools import cache, cached_property
 import numpy as np
 from scipy import sparse, special
 
-from identification.diagnosis.fit.rows import Equation, gather_of, in_blocks, numbered
+from identification.diagnosis.rows import Equation, gather_of, in_blocks, numbered
 from identification.diagnosis.rules import RULES
 from identification.effects.effect import Columns, Effect, Shape
 from identification.recording import Array

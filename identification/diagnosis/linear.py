@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.fit.stack import Stack, view_regressors
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Stack, view_regressors
 from identification.effects.effect import Context, Effect, Shape
 from identification.model.parameters import STRIBECK_TERMS
 from identification.numerics.least_squares import least_squares

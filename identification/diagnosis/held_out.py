@@ -14,27 +14,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Joint, fit, nominal_after_effects, undetermined_size
-from identification.diagnosis.fit.linear import Added, effect_derivatives
-from identification.diagnosis.fit.rows import Equation, equations
-from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
-from identification.diagnosis.fit.within_limits import (
-    cross_validation_residual,
-    parameter_derivatives,
-    within_limits,
-)
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import (
+from identification.diagnosis.comparison import (
     Contender,
     Round,
     implausible,
     parameter_count,
     preference,
 )
-from identification.diagnosis.selection.crossing import distinguished_by_crossings
-from identification.diagnosis.selection.removal import LEAST_FURTHER, judging_equations
-from identification.diagnosis.selection.search import Search
+from identification.diagnosis.crossing import distinguished_by_crossings
+from identification.diagnosis.joint import Joint, nominal_after_effects, undetermined_size
+from identification.diagnosis.linear import Added, effect_derivatives
+from identification.diagnosis.removal import LEAST_FURTHER, judging_equations
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows import Equation, equations
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
+from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
+from identification.diagnosis.within_limits import (
+    cross_validation_residual,
+    parameter_derivatives,
+    within_limits,
+)
 from identification.effects import EFFECTS
 from identification.effects.effect import Context, Effect, title
 from identification.recording import Array
@@ -42,7 +42,7 @@ from identification.views.view import View
 
 
 def validation_residual(
-    joint: Joint, aside: Sequence[View], unit: str, starts: Sequence[Added] = ()
+    joint: Joint, aside: Sequence[View], starts: Sequence[Added] = ()
 ) -> tuple[Stack, Array] | None:
     """Return the rows of recordings set aside, and the residual of a fit at these rows, relative to
     the noise of the fitted recordings; None if too few samples are in steady motion.
@@ -51,7 +51,7 @@ def validation_residual(
     equation, constants such as the zero of an encoder are fitted but not reported. Unknown states
     at the start of a recording, of the effects of the fit and of ``starts``, are fitted too.
     """
-    rows = equations(aside, joint.nominal, unit)
+    rows = equations(aside, joint.nominal, joint.unit)
     sigma = {e.name: e.sigma for e in joint.equations}
     rows = tuple(_with_noise(e, sigma[e.name]) for e in rows if e.name in sigma)
     if not rows:
@@ -108,11 +108,11 @@ def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -
     return left
 
 
-def validation_rms(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
+def validation_rms(joint: Joint, aside: Sequence[View]) -> dict[str, float]:
     """Return the rms error of each equation on recordings set aside
     (:func:`validation_residual`).
     """
-    found = validation_residual(joint, aside, unit) if aside else None
+    found = validation_residual(joint, aside) if aside else None
     if found is None:
         return {}
     stack, left = found
@@ -186,9 +186,7 @@ recordings, or because the recordings do not determine its size.
 """
 
 
-def validated_effects(
-    found: Search, here: Sequence[View], aside: Sequence[View], unit: str
-) -> Search:
+def validated_effects(found: Search, aside: Sequence[View]) -> Search:
     """Return a search with fits within their limits, and without effects that do not reduce the
     error on unused recordings significantly.
 
@@ -200,13 +198,11 @@ def validated_effects(
 
     Args:
         found: The search.
-        here: Recordings that were fitted.
         aside: Recordings that are set aside.
-        unit: Unit of the torque.
     """
-    baseline = within_limits(here, unit, found.baseline)
-    case = _Case(here, aside, unit, baseline)
-    joint = within_limits(here, unit, found.final)
+    baseline = within_limits(found.baseline)
+    case = _Case(aside, baseline)
+    joint = within_limits(found.final)
     rounds, steps = {r.name: r for r in found.rounds}, list(found.steps)
     while True:
         trials = [
@@ -293,7 +289,7 @@ def _unseen_share(case: _Case, joint: Joint) -> float | None:
     """
     names = {name for e in joint.effects for name in judging_equations(joint, e.term)}
     before, after = (
-        validation_residual(j, case.aside, case.unit, starts) if case.aside else None
+        validation_residual(j, case.aside, starts) if case.aside else None
         for j, starts in ((case.baseline, joint.effects), (joint, ()))
     )
     if before is None or after is None:
@@ -324,7 +320,7 @@ def _with_rivals_judged(
         return joint, taken
     rivals, better = [], []
     for rival in taken.rivals:
-        tried = within_limits(case.here, case.unit, rival.joint)
+        tried = within_limits(rival.joint)
         there = _seen_aside(case, tried, rival.name)
         # The torque during crossings has already decided between a gap and a loop.
         if distinguished_by_crossings(EFFECTS[taken.name], EFFECTS[rival.name]):
@@ -356,7 +352,7 @@ def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array
     """Return the residual of another fit relative to the noise of ``joint``.
 
     The noises of the two fits differ if the noise of one fit was estimated again
-    (:func:`identification.diagnosis.fit.joint.with_lower_noise`).
+    (:func:`identification.diagnosis.joint.with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}
     stack, out = seen[0], seen[1].copy()
@@ -377,7 +373,7 @@ def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, lis
     own = next((e for e in joint.effects if e.term.name == name), None)
     if own is None or own.term.place is not None or not case.aside:
         return None
-    found = validation_residual(joint, case.aside, case.unit)
+    found = validation_residual(joint, case.aside)
     return None if found is None else (*found, judging_equations(joint, own.term))
 
 
@@ -392,13 +388,9 @@ def dropped_effects(found: Search) -> tuple[str, ...]:
 
 
 class _Case(NamedTuple):
-    """Inputs of the test: fitted recordings, recordings set aside, the unit of the torque, and the
-    fit of the nominal model within its limits.
-    """
+    """Recordings set aside, and the fit of the nominal model within its limits."""
 
-    here: Sequence[View]
     aside: Sequence[View]
-    unit: str
     baseline: Joint
 
 
@@ -430,16 +422,15 @@ def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None
         or any(e.term.name == rival.name for e in joint.effects)
     ):
         return None
-    tried = fit(case.here, case.unit, joint.nominal, (*joint.effects, added), case.baseline)
-    return None if implausible(tried) else within_limits(case.here, case.unit, tried)
+    tried = case.baseline.again(joint.nominal, (*joint.effects, added))
+    return None if implausible(tried) else within_limits(tried)
 
 
 def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
     rest = tuple(e for e in joint.effects if e is not effect)
     if not rest:
         return case.baseline
-    tried = fit(case.here, case.unit, joint.nominal, rest, case.baseline)
-    return within_limits(case.here, case.unit, tried)
+    return within_limits(case.baseline.again(joint.nominal, rest))
 
 
 def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
@@ -452,8 +443,7 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
     unseen = [
         found
         for j, starts in ((joint, ()), (without, (effect,)))
-        if case.aside
-        and (found := validation_residual(j, case.aside, case.unit, starts)) is not None
+        if case.aside and (found := validation_residual(j, case.aside, starts)) is not None
     ]
     if len(unseen) == 2:
         stack, left = unseen[1][0], [rows for _, rows in unseen]
@@ -535,7 +525,7 @@ def _with_indistinct_rivals(
     final: Joint, place: int, taken: Round, terms: Sequence[Effect]
 ) -> Round:
     alike = _indistinct_effects(final, place, terms)
-    views, own = final.equations[0].views, final.effects[place]
+    views, own = final.views, final.effects[place]
     alike += own.term.indistinct(own.parameters(Context(views, final.nominal)), views)
     tested = {r.name for r in taken.rivals}
     rivals = [
@@ -562,7 +552,7 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
     # Regressors that depend on the drive's torque must not contain the torque of the identified
     # effect.
     without = replace(stack, nominal=nominal_after_effects(final.nominal, others), own={})
-    context = Context(final.equations[0].views, without.nominal)
+    context = Context(final.views, without.nominal)
     found = []
     for term in terms:
         if term.name == own.term.name or distinguished_by_crossings(own.term, term):

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.comparison import Contender, Round, advantage
+from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Contender, Round, advantage
 from identification.effects.effect import Clearance, Effect
 from identification.effects.transmission import ROTOR_SHARE, count_of_twist, lead
 from identification.recording import Array
@@ -119,8 +119,6 @@ def _quick_acceleration(view: View) -> Array:
 
 
 def gap_or_loop(
-    views: Sequence[View],
-    unit: str,
     baseline: Joint,
     joint: Joint,
     rounds: list[Round],
@@ -134,12 +132,12 @@ def gap_or_loop(
     named = [e for e in joint.effects if isinstance(e.term, Clearance)]
     if not named or len(kinds) < 2:
         return joint, rounds
-    own = min(named, key=_rises)
+    views, own = baseline.views, min(named, key=_rises)
     if len(named) > 1:
         # If a transmission has both a gap and a loop, the angles resemble those of one larger gap
         # or loop.
         kept = [e for e in joint.effects if e is own or e not in named]
-        joint = fit(views, unit, joint.nominal, kept, baseline)
+        joint = baseline.again(joint.nominal, kept)
         others = {e.term.name for e in named if e is not own}
         rounds = [r for r in rounds if r.name not in others]
         own = next(e for e in joint.effects if e.term.name == own.term.name)
@@ -149,7 +147,7 @@ def gap_or_loop(
     assumed = ROTOR_SHARE * joint.nominal.get("J")
     other = _with_travel(kind, gap, seen, assumed, count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
-    beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
+    beside = baseline.again(joint.nominal, (*rest, other))
     prefers_other = _preference(views, own, joint, beside, seen)
     best, loser, name = (
         (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
@@ -160,8 +158,8 @@ def gap_or_loop(
         note = "too few crossings last long enough to distinguish a gap from a hysteresis loop"
     else:
         note = (
-            f"closes with a torque of {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the "
-            "torque of the motion"
+            f"closes with a torque of {seen.torque:.2g} {baseline.unit}, "
+            f"{100.0 * seen.share:.1f} % of the torque of the motion"
         )
     steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
     out = [

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.joint import Added, Joint
-from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.within_limits import infeasible
 from identification.effects.device import REFERENCE_MASS_KG
 from identification.effects.effect import Context, Dimension
 from identification.model.parameters import LINEAR, parameter_title
@@ -109,7 +109,7 @@ def implausible(joint: Joint) -> str:
     if infeasible(joint):
         return "nominal parameters outside their physical limits"
     last = joint.effects[-1]
-    views = joint.equations[0].views
+    views = joint.views
     found = last.parameters(Context(views, joint.nominal))
     scales = _scales(views, joint.nominal.get("J"))
     motion = views[0].recording.bench.motion
