@@ -28,7 +28,7 @@ def folder(
     path = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "simulate_cases", lambda: cases)
-        patch.setattr(paper_study, "study", lambda seed, progress: [valve.exhibit()])
+        patch.setattr(paper_study, "study", lambda seed, progress: [valve.valve_exhibit()])
         assert (
             status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")])
             == 0

@@ -18,7 +18,7 @@ from rig.planning.hot_fire import nominal_generator, pressure_for
 from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, Rows, columns, true_machine
 
-BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
+LOOP_BENCH, LOOP_SEQUENCE, LOOP_STAGE = "practical_hot", "hotfire", "flow"
 SETTLED = 0.02
 """Relative deviation from the commanded flow up to which a flow counts as settled."""
 _SMOOTHING_S = (
@@ -54,14 +54,14 @@ class Firing:
 
 def fire(scratch: Path, seed: int) -> Firing:
     """Run the packaged hot firing and return its closed-loop stage."""
-    bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
+    bench, sequence = load_bench(LOOP_BENCH), load_sequence(LOOP_SEQUENCE)
     dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
-    recording = next(r for r in dataset.recordings if r.name == STAGE)
-    flow = next(stage.flow for stage in sequence.value.stages if stage.name == STAGE)
+    recording = next(r for r in dataset.recordings if r.name == LOOP_STAGE)
+    flow = next(stage.flow for stage in sequence.value.stages if stage.name == LOOP_STAGE)
     generator = nominal_generator(bench.value)
     if flow is None or generator is None:
-        raise ValueError(f"{SEQUENCE} has no flow command, or {BENCH} no gas generator")
-    machine = true_machine(BENCH)
+        raise ValueError(f"{LOOP_SEQUENCE} has no flow command, or {LOOP_BENCH} no gas generator")
+    machine = true_machine(LOOP_BENCH)
     time = recording.time - recording.time[0]
     commanded = flow.command(len(time) * recording.period, recording.period)[: len(time)]
     angle, pressure = recording.channels["angle"], recording.channels["pressure"]
@@ -79,7 +79,7 @@ def fire(scratch: Path, seed: int) -> Firing:
     )
 
 
-def exhibit(scratch: Path, seed: int) -> Exhibit:
+def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
     """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
     and load.
     """
@@ -95,7 +95,7 @@ def exhibit(scratch: Path, seed: int) -> Exhibit:
         "motor, and "
         "the angle determines the pressure. The paper gives no controller and no response.",
         (
-            f"{SEQUENCE} on {BENCH}, stage {STAGE}: steps of the flow command through the whole "
+            f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command through the whole "
             f"simulated chain, "
             "pressure measured by a transmitter.",
             _settling(found),

@@ -18,7 +18,7 @@ from rig.planning.feedforward import Feedforward
 from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 
-BENCH, SEQUENCE = "practical_soft", "slow_ramp"
+RAMP_BENCH, RAMP_SEQUENCE = "practical_soft", "slow_ramp"
 _SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
 _THIN = 10  # the data files contain every tenth sample
 
@@ -35,19 +35,19 @@ def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
     """Run the ramps with soft gains, without and with feed-forward; the noise differs from that of
     the identification.
     """
-    bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
+    bench, sequence = load_bench(RAMP_BENCH), load_sequence(RAMP_SEQUENCE)
     return RampStudy(
         run_simulated(bench, sequence, seed + 1, scratch / "plain"),
         run_simulated(bench, sequence, seed + 1, scratch / "fed", model),
     )
 
 
-def exhibits(study: RampStudy) -> list[Exhibit]:
+def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
     """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under
     3000 N).
     """
     plain, fed = study.plain.recordings, study.fed.recordings
-    ramp = f"{SEQUENCE} on {BENCH}: 8 deg at 1 deg/s and back"
+    ramp = f"{RAMP_SEQUENCE} on {RAMP_BENCH}: 8 deg at 1 deg/s and back"
     fig_2 = Exhibit(
         "fig_2",
         "Fig. 2: low-speed ramp, stick-slip and steady-state error",

@@ -21,7 +21,7 @@ from rig.planning.feedforward import Feedforward
 from rig.results.document import Picture, Table
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 
-BENCH, SEQUENCE = "practical", "figure10"
+SINE_BENCH, SINE_SEQUENCE = "practical", "figure10"
 PERIOD_S = 5.0
 FIRST_S = 2.0
 CYCLES = 2
@@ -33,12 +33,12 @@ def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Da
     """Run the paper's two cases without and with feed-forward; the noise differs from that of the
     identification.
     """
-    bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
+    bench, sequence = load_bench(SINE_BENCH), load_sequence(SINE_SEQUENCE)
     plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
     return plain, run_simulated(bench, sequence, seed + 1, scratch / "sine-fed", model)
 
 
-def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
+def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
     """Return the tracking error of both cases over two whole cycles, and the energy of one
     cycle.
     """
@@ -49,7 +49,7 @@ def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
         "The paper states that friction raises control error and power consumption, and that "
         "the model is a starting point for compensation; it shows no compensation.",
         (
-            f"{SEQUENCE} on {BENCH} with stiff gains, identified from a separate run: command less "
+            f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: command less "
             f"joint encoder, and electrical energy, over {CYCLES} cycles.",
         ),
         (

@@ -12,7 +12,7 @@ from rig.results.paper.sweep_simulation import PAPER_DEG_S, SLOW_DEG_S, Sweep, s
 _ENDS_DEG = np.array([5.0, 29.0])
 
 
-def exhibit(seed: int) -> Exhibit:
+def sweep_exhibit(seed: int) -> Exhibit:
     """Return Fig. 4 at the speed of the paper, and at a lower speed, at which the pressure follows
     the throat area.
     """

@@ -23,7 +23,7 @@ def clear_deg(machine: Machine) -> float:
     return math.degrees(math.asin(beside / machine.joint.moment_arm_m))
 
 
-def exhibit() -> Exhibit:
+def valve_exhibit() -> Exhibit:
     """Return Fig. 3 from the closed form of the plant's valve."""
     machine = true_machine("practical_hot")
     angle_deg = np.arange(0.0, GREATEST_DEG + 0.5 * _STEP_DEG, _STEP_DEG)
