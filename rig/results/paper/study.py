@@ -8,7 +8,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.results.paper import exhibit, loop, ramp, sine, sweep, uniform, valve
+from rig.results.paper import exhibit, loop, ramp, sweep, uniform, valve
+from rig.results.paper import ramp as sine
 from rig.results.paper.exhibit import Exhibit
 
 
