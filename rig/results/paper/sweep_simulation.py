@@ -15,8 +15,7 @@ from drivers.mock.plant import gas_direct
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.without_bus import record
-
-Array = NDArray[np.float64]
+from identification.recording import Array
 
 PAPER_DEG_S = 50.0
 """Opening speed in the paper, deg/s."""
