@@ -12,7 +12,9 @@ from identification.model.parameters import NOMINAL
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
 from rig.results.document import write_texts
-from rig.results.paper import loop, ramp, sweep, tables, uniform, valve
+from rig.results.paper import loop, ramp, tables, uniform
+from rig.results.paper import loop as sweep
+from rig.results.paper import loop as valve
 from rig.results.paper import ramp as sine
 from rig.results.paper.exhibit import Exhibit, columns, data_files, files_of
 

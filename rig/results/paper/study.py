@@ -8,7 +8,9 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.results.paper import exhibit, loop, ramp, sweep, uniform, valve
+from rig.results.paper import exhibit, loop, ramp, uniform
+from rig.results.paper import loop as sweep
+from rig.results.paper import loop as valve
 from rig.results.paper import ramp as sine
 from rig.results.paper.exhibit import Exhibit
 
