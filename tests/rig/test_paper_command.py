@@ -9,8 +9,8 @@ import pytest
 from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.results.paper import loop
-from rig.results.paper import study as paper_study
 from rig.results.paper import tables as paper
+from rig.results.paper import tables as paper_study
 from rig.results.paper.tables import TABLE_1, TABLE_2
 
 

@@ -52,10 +52,16 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     from rig.common.places import require_file, require_folder
     from rig.common.provenance import Provenance
     from rig.results.document import text, write_page, write_record, write_texts
-    from rig.results.paper.document import PAGE_FILE, paper_document
     from rig.results.paper.exhibit import data_files
-    from rig.results.paper.study import study
-    from rig.results.paper.tables import RESULT_FILE, exhibits, paper_record, reproduce
+    from rig.results.paper.tables import (
+        PAGE_FILE,
+        RESULT_FILE,
+        exhibits,
+        paper_document,
+        paper_record,
+        reproduce,
+        study,
+    )
     from rig.terminal.output import ShareBar
 
     require_folder(out, "--out")

@@ -103,7 +103,8 @@ def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
         "motor, and "
         "the angle determines the pressure. The paper gives no controller and no response.",
         (
-            f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command through the whole "
+            f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command through "
+            "the whole "
             f"simulated chain, "
             "pressure measured by a transmitter.",
             _settling(found),

@@ -182,7 +182,8 @@ def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
         "The paper states that friction raises control error and power consumption, and that "
         "the model is a starting point for compensation; it shows no compensation.",
         (
-            f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: command less "
+            f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: "
+            "command less "
             f"joint encoder, and electrical energy, over {CYCLES} cycles.",
         ),
         (
