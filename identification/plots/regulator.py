@@ -133,8 +133,14 @@ def uniform(
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    place = {"loc": "outside upper center", "ncols": 5, "fontsize": 8, "frameon": False}
-    made.legend(list(handles.values()), list(handles), **place)
+    made.legend(
+        list(handles.values()),
+        list(handles),
+        loc="outside upper center",
+        ncols=5,
+        fontsize=8,
+        frameon=False,
+    )
     return made
 
 

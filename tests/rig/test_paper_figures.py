@@ -13,9 +13,6 @@ from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
 from rig.results.document import write_texts
 from rig.results.paper import loop, ramp, tables, uniform
-from rig.results.paper import loop as sweep
-from rig.results.paper import loop as valve
-from rig.results.paper import ramp as sine
 from rig.results.paper.exhibit import Exhibit, columns, data_files, files_of
 
 
@@ -68,7 +65,7 @@ def test_fig_9_is_the_speed_of_both_loads(ramps: list[Exhibit]) -> None:
 
 
 def test_fig_3_is_what_the_paper_says_of_it() -> None:
-    made = valve.valve_exhibit()
+    made = loop.valve_exhibit()
     data = numbers(made)
     total = data["impacted_area_m2"] + data["throat_area_m2"]
     np.testing.assert_allclose(total, np.pi * 0.04**2 / 4, rtol=1e-12)
@@ -146,7 +143,7 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
     known = tmp_path / "known.json"
     known.write_text("{}")
     model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
-    made = sine.compensation_exhibit(*sine.run_sines(tmp_path, model, 5))
+    made = ramp.compensation_exhibit(*ramp.run_sines(tmp_path, model, 5))
     data = numbers(made)
     for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
         before, after = (
@@ -154,13 +151,13 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
         )
         assert before > ratio * after
         for fed in ("", "_fed"):
-            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * sine.PERIOD_S < energy[1]
+            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * ramp.PERIOD_S < energy[1]
     assert made.table is not None
     assert [row[0] for row in made.table.rows] == ["0 N", "3001 N"]
 
 
 def test_fig_4_falls_with_pressure_and_area() -> None:
-    made = sweep.sweep_exhibit(0)
+    made = loop.sweep_exhibit(0)
     for name, fastest in (("fig_4", 0.7), ("fig_4_slow", 7.0)):
         data = numbers(made, name)
         even = data["uniform"] > 0.5
@@ -185,7 +182,7 @@ def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
 
 
 def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
-    made = valve.valve_exhibit()
+    made = loop.valve_exhibit()
     assert files_of([made]) == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
     write_texts(data_files([made]), tmp_path)
     with (tmp_path / "data/fig_3.csv").open(newline="") as lines:

@@ -103,9 +103,8 @@ def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
         "motor, and "
         "the angle determines the pressure. The paper gives no controller and no response.",
         (
-            f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command through "
-            "the whole "
-            f"simulated chain, "
+            f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command "
+            "through the whole simulated chain, "
             "pressure measured by a transmitter.",
             _settling(found),
             "The flow first changes in the wrong direction: when the throat opens, more gas flows "
