@@ -137,9 +137,9 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
     short.write_text(
         text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5")
     )
-    monkeypatch.setattr(sine, "SEQUENCE", str(short))
-    monkeypatch.setattr(sine, "FIRST_S", 1.0)
-    monkeypatch.setattr(sine, "CYCLES", 1)
+    monkeypatch.setattr(ramp, "SINE_SEQUENCE", str(short))
+    monkeypatch.setattr(ramp, "FIRST_S", 1.0)
+    monkeypatch.setattr(ramp, "CYCLES", 1)
     known = tmp_path / "known.json"
     known.write_text("{}")
     model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
