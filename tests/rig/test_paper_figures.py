@@ -41,7 +41,7 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
                 "duration_s: 18", "duration_s: 9.5"
             )
         )
-        patch.setattr(ramp, "SEQUENCE", str(short))
+        patch.setattr(ramp, "RAMP_SEQUENCE", str(short))
         return ramp.ramp_exhibits(ramp.run_ramps(scratch, model, 3))
 
 
@@ -117,7 +117,7 @@ def test_the_closed_loop_settles_and_moves_its_own_load(
 ) -> None:
     path = tmp_path / "steps.yaml"
     path.write_text(STEPS)
-    monkeypatch.setattr(loop, "SEQUENCE", str(path))
+    monkeypatch.setattr(loop, "LOOP_SEQUENCE", str(path))
     made = loop.loop_exhibit(tmp_path, 2)
     data = numbers(made)
     late = (data["time_s"] > 3.0) & (data["time_s"] < 3.9)
