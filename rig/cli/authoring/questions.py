@@ -25,7 +25,7 @@ class Quantity(Number):
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
         """Return the number, or fail with a message."""
-        typed = value.strip().replace(",", ".") if isinstance(value, str) else value
+        typed: Any = value.strip().replace(",", ".") if isinstance(value, str) else value
         return super().convert(typed, param, ctx)
 
 
