@@ -40,6 +40,12 @@ class Rig:
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * NS))
 
+    def lose(self, identifier: int) -> None:
+        """Lose all frames with an identifier on the simulated bus from now on."""
+        self.bench.bus.frame_filters.append(  # type: ignore[attr-defined]
+            lambda _t, found, data, _s: None if found == identifier else (found, data)
+        )
+
 
 R = TypeVar("R", bound=Rig)
 

@@ -180,9 +180,7 @@ def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
 
 def test_the_stop_frame_alone_stops(host: DbcHost) -> None:
     enabled(host)
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == COMMAND else (found, data)
-    )
+    host.lose(COMMAND)
     host.servo.quick_stop()
     host.servo.disable()
     assert host.bench.drive.state is State.OFF
@@ -272,9 +270,7 @@ def test_limits_survive_the_way_to_the_drive_and_back(host: DbcHost) -> None:
 
 
 def test_limits_that_do_not_arrive_are_named(host: DbcHost) -> None:
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == LIMITS else (found, data)
-    )
+    host.lose(LIMITS)
     with pytest.raises(
         ConfigurationError,
         match=r"house servo does not accept.*speed \(limits\.speed_deg_s\) reads 240 after",
@@ -313,9 +309,7 @@ def test_the_exchanges_contain_the_state_after_the_last_order_to_stop(host: DbcH
     assert host.servo.sent_state() is None
     host.cycles(2)
     assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == MOTION else (found, data)
-    )
+    host.lose(MOTION)
     host.cycles(1)
     assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
     host.cycles(3)
@@ -324,9 +318,7 @@ def test_the_exchanges_contain_the_state_after_the_last_order_to_stop(host: DbcH
 
 def test_a_silent_drive_is_found_out(host: DbcHost) -> None:
     enabled(host)
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == MOTION else (found, data)
-    )
+    host.lose(MOTION)
     with pytest.raises(
         LinkError,
         match=r"sent no valid DRV_Motion \(190h\) in 0\.3 s: check the supply and the bus",
