@@ -40,11 +40,15 @@ class Rig:
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * NS))
 
-    def lose(self, identifier: int) -> None:
-        """Lose all frames with an identifier on the simulated bus from now on."""
-        self.bench.bus.frame_filters.append(  # type: ignore[attr-defined]
-            lambda _t, found, data, _s: None if found == identifier else (found, data)
-        )
+    def lose(self, identifier: int, count: float = math.inf) -> None:
+        """Lose the next frames with an identifier on the simulated bus."""
+
+        def lost(_t: int, found: int, data: bytes, _s: bool) -> tuple[int, bytes] | None:
+            nonlocal count
+            count -= found == identifier
+            return None if found == identifier and count >= 0 else (found, data)
+
+        self.bench.bus.frame_filters.append(lost)  # type: ignore[attr-defined]
 
 
 R = TypeVar("R", bound=Rig)

@@ -164,15 +164,8 @@ def test_no_verb_but_enable_leads_toward_power(host: DbcHost, state: State, verb
 @pytest.mark.parametrize("verb", ["disable", "quick_stop"])
 def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
     enabled(host)
-    left = [2]
-
-    def drop(_time: int, found: int, data: bytes, sent: bool) -> tuple[int, bytes] | None:
-        if found in (COMMAND, STOP) and left[0]:
-            left[0] -= 1
-            return None
-        return found, data
-
-    host.bench.bus.frame_filters.append(drop)
+    host.lose(COMMAND, 1)
+    host.lose(STOP, 1)
     VERBS[verb](host)
     host.cycles(2)
     assert host.bench.drive.state in (State.OFF, State.STOPPING)
@@ -207,13 +200,7 @@ def test_the_state_is_not_that_of_an_old_frame(host: DbcHost) -> None:
 def test_a_reset_survives_a_lost_frame(host: DbcHost) -> None:
     prepared(host)
     host.bench.drive.fail(0x42)
-    left = [2]
-
-    def drop(_time: int, found: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
-        left[0] -= found == COMMAND
-        return None if found == COMMAND and left[0] >= 0 else (found, data)
-
-    host.bench.bus.frame_filters.append(drop)
+    host.lose(COMMAND, 2)
     host.servo.reset_fault()
     assert host.bench.drive.state is State.OFF
 
