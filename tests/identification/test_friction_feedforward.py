@@ -1,4 +1,4 @@
-"""The torque of a commanded motion against numbers worked out by hand; stiffness and damping over a bus."""
+"""The torque of a commanded motion against numbers worked out by hand; gains over a bus."""
 
 from __future__ import annotations
 
