@@ -5,6 +5,7 @@ loop.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -133,6 +134,7 @@ def uniform(
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
+<<<<<<< HEAD
     made.legend(
         list(handles.values()),
         list(handles),
@@ -141,6 +143,10 @@ def uniform(
         fontsize=8,
         frameon=False,
     )
+=======
+    place: dict[str, Any] = {"loc": "outside upper center", "ncols": 5}
+    made.legend(list(handles.values()), list(handles), fontsize=8, frameon=False, **place)
+>>>>>>> estimator
     return made
 
 
