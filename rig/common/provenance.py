@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import math
 import platform
@@ -12,6 +13,8 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from drivers.errors import require_plain
 from identification.recording import Recording
@@ -141,3 +144,16 @@ class Provenance:
 def finite(value: float | None) -> float | None:
     """Return a plain float, or None for infinities and NaN, which JSON does not have."""
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+def plain(value: Any) -> Any:
+    """Return a record as plain data for JSON: frozen records as mappings, sequences and arrays as
+    lists, numbers by :func:`finite`.
+    """
+    if dataclasses.is_dataclass(value):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {name: plain(inner) for name, inner in value.items()}
+    if isinstance(value, tuple | list | np.ndarray):
+        return [plain(inner) for inner in value]
+    return finite(value) if isinstance(value, float | np.floating) else value
