@@ -134,19 +134,8 @@ def uniform(
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-<<<<<<< HEAD
-    made.legend(
-        list(handles.values()),
-        list(handles),
-        loc="outside upper center",
-        ncols=5,
-        fontsize=8,
-        frameon=False,
-    )
-=======
     place: dict[str, Any] = {"loc": "outside upper center", "ncols": 5}
     made.legend(list(handles.values()), list(handles), fontsize=8, frameon=False, **place)
->>>>>>> estimator
     return made
 
 

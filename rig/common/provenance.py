@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import math
 import platform
@@ -14,18 +13,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-<<<<<<< HEAD
 from rig.common.places import require_plain
 
 if TYPE_CHECKING:
     # At run time this import would load numba, for which `rig --help` must not wait.
     from identification.recording import Recording
-=======
-import numpy as np
-
-from drivers.errors import require_plain
-from identification.recording import Recording
->>>>>>> diagnosis
 
 
 def sha256(content: bytes) -> str:
@@ -154,7 +146,6 @@ def finite(value: float | None) -> float | None:
     return float(value) if value is not None and math.isfinite(value) else None
 
 
-<<<<<<< HEAD
 def plain(value: Any, *left_out: str) -> Any:
     """Return a value for JSON: a dataclass as a mapping, without the fields ``left_out``; arrays
     as lists; infinities and NaN as None.
@@ -169,16 +160,3 @@ def plain(value: Any, *left_out: str) -> Any:
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     return finite(value) if isinstance(value, float) else value
-=======
-def plain(value: Any) -> Any:
-    """Return a record as plain data for JSON: frozen records as mappings, sequences and arrays as
-    lists, numbers by :func:`finite`.
-    """
-    if dataclasses.is_dataclass(value):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {name: plain(inner) for name, inner in value.items()}
-    if isinstance(value, tuple | list | np.ndarray):
-        return [plain(inner) for inner in value]
-    return finite(value) if isinstance(value, float | np.floating) else value
->>>>>>> diagnosis

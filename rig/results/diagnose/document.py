@@ -49,26 +49,10 @@ from rig.results.document import (
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
-<<<<<<< HEAD
 if TYPE_CHECKING:
     from rig.results.diagnose.exports import Exports
 
-READABLE = {
-    "rad": "deg",
-    "N m/rad": "N m/deg",
-    "1/rad": "%/deg",
-    "A/s": "mA/min",
-    "N m/s": "N m/h",
-    "N/s": "N/h",
-    "m/s": "mm/min",
-    "m^2": "mm^2",
-    "1/m": "%/m",
-    "s/m": "%/(m/s)",
-    "W": "kW",
-}
-=======
 READABLE = {unit: shown for unit, shown in FACTORS if unit not in ("", "s", "A")}
->>>>>>> diagnosis
 """Units that are shown, by the units of the records."""
 _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
