@@ -15,7 +15,7 @@
     const drawn = curves.map((name, k) => {
       const stroke = colour(`--curve-${k}`);
       const fill = curves.length > 1 ? `${stroke}70` : stroke;
-      return envelope(1 + 2 * k, stroke, { dash: DASHES[k], fill, points: few });
+      return envelope(1 + 2 * k, stroke, { dash: DASHES[k], fill, points: few, width: 1.5 });
     });
     const right = Boolean(frame.mark && frame.mark[0] <= 0.5);
     return {
