@@ -69,6 +69,7 @@
   }
 
   draw(false);
+  document.getElementById("undrawn").remove();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw(false));
   addEventListener("beforeprint", () => {
     document.documentElement.dataset.paper = "";
