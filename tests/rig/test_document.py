@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -46,6 +47,10 @@ def shown(*blocks: Block) -> str:
 
 def drawn(*blocks: Block) -> str:
     return page(Document("A & B", "below", (), (Section("Heading", blocks, "here"),)))
+
+
+def test_every_kind_of_block_is_shown() -> None:
+    assert {type(block) for block in EVERY.values()} == set(get_args(Block))
 
 
 @pytest.mark.parametrize(
