@@ -33,7 +33,7 @@ DEFAULT_BENCH = "practical"
     show_default=True,
     help="Folder for runs that are started from the page; the page lists the runs in this folder.",
 )
-def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
+def console(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """Watch, stop and pause runs on a page, answer their prompts, and start new runs on BENCH, a
     bench file or the name of a packaged bench; without BENCH, on any packaged bench.
 

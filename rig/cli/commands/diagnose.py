@@ -39,7 +39,7 @@ from rig.cli import options as shared
     "./CAMPAIGN-diagnosed]"
 )
 @shared.result_file
-def command(
+def diagnose(
     source: Path,
     bandwidth: float | None,
     refine: bool | None,

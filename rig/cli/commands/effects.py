@@ -12,7 +12,7 @@ from rig.cli import options as shared
 @click.command("effects")
 @click.argument("name", required=False)
 @shared.result_file
-def command(name: str | None, json_file: Path | None) -> None:
+def effects(name: str | None, json_file: Path | None) -> None:
     """List the effects that a diagnosis can identify; with NAME, show the whole catalogue entry of
     one effect.
 

@@ -36,7 +36,7 @@ from rig.sources import load_source
     type=click.Path(path_type=Path),
     help="File to write [default: <source name>.<format>]; an ending that is missing is added.",
 )
-def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
+def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
 
     Channels keep their canonical names and SI units. MATLAB, Parquet and MCAP files contain all

@@ -90,7 +90,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "./SEQUENCE-planned]"
 )
 @shared.result_file
-def command(
+def identify(
     source: Path | None,
     sequence: str | None,
     method: str,

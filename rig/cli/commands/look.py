@@ -43,7 +43,7 @@ NEEDED = {
     help="Write a first campaign file, with a comment on every key.",
 )
 @shared.result_file
-def command(
+def look(
     path: Path,
     skip_rows: int,
     delimiter: str | None,

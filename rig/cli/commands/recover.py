@@ -23,7 +23,7 @@ from rig.wiring.ownership import until_the_end
 @click.command("recover")
 @click.argument("run", type=click.Path(path_type=Path))
 @shared.record_file("Also write the completed run.json to this file.")
-def command(run: Path, json_file: Path | None) -> int:
+def recover(run: Path, json_file: Path | None) -> int:
     """Write a clean recording of RUN from all readable records of the damaged recording, and
     complete run.json and the page of the run.
 

@@ -25,7 +25,7 @@ from rig.cli import options as shared
 @shared.bandwidth("Bandwidth of the errors. [default: that of the first result]")
 @shared.out_folder("Folder for report and figures. [default: ./SOURCE-simulated]")
 @shared.result_file
-def command(
+def simulate(
     source: Path,
     results: tuple[Path, ...],
     bandwidth: float | None,

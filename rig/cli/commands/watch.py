@@ -49,7 +49,7 @@ _NO_TOKEN = (
     type=click.IntRange(min=1),
     help="Number of the recording of a resumed run. [default: the newest]",
 )
-def command(
+def watch(
     run: Path, foxglove: bool, port: int, no_token: bool, last: float | None, part: int | None
 ) -> int:
     """Serve the recording of RUN to Foxglove or PlotJuggler until Ctrl-C.
