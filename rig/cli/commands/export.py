@@ -15,7 +15,7 @@ from rig.results.document import reading_notes
 from rig.runs.export import (
     FORMATS,
     TRAFFIC,
-    export,
+    export as export_one,
     export_traffic,
     extension,
     files,
@@ -67,7 +67,7 @@ def export(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     _require_free([*wanted, *(sidecar(place) for place in wanted if kind == "csv")])
     for place, part in wanted.items():
         try:
-            export(part, place, kind, run)
+            export_one(part, place, kind, run)
         except OSError as error:
             raise InputError(f"{place}: cannot be written: {error.strerror}") from error
         count = sum(len(recording.time) for recording in part.recordings)

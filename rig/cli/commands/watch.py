@@ -16,7 +16,7 @@ from rig.runs.live import HOST, Offer, layout, serve
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
-PORT = 8765
+FOXGLOVE_PORT = 8765
 _NO_TOKEN = (
     "no token, because PlotJuggler's client accepts only a host and a port; while the recording is "
     "served, every program on this computer can read it (pages in a browser cannot)"
@@ -29,7 +29,7 @@ _NO_TOKEN = (
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
-    default=PORT,
+    default=FOXGLOVE_PORT,
     show_default=True,
     help="Port on this computer; 0 for a free port.",
 )
