@@ -9,7 +9,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster makes masters units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -30,21 +30,16 @@ help:
 	@echo "make prove     the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make prove-worlds  the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
-	@echo "make cluster   the same proof with one process, two, and a cluster of which a worker is killed: the same bytes (out/cluster)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (out/fault_matrix.md)"
 	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
-	@echo "make masters   a second, independent CANopen master drives the simulated drives of the makes (needs Node)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)"
-	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)"
-	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
-	@echo "make terminal  what is on the screen, as an operator in tmux (out/terminal.md)"
 	@echo "make durand    check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
@@ -52,7 +47,6 @@ help:
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
 	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
-	@echo "make loop      hide an effect, diagnose, run the corrected model, compare the recordings"
 	@echo "make clean     remove the virtual environment and everything generated"
 
 $(VENV)/bin/python:
@@ -138,9 +132,6 @@ real: $(VENV)/.runtime
 	$(BIN)/python benchmarks/real_recordings.py
 	$(BIN)/python benchmarks/real_diagnoses.py tests/campaigns/*.yaml
 
-loop: $(VENV)/.runtime
-	$(BIN)/python tests/long/close_loop.py
-
 feedforward: $(VENV)/.runtime
 	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 200
 	$(BIN)/python benchmarks/feedforward_hidden.py
@@ -157,9 +148,6 @@ prove-worlds: $(VENV)/.dev
 	for plant in own third mujoco; do \
 	  $(BIN)/python -m benchmarks.worlds out/worlds-$$plant --plant $$plant --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 && \
 	  $(BIN)/rig prove --from out/worlds-$$plant --jobs 2 --out out/proof-$$plant || exit 1; done
-
-cluster: $(VENV)/.dev
-	$(BIN)/python -m tests.long.cluster out/cluster --rigs $(or $(RIGS),12) --seed $(or $(SEED),1)
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
@@ -181,31 +169,18 @@ makes: $(VENV)/.dev
 	$(BIN)/python -m tests.long.makes faults
 	$(BIN)/python -m tests.long.makes homing
 
-masters: $(VENV)/.dev
-	$(BIN)/python -m tests.long.second_master
-
 kill: $(VENV)/.dev
 	$(BIN)/python -m tests.long.kill
-	$(BIN)/python tests/long/kill_identify.py
 	$(BIN)/python -m tests.long.guardian
 
 process-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.process_matrix
 
-watch-clients: $(VENV)/.dev
-	$(BIN)/python -m tests.long.watch_clients $(if $(PLOTJUGGLER),--plotjuggler $(PLOTJUGGLER))
-
 moments: $(VENV)/.dev
 	$(BIN)/python -m tests.long.moments
 
-pairs: $(VENV)/.dev
-	$(BIN)/python -m tests.long.pairs
-
 units: $(VENV)/.dev
 	$(BIN)/python -m tests.long.units
-
-terminal: $(VENV)/.dev
-	$(BIN)/python -m tests.long.terminal
 
 durand: $(VENV)/.dev
 	$(BIN)/python -m tests.long.durand_peer
