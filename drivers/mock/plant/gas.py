@@ -16,7 +16,7 @@ import math
 
 from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.parts.compiled import Vector, inlined
-from drivers.mock.plant.parts.friction import throat_area
+from drivers.mock.plant.parts.friction import open_throat
 
 # State vector.
 (
@@ -168,7 +168,7 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     grows = hidden.layer(y[BURN_TIME] + h, g, HIDDEN)
     before, after = (
         y[THROAT],
-        throat_area(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH]),
+        open_throat(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH]),
     )
     mass, volume, pressure = y[MASS], y[VOLUME], y[PRESSURE]
     made = 1.0 / energy if g[SIMPLIFIED] != 0.0 else 0.0
@@ -207,7 +207,7 @@ def contact_force(pressure: float, throat: float, g: Vector) -> float:
 
 
 @inlined
-def steady_pressure(throat: float, g: Vector) -> float:
+def settled_pressure(throat: float, g: Vector) -> float:
     """Return the pressure at which the generator burns steadily, Pa.
 
     With eq. 8 this pressure is (rho_b A_b a C_r / A_t)^(1/(1-n)); with eq. 7 it is the slightly

@@ -22,8 +22,6 @@ from drivers.mock.plant.gas_pack import gas_vector, lit, steady_pressures, valve
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.compiled import Vector, compiled
 
-Array = NDArray[np.float64]
-
 
 class Burn(NamedTuple):
     """A simulated firing, sampled at the times of its valve angles; arrays of shape (n,).
@@ -31,18 +29,18 @@ class Burn(NamedTuple):
     ``burnt`` and ``outflow`` are counted from the first sample.
     """
 
-    pressure_Pa: Array
-    throat_m2: Array
-    contact_force_N: Array
-    free_volume_m3: Array
-    stored_kg: Array
-    burnt_kg: Array
-    outflow_kg: Array
+    pressure_Pa: Vector
+    throat_m2: Vector
+    contact_force_N: Vector
+    free_volume_m3: Vector
+    stored_kg: Vector
+    burnt_kg: Vector
+    outflow_kg: Vector
 
 
 def burn(
     machine: constants.Machine,
-    angle_rad: Array,
+    angle_rad: Vector,
     period_s: float,
     steps: int = 1,
     pressure_Pa: float | None = None,
@@ -72,18 +70,18 @@ def burn(
     )
 
 
-def throat_area(machine: constants.Machine, angle_rad: Array) -> Array:
+def throat_area(machine: constants.Machine, angle_rad: Vector) -> Vector:
     """Return the effective throat area A_t at each valve angle, m^2, shape (n,)."""
     return valve_throat(gas_vector(machine), np.ascontiguousarray(angle_rad, dtype=np.float64))
 
 
-def impacted_area(machine: constants.Machine, angle_rad: Array) -> Array:
+def impacted_area(machine: constants.Machine, angle_rad: Vector) -> Vector:
     """Return the impacted area A_s = pi D^2/4 - A_t at each valve angle, m^2, shape (n,)."""
     opening = 0.25 * np.pi * machine.gas.valve.opening_diameter_m**2
     return np.asarray(opening - throat_area(machine, angle_rad))
 
 
-def steady_pressure(machine: constants.Machine, angle_rad: Array) -> Array:
+def steady_pressure(machine: constants.Machine, angle_rad: Vector) -> Vector:
     """Return the pressure of steady burning at each valve angle, Pa, shape (n,)."""
     return steady_pressures(gas_vector(machine), throat_area(machine, angle_rad))
 

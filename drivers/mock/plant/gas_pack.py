@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.mock.plant import gas
 from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.effects.pack import GAS_KNOWN
 from drivers.mock.plant.parts import constants
-from drivers.mock.plant.parts.compiled import compiled
-from drivers.mock.plant.parts.friction import throat_area
+from drivers.mock.plant.parts.compiled import Vector, compiled
+from drivers.mock.plant.parts.friction import open_throat
 
-Array = NDArray[np.float64]
 HEAT_RATIO = 1.25
 """Specific-heat ratio of the gas."""
 
 
-def gas_vector(machine: constants.Machine) -> Array:
+def gas_vector(machine: constants.Machine) -> Vector:
     """Pack the gas generator and valve of a machine; L1 is the joint's moment arm."""
     generator, valve = machine.gas, machine.gas.valve
     g = np.zeros(gas.PARAMETER_SIZE)
@@ -46,7 +44,7 @@ def gas_vector(machine: constants.Machine) -> Array:
     return g
 
 
-def unlit(machine: constants.Machine) -> Array:
+def unlit(machine: constants.Machine) -> Vector:
     """Return the state without combustion: no gas, and the pressure downstream of the valve."""
     y = np.zeros(gas.GAS_SIZE)
     y[gas.PRESSURE] = machine.gas.back_pressure_Pa
@@ -54,8 +52,8 @@ def unlit(machine: constants.Machine) -> Array:
 
 
 def lit(
-    machine: constants.Machine, g: Array, angle_rad: float, pressure_Pa: float | None = None
-) -> Array:
+    machine: constants.Machine, g: Vector, angle_rad: float, pressure_Pa: float | None = None
+) -> Vector:
     """Return the state at ignition.
 
     Args:
@@ -83,18 +81,18 @@ def lit(
 
 
 @compiled
-def valve_throat(g: Array, angle: Array) -> Array:
+def valve_throat(g: Vector, angle: Vector) -> Vector:
     """Return A_t at each valve angle (rad), m^2, shape (n,)."""
     out = np.empty_like(angle)
     for k in range(len(angle)):
-        out[k] = throat_area(angle[k], g[gas.ARM], g[gas.HOLE], g[gas.OPENING], g[gas.HALF_WIDTH])
+        out[k] = open_throat(angle[k], g[gas.ARM], g[gas.HOLE], g[gas.OPENING], g[gas.HALF_WIDTH])
     return out
 
 
 @compiled
-def steady_pressures(g: Array, throat: Array) -> Array:
+def steady_pressures(g: Vector, throat: Vector) -> Vector:
     """Return the steady pressure at each throat area (m^2), Pa, shape (n,)."""
     out = np.empty_like(throat)
     for k in range(len(throat)):
-        out[k] = gas.steady_pressure(throat[k], g)
+        out[k] = gas.settled_pressure(throat[k], g)
     return out
