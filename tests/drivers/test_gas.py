@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from drivers.mock.plant.gas_direct import burn, impacted_area, steady_pressure, throat_area
+from drivers.mock.plant.gas import burn, impacted_area, steady_pressure, throat_area
 from drivers.mock.plant.machine import SimulatedMachine, simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
 from drivers.mock.without_bus import record

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant.gas import impacted_area, throat_area
 from drivers.mock.plant.parts.constants import Machine
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant.gas import impacted_area, throat_area
 from identification.plots import regulator
 from identification.recording import Array
 from rig.config.bench import load_bench

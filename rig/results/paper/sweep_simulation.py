@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from drivers.mock.plant import gas_direct
+from drivers.mock.plant import gas
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.without_bus import record
@@ -108,7 +108,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64
     )
     samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
-    area = gas_direct.impacted_area(machine, samples.angle)
+    area = gas.impacted_area(machine, samples.angle)
     uniform = _uniform(samples.angle, math.radians(speed_deg_s))
     if not uniform.any():
         raise ValueError(
@@ -126,7 +126,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         samples.current,
         samples.pressure,
         area,
-        gas_direct.steady_pressure(machine, samples.angle),
+        gas.steady_pressure(machine, samples.angle),
         uniform,
         *ranks,
     )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant.gas import impacted_area, throat_area
 from drivers.mock.plant.parts.constants import Machine
 from identification.plots import regulator
 from rig.results.document import Picture

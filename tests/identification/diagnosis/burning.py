@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.mock.plant.gas_direct import burn
+from drivers.mock.plant.gas import burn
 from drivers.mock.plant.parts.constants import Machine
 from identification.model.gas_generator import GasGenerator
 from identification.recording import Array, Bench, Dataset, Recording
