@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.effects.pack import KNOWN, effect_vector, problems
-from drivers.mock.plant.effects.state import HEAT
+from drivers.mock.plant.effects.table import HEAT
 from drivers.mock.plant.parts.constants import Machine
 
 from .track import EXACT, PER_AMPERE, Effects, Track, clock, cruise, sine, steady_torque

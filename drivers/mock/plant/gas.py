@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.kernel import advance_hiding
+from drivers.mock.plant.effects.kernel import Histories, advance_hiding
 from drivers.mock.plant.effects.pack import GAS_KNOWN
-from drivers.mock.plant.effects.sensing import Histories
-from drivers.mock.plant.effects.state import JOINT, RUN, SEEN
+from drivers.mock.plant.effects.table import JOINT, RUN, SEEN
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
 from drivers.mock.plant.parts.friction import MOMENT, open_throat

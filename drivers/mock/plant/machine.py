@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from drivers.mock.plant import gas
-from drivers.mock.plant.effects import state as extra
 from drivers.mock.plant.effects import table
+from drivers.mock.plant.effects import table as extra
+from drivers.mock.plant.effects.kernel import Histories
 from drivers.mock.plant.effects.pack import bare_vector, effect_vector
-from drivers.mock.plant.effects.sensing import Histories
-from drivers.mock.plant.effects.state import RUN, SEEN, SUPPLY
+from drivers.mock.plant.effects.table import RUN, SEEN, SUPPLY
 from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
 from drivers.mock.plant.parts.compiled import Vector, compiled

@@ -11,12 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant.effects.kernel import CONSTANTS_AT
-from drivers.mock.plant.effects.motor import dead_time_voltage
+from drivers.mock.plant.effects.kernel import CONSTANTS_AT, Histories, dead_time_voltage, mesh_error
 from drivers.mock.plant.effects.pack import bare_vector
-from drivers.mock.plant.effects.sensing import Histories
-from drivers.mock.plant.effects.shaft import mesh_error
-from drivers.mock.plant.effects.state import (
+from drivers.mock.plant.effects.table import (
     HEAT,
     JOINT,
     NOMINAL_SUPPLY,
