@@ -159,7 +159,7 @@ weight-check: $(VENV)/.runtime
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done
 
 transports: $(VENV)/.runtime
-	$(BIN)/python tests/long/transports.py
+	$(BIN)/python -m tests.long.transports
 
 fault-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.fault_matrix

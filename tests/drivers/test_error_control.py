@@ -8,6 +8,7 @@ from pathlib import Path
 import can
 import pytest
 
+from benchmarks.adapters import LawicelAdapter
 from drivers.can.port import REMOTE_FLAG, PythonCanPort
 from drivers.can.slcan import encode
 from drivers.canopen.cia402_servo import Cia402Servo
@@ -16,7 +17,6 @@ from drivers.errors import ConfigurationError, DeviceError, LinkError, ObjectAcc
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.power_state import POWERED, Command, State
-from drivers.mock.wires.slcan import LawicelAdapter
 from drivers.objects import ObjectAddress
 
 from .host import SCALES, Host, drive_eds, enabled, make_host, prepared

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.mock.wires.serial_line import Ports
+from benchmarks.adapters import Ports
 
 
 class Echo:

@@ -1,6 +1,6 @@
 """The Figure 10 sequence over every transport: the same nine parameters, within their intervals.
 
-python tests/long/transports.py [--seeds N] [--seconds S]
+python -m tests.long.transports [--seeds N] [--seconds S]
 
 CANopen on the simulated bus is what the others are held against. Bytes of the EPOS4 and AMT21 lines
 and of the slcan adapter go through pseudo-terminals, those of socketcand through a loopback socket,
@@ -25,11 +25,11 @@ from unittest.mock import patch
 
 import can
 
+from benchmarks.adapters import LawicelAdapter, Ports, SocketcandServer
 from drivers.can.slcan import SlcanPort
 from drivers.canopen.link import CanopenLink
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.wires.serial_line import Ports, Station
-from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.wires.serial_line import Station
 from drivers.serial_port import BytePort
 from rig.cli.entry import status
 from rig.common.tables import number, table
@@ -38,9 +38,13 @@ from rig.config.configuration import resolve
 from rig.runs.recorded_inputs import true_parameters
 from rig.wiring import connect
 from rig.wiring import connect as serial_devices
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
-from lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile
+from tests.drivers.lock_step import (
+    LockStep,
+    LockStepCan,
+    LockStepSerial,
+    count_socketcand,
+    served_meanwhile,
+)
 
 MISSES = 0.05
 _ADAPTER_BAUD = 115_200

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 import drivers.mock
+from benchmarks.adapters import RealTimeBench
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from drivers.interfaces import Measuring, ServoReadings, ServoState
@@ -24,7 +25,6 @@ from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import State
-from drivers.mock.wires.serial_line import RealTimeBench
 from rig.cli.commands.off import GOES_ON
 from rig.cli.entry import DEVICE_FAILED, DONE, status
 from rig.common import locks

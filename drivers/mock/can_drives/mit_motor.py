@@ -20,7 +20,7 @@ COMMAND, REPLY = 0x001, 0x011
 
 MOTOR: Final = 1
 COMMUNICATION_LOST: Final = 0xD
-ENTER, LEAVE, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFB))
+ENTER, LEAVE, CLEAR_ERROR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFB))
 _POSITION_RAD: Final = 62.5
 _SPEED_RAD_S: Final = 240.0
 _TORQUE_N_M: Final = 1.0
@@ -43,7 +43,7 @@ class MitMotor(CanDrive):
     def _on_command(self, data: bytes) -> None:
         if len(data) != 8:
             return
-        if data in (ENTER, LEAVE, CLEAR):
+        if data in (ENTER, LEAVE, CLEAR_ERROR):
             self.orders.append(data)
             self._obey(data)
         else:
@@ -55,7 +55,7 @@ class MitMotor(CanDrive):
         self._answer()
 
     def _obey(self, order: bytes) -> None:
-        if order == CLEAR:
+        if order == CLEAR_ERROR:
             self.fault_code = 0
         elif order == LEAVE:
             self._switch(False)
