@@ -123,7 +123,7 @@ def told(bench: str, frames: list[RawFrame]) -> str:
             assert (values["SpeedAhead"], values["TorqueAhead"]) == (0.0, 0.0)
         else:
             assert message.name == "Command"  # Never Clear_Errors, Estop or Reboot.
-            special = {mit_motor.ENTER: "E", mit_motor.LEAVE: "L"}.get(frame.data)
+            special = {mit_motor.MIT_ENTER: "E", mit_motor.MIT_LEAVE: "L"}.get(frame.data)
             story += special or "T"
             if special is None:
                 assert abs(math.degrees(values["Position"]) / 100) < 6.0
@@ -179,7 +179,7 @@ def test_checking_changes_nothing(
         assert all(identifier & REMOTE_FLAG for identifier in drive.received)
     else:
         assert isinstance(drive, mit_motor.MitMotor)
-        assert set(drive.orders) == {mit_motor.LEAVE}  # The only way to ask it.
+        assert set(drive.orders) == {mit_motor.MIT_LEAVE}  # The only way to ask it.
 
 
 def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton], None]) -> Outcome:
@@ -310,7 +310,7 @@ LOST = {
         odrive.HEARTBEAT, odrive.SET_STATE, odrive.SET_MODE, odrive.INPUT_POS, odrive.ESTIMATES,
         odrive.ESTIMATES | REMOTE_FLAG, odrive.IQ, odrive.BUS, odrive.SET_LIMITS, 0x080,
     ],
-    "mit_mini": [mit_motor.COMMAND, mit_motor.REPLY, 0x080],
+    "mit_mini": [mit_motor.MIT_COMMAND, mit_motor.MIT_REPLY, 0x080],
 }  # fmt: skip
 
 

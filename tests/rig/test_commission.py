@@ -18,7 +18,7 @@ import pytest
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
-from drivers.mock.mistakes import MISTAKES
+from drivers.mock.faults import MISTAKES
 from rig.cli.entry import status
 from rig.commissioning.commission import STEPS, patched
 from rig.commissioning.moving import SMALL_DEG

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.errors import LinkError
 from drivers.mock.drive import DRIVE_EDS, Homing
-from drivers.mock.mistakes import MISTAKES
+from drivers.mock.faults import MISTAKES
 from drivers.mock.plant.machine import SimulatedMachine
 from rig.cli.entry import status
 from rig.common.sample import Sample

@@ -15,12 +15,12 @@ from drivers.mock.sampler import Sampler
 from drivers.mock.wires.bus import SimulatedBus
 
 MIT_DBC: Final = Path(__file__).with_name("mit_motor.dbc")
-COMMAND, REPLY = 0x001, 0x011
+MIT_COMMAND, MIT_REPLY = 0x001, 0x011
 """CAN identifiers."""
 
 MOTOR: Final = 1
 COMMUNICATION_LOST: Final = 0xD
-ENTER, LEAVE, CLEAR_ERROR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFB))
+MIT_ENTER, MIT_LEAVE, MIT_CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0xFB))
 _POSITION_RAD: Final = 62.5
 _SPEED_RAD_S: Final = 240.0
 _TORQUE_N_M: Final = 1.0
@@ -38,12 +38,12 @@ class MitMotor(CanDrive):
 
     def boot(self) -> None:
         """Start receiving, as after power-on."""
-        self._port.listen(COMMAND, self._on_command)
+        self._port.listen(MIT_COMMAND, self._on_command)
 
     def _on_command(self, data: bytes) -> None:
         if len(data) != 8:
             return
-        if data in (ENTER, LEAVE, CLEAR_ERROR):
+        if data in (MIT_ENTER, MIT_LEAVE, MIT_CLEAR):
             self.orders.append(data)
             self._obey(data)
         else:
@@ -55,9 +55,9 @@ class MitMotor(CanDrive):
         self._answer()
 
     def _obey(self, order: bytes) -> None:
-        if order == CLEAR_ERROR:
+        if order == MIT_CLEAR:
             self.fault_code = 0
-        elif order == LEAVE:
+        elif order == MIT_LEAVE:
             self._switch(False)
         elif not self.fault_code:
             self._switch(True)
@@ -73,7 +73,7 @@ class MitMotor(CanDrive):
         heat = min(max(round(reading.temperature_C), 0), 0xFF)
         body = position << 24 | speed << 12 | torque
         self._port.send(
-            REPLY, bytes([state << 4 | MOTOR]) + body.to_bytes(5, "big") + bytes([heat, heat])
+            MIT_REPLY, bytes([state << 4 | MOTOR]) + body.to_bytes(5, "big") + bytes([heat, heat])
         )
 
 

@@ -13,7 +13,7 @@ import click
 
 from drivers.clock import Clock
 from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
-from drivers.mock.mistakes import MISTAKES
+from drivers.mock.faults import MISTAKES
 from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
