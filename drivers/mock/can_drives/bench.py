@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from drivers.clock import SimulatedClock
-from drivers.mock.can_drives.base import CanDrive
+from drivers.mock.candr import CanDrive
 from drivers.mock.can_drives.mit_motor import MIT_DBC, MitMotor
 from drivers.mock.can_drives.odrive import ODRIVE_DBC, ODriveAxis
 from drivers.mock.encoder import SimulatedEncoder

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import ClassVar, Final
 
 from drivers.clock import SimulatedClock
-from drivers.mock.can_drives.base import CanDrive
+from drivers.mock.candr import CanDrive
 from drivers.mock.sampler import Sampler
 from drivers.mock.wires.bus import SimulatedBus
 

@@ -14,7 +14,7 @@ from typing import ClassVar, Final
 
 from drivers.can.port import REMOTE_FLAG
 from drivers.clock import SimulatedClock
-from drivers.mock.can_drives.base import CanDrive
+from drivers.mock.candr import CanDrive
 from drivers.mock.sampler import Sampler
 from drivers.mock.wires.bus import SimulatedBus, Timer
 
