@@ -18,8 +18,9 @@ import pytest
 import rig.wiring.connect
 from drivers.can.port import REMOTE_FLAG
 from drivers.interfaces import RawFrame
-from drivers.mock.can_drives import mit_motor, odrive
-from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
+from drivers.mock import candr
+from drivers.mock import candr as odrive
+from drivers.mock.candr import SimulatedCanBench, simulated_can_bench
 from rig.cli.entry import status
 from rig.common.sample import Phase
 from rig.config.bench import load_bench
@@ -91,7 +92,7 @@ def run(bench: str, sequence: str) -> list[RawFrame]:
 @cache
 def independent_decoder(bench: str) -> Any:
     return cantools.database.load_file(
-        odrive.ODRIVE_DBC if bench == "odrive_can" else mit_motor.MIT_DBC
+        odrive.ODRIVE_DBC if bench == "odrive_can" else candr.MIT_DBC
     )
 
 
@@ -123,7 +124,7 @@ def told(bench: str, frames: list[RawFrame]) -> str:
             assert (values["SpeedAhead"], values["TorqueAhead"]) == (0.0, 0.0)
         else:
             assert message.name == "Command"  # Never Clear_Errors, Estop or Reboot.
-            special = {mit_motor.MIT_ENTER: "E", mit_motor.MIT_LEAVE: "L"}.get(frame.data)
+            special = {candr.MIT_ENTER: "E", candr.MIT_LEAVE: "L"}.get(frame.data)
             story += special or "T"
             if special is None:
                 assert abs(math.degrees(values["Position"]) / 100) < 6.0
@@ -178,8 +179,8 @@ def test_checking_changes_nothing(
     if isinstance(drive, odrive.ODriveAxis):
         assert all(identifier & REMOTE_FLAG for identifier in drive.received)
     else:
-        assert isinstance(drive, mit_motor.MitMotor)
-        assert set(drive.orders) == {mit_motor.MIT_LEAVE}  # The only way to ask it.
+        assert isinstance(drive, candr.MitMotor)
+        assert set(drive.orders) == {candr.MIT_LEAVE}  # The only way to ask it.
 
 
 def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton], None]) -> Outcome:
@@ -234,7 +235,7 @@ def test_a_stop_in_any_phase_ends_without_power(
     assert outcome.ending is Ending.STOPPED, outcome.message
     assert outcome.safe.verified
     drive = made[0].drive
-    assert isinstance(drive, odrive.ODriveAxis | mit_motor.MitMotor)
+    assert isinstance(drive, odrive.ODriveAxis | candr.MitMotor)
     assert not drive.powered
     assert drive.fault_code == 0
     last = sent_to_drive("run")[-1]
@@ -286,7 +287,7 @@ def test_a_host_that_falls_silent_is_noticed_by_the_drive(
         devices.prepare(document.value.cycle_s)
         devices.servo.enable()
         drive, clock = made[0].drive, made[0].clock
-        assert isinstance(drive, odrive.ODriveAxis | mit_motor.MitMotor)
+        assert isinstance(drive, odrive.ODriveAxis | candr.MitMotor)
         assert drive.powered
         clock.sleep_until_ns(clock.now_ns() + 150_000_000)
         assert not drive.powered
@@ -310,7 +311,7 @@ LOST = {
         odrive.HEARTBEAT, odrive.SET_STATE, odrive.SET_MODE, odrive.INPUT_POS, odrive.ESTIMATES,
         odrive.ESTIMATES | REMOTE_FLAG, odrive.IQ, odrive.BUS, odrive.SET_LIMITS, 0x080,
     ],
-    "mit_mini": [mit_motor.MIT_COMMAND, mit_motor.MIT_REPLY, 0x080],
+    "mit_mini": [candr.MIT_COMMAND, candr.MIT_REPLY, 0x080],
 }  # fmt: skip
 
 
