@@ -29,7 +29,7 @@ from drivers.mock.bench import (
     simulated_bench,
     simulated_dbc_bench,
 )
-from drivers.mock.candr import SimulatedCanBench, simulated_can_bench
+from drivers.mock.can_drives import SimulatedCanBench, simulated_can_bench
 from drivers.mock.drive import Rating
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort

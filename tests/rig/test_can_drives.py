@@ -18,9 +18,8 @@ import pytest
 import rig.wiring.connect
 from drivers.can.port import REMOTE_FLAG
 from drivers.interfaces import RawFrame
-from drivers.mock import candr
-from drivers.mock import candr as odrive
-from drivers.mock.candr import SimulatedCanBench, simulated_can_bench
+from drivers.mock import can_drives
+from drivers.mock.can_drives import SimulatedCanBench, simulated_can_bench
 from rig.cli.entry import status
 from rig.common.sample import Phase
 from rig.config.bench import load_bench
@@ -92,7 +91,7 @@ def run(bench: str, sequence: str) -> list[RawFrame]:
 @cache
 def independent_decoder(bench: str) -> Any:
     return cantools.database.load_file(
-        odrive.ODRIVE_DBC if bench == "odrive_can" else candr.MIT_DBC
+        can_drives.ODRIVE_DBC if bench == "odrive_can" else can_drives.MIT_DBC
     )
 
 
@@ -124,7 +123,7 @@ def told(bench: str, frames: list[RawFrame]) -> str:
             assert (values["SpeedAhead"], values["TorqueAhead"]) == (0.0, 0.0)
         else:
             assert message.name == "Command"  # Never Clear_Errors, Estop or Reboot.
-            special = {candr.MIT_ENTER: "E", candr.MIT_LEAVE: "L"}.get(frame.data)
+            special = {can_drives.MIT_ENTER: "E", can_drives.MIT_LEAVE: "L"}.get(frame.data)
             story += special or "T"
             if special is None:
                 assert abs(math.degrees(values["Position"]) / 100) < 6.0
@@ -155,8 +154,8 @@ def test_an_odrive_gets_each_order_once_and_no_other(
     # Off; then twice the mode, closed loop, and off again.
     assert re.fullmatch("I+(MRI+){2}", story), story
     drive = made[0].drive
-    assert isinstance(drive, odrive.ODriveAxis)
-    assert odrive.CLEAR not in drive.received
+    assert isinstance(drive, can_drives.ODriveAxis)
+    assert can_drives.CLEAR not in drive.received
     assert not drive.powered
 
 
@@ -176,11 +175,11 @@ def test_checking_changes_nothing(
     assert status(["check", bench]) == 0
     assert "state of the drive: switch on disabled" in capsys.readouterr().out
     drive = made[0].drive
-    if isinstance(drive, odrive.ODriveAxis):
+    if isinstance(drive, can_drives.ODriveAxis):
         assert all(identifier & REMOTE_FLAG for identifier in drive.received)
     else:
-        assert isinstance(drive, candr.MitMotor)
-        assert set(drive.orders) == {candr.MIT_LEAVE}  # The only way to ask it.
+        assert isinstance(drive, can_drives.MitMotor)
+        assert set(drive.orders) == {can_drives.MIT_LEAVE}  # The only way to ask it.
 
 
 def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton], None]) -> Outcome:
@@ -235,16 +234,16 @@ def test_a_stop_in_any_phase_ends_without_power(
     assert outcome.ending is Ending.STOPPED, outcome.message
     assert outcome.safe.verified
     drive = made[0].drive
-    assert isinstance(drive, odrive.ODriveAxis | candr.MitMotor)
+    assert isinstance(drive, can_drives.ODriveAxis | can_drives.MitMotor)
     assert not drive.powered
     assert drive.fault_code == 0
     last = sent_to_drive("run")[-1]
-    if last.identifier == odrive.SET_STATE:
+    if last.identifier == can_drives.SET_STATE:
         assert last.data == b"\1\0\0\0"
 
 
 @pytest.mark.parametrize(
-    ("bench", "code"), [("odrive_can", odrive.NOT_CALIBRATED), ("mit_mini", 0xA)]
+    ("bench", "code"), [("odrive_can", can_drives.NOT_CALIBRATED), ("mit_mini", 0xA)]
 )
 def test_a_fault_in_the_middle_ends_the_run_and_is_named(
     bench: str, code: int, sequence: str, made: list[SimulatedCanBench]
@@ -263,18 +262,18 @@ def test_a_fault_in_the_middle_ends_the_run_and_is_named(
 def test_an_odrive_in_error_is_cleared_once_where_it_is_asked_for(
     sequence: str, made: list[SimulatedCanBench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    boot = odrive.ODriveAxis.boot
+    boot = can_drives.ODriveAxis.boot
 
-    def faulty(self: odrive.ODriveAxis) -> None:
-        self.fault_code = odrive.NOT_CALIBRATED
+    def faulty(self: can_drives.ODriveAxis) -> None:
+        self.fault_code = can_drives.NOT_CALIBRATED
         boot(self)
 
-    monkeypatch.setattr(odrive.ODriveAxis, "boot", faulty)
+    monkeypatch.setattr(can_drives.ODriveAxis, "boot", faulty)
     options = ["--yes", "--bench", "odrive_can"]
     assert status(["run", sequence, *options, "--out", "refused"]) == 4
     assert status(["run", sequence, *options, "--reset-fault", "--out", "run"]) == 0
     drives = [bench.drive for bench in made]
-    cleared = [drive.received.get(odrive.CLEAR, 0) for drive in drives]
+    cleared = [drive.received.get(can_drives.CLEAR, 0) for drive in drives]
     assert cleared == [0, 1]
 
 
@@ -287,7 +286,7 @@ def test_a_host_that_falls_silent_is_noticed_by_the_drive(
         devices.prepare(document.value.cycle_s)
         devices.servo.enable()
         drive, clock = made[0].drive, made[0].clock
-        assert isinstance(drive, odrive.ODriveAxis | candr.MitMotor)
+        assert isinstance(drive, can_drives.ODriveAxis | can_drives.MitMotor)
         assert drive.powered
         clock.sleep_until_ns(clock.now_ns() + 150_000_000)
         assert not drive.powered
@@ -299,19 +298,19 @@ def test_an_estop_of_someone_else_shows_as_a_fault(made: list[SimulatedCanBench]
     with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
         devices.prepare(document.value.cycle_s)
         devices.servo.enable()
-        made[0].bus.attach().send(odrive.ESTOP, b"")
+        made[0].bus.attach().send(can_drives.ESTOP, b"")
         clock = made[0].clock
         clock.sleep_until_ns(clock.now_ns() + 30_000_000)
         assert devices.servo.state().value == "fault"
-        assert devices.servo.fault().code == odrive.ESTOP_REQUESTED
+        assert devices.servo.fault().code == can_drives.ESTOP_REQUESTED
 
 
 LOST = {
     "odrive_can": [
-        odrive.HEARTBEAT, odrive.SET_STATE, odrive.SET_MODE, odrive.INPUT_POS, odrive.ESTIMATES,
-        odrive.ESTIMATES | REMOTE_FLAG, odrive.IQ, odrive.BUS, odrive.SET_LIMITS, 0x080,
+        can_drives.HEARTBEAT, can_drives.SET_STATE, can_drives.SET_MODE, can_drives.INPUT_POS, can_drives.ESTIMATES,
+        can_drives.ESTIMATES | REMOTE_FLAG, can_drives.IQ, can_drives.BUS, can_drives.SET_LIMITS, 0x080,
     ],
-    "mit_mini": [candr.MIT_COMMAND, candr.MIT_REPLY, 0x080],
+    "mit_mini": [can_drives.MIT_COMMAND, can_drives.MIT_REPLY, 0x080],
 }  # fmt: skip
 
 
@@ -366,15 +365,15 @@ def test_an_odrive_adds_the_torque_of_feed_forward(
     assert all(
         tracking_rms(one) > 1.3 * tracking_rms(other) for one, other in zip(plain, fed, strict=True)
     )
-    database = cantools.database.load_file(odrive.ODRIVE_DBC)
+    database = cantools.database.load_file(can_drives.ODRIVE_DBC)
     running, added = False, []
     for frame in sent_to_drive("run"):
         if frame.identifier & REMOTE_FLAG:
             continue
         values = database.decode_message(frame.identifier, frame.data, decode_choices=False)
-        if frame.identifier == odrive.SET_STATE:
-            running = values["State"] == odrive.CLOSED_LOOP
-        elif frame.identifier == odrive.INPUT_POS:
+        if frame.identifier == can_drives.SET_STATE:
+            running = values["State"] == can_drives.CLOSED_LOOP
+        elif frame.identifier == can_drives.INPUT_POS:
             added.append(values["TorqueAhead"])
             assert running or not values["TorqueAhead"]
     assert max(added) > 0.07 > -0.07 > min(added)  # Friction alone takes 0.068 N m at the motor.

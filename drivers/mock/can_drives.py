@@ -1,6 +1,11 @@
-"""Base class of simulated drives with their own CAN frames: power stage, target, watchdog.
+"""Simulated drives with the CAN frames of known products, and their bench: ODrive's CAN Simple
+protocol (``odrive.dbc``, node 3) and MIT-style packed frames (``mit_motor.dbc``).
 
-The subclasses pack frames with their own code, not with the codec under test.
+The drives pack frames with their own code, not with the codec under test. The ODrive sends its
+values in answer to remote frames, and the heartbeat without a request; its messages Estop (no
+data), Reboot and Clear_Errors (one byte, ignored) act by their arrival. The MIT-style motor receives
+position, speed, two gains and torque in one frame of eight bytes and answers with one frame; orders
+are special values of the same frame.
 """
 
 from __future__ import annotations
