@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from identification.recording import Array, Dataset, Recording
+from identification.recording import Dataset, Recording
+from rig.config.sequence import Array
 from rig.planning.reference import Reference
 from rig.runs.run_record import Weighing
 from rig.weighing.friction_level import friction_level
