@@ -3,9 +3,9 @@ protocol (``odrive.dbc``, node 3) and MIT-style packed frames (``mit_motor.dbc``
 
 The drives pack frames with their own code, not with the codec under test. The ODrive sends its
 values in answer to remote frames, and the heartbeat without a request; its messages Estop (no
-data), Reboot and Clear_Errors (one byte, ignored) act by their arrival. The MIT-style motor receives
-position, speed, two gains and torque in one frame of eight bytes and answers with one frame; orders
-are special values of the same frame.
+data), Reboot and Clear_Errors (one byte, ignored) act by their arrival. The MIT-style motor
+receives position, speed, two gains and torque in one frame of eight bytes and answers with one
+frame; orders are special values of the same frame.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from rig.runs.recorder import Recorder
 from rig.runs.run_file import Journal
 from rig.runs.run_record import Verdict
 from rig.terminal.stop_button import OperatorStopError, StopButton
-from rig.weighing.scale import Scale, measured_level
+from rig.weighing.weight_check import Scale, measured_level
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.off import BEFORE_PROMPT

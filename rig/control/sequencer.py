@@ -16,7 +16,7 @@ from rig.runs.recorder import Recorder
 from rig.runs.run_file import Journal
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError
-from rig.weighing.scale import Scale
+from rig.weighing.weight_check import Scale
 from rig.wiring.devices import Devices
 from rig.wiring.preflight import RESET_HINT
 from rig.wiring.steps import words_of

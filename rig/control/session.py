@@ -48,7 +48,7 @@ from rig.runs.run_record import (
     RunRecord,
 )
 from rig.terminal.stop_button import StopButton
-from rig.weighing.scale import Scale
+from rig.weighing.weight_check import Scale
 from rig.wiring.bench_text import unprotected
 from rig.wiring.connect import connect, device_files
 from rig.wiring.devices import Devices

@@ -19,9 +19,7 @@ from identification.recording import Dataset, Recording
 from rig.config.sequence import Array
 from rig.planning.reference import Reference
 from rig.runs.run_record import Verdict, Weighing
-from rig.weighing.friction_level import FrictionLevel, friction_level
-from rig.weighing.label_check import joint_torque
-from rig.weighing.weight_check import TOLERANCE
+from rig.weighing.weight_check import TOLERANCE, FrictionLevel, friction_level, joint_torque
 
 FALSE_ALARM = 1e-4
 """Probability that half cycles with independent normal errors and no change give an alarm."""

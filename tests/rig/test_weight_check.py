@@ -22,9 +22,16 @@ from rig.planning.reference import NEEDED, Reference, load_reference, moment_per
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import bench_constants, read_record
 from rig.runs.run_record import Verdict
-from rig.weighing.friction_level import FrictionLevel, friction_level
-from rig.weighing.label_check import comparable, off_label
-from rig.weighing.weight_check import LoadedLevel, suspects, tolerance_kg, weigh
+from rig.weighing.weight_check import (
+    FrictionLevel,
+    LoadedLevel,
+    comparable,
+    friction_level,
+    off_label,
+    suspects,
+    tolerance_kg,
+    weigh,
+)
 
 BENCH = bench_constants(load_bench("practical").value)
 TRUE = {
