@@ -25,7 +25,7 @@ from rig.runs.recorder import Recorder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
-from rig.wiring.steps import words_of
+from rig.wiring.off import words_of
 from rig.wiring.teardown import SafeState
 
 

@@ -18,7 +18,7 @@ from rig.control.safety import Check
 from rig.planning.predicted_load import breakaway_speed, friction_model
 from rig.runs.run import bench_constants
 from rig.wiring.braking import brake
-from rig.wiring.steps import Steps
+from rig.wiring.off import Steps
 
 HOLD_S: Final = 0.5
 DRIFT_DEG: Final = 0.2

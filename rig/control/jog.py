@@ -21,8 +21,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import only_here, require_within_own, require_written
-from rig.wiring.off import OffProof
-from rig.wiring.steps import words_of
+from rig.wiring.off import OffProof, words_of
 from rig.wiring.teardown import attempt_all, give_back, make_safe
 
 SPEED_MARGIN = 2.0

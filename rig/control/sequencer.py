@@ -18,8 +18,8 @@ from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError
 from rig.weighing.weight_check import Scale
 from rig.wiring.devices import Devices
+from rig.wiring.off import words_of
 from rig.wiring.preflight import RESET_HINT
-from rig.wiring.steps import words_of
 from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 

@@ -19,8 +19,8 @@ from typing import Final
 from drivers.clock import NS, Clock
 from drivers.errors import DeviceError, LinkError
 from drivers.interfaces import Servo, ServoState
+from rig.wiring.off import Steps
 from rig.wiring.runaway import SIGNS, Runaway, RunawayError, Seen
-from rig.wiring.steps import Steps
 
 BRAKING_TIMEOUT_S: Final = 1.0
 STATE_INTERVAL_S: Final = 0.005

@@ -9,8 +9,7 @@ from typing import Any
 from drivers.clock import NS, Clock
 from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.wiring.braking import brake as brake_with_ramp
-from rig.wiring.off import HANDS_OFF, PATIENCE_S, OffProof, Proof, seen_words
-from rig.wiring.steps import Steps
+from rig.wiring.off import HANDS_OFF, PATIENCE_S, OffProof, Proof, Steps, seen_words
 
 DISABLE_ATTEMPTS = 2
 INSISTENT_ATTEMPTS = 5

@@ -20,7 +20,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "rig.wiring.teardown": ("tests/rig/test_teardown.py",),
     "rig.wiring.braking": ("tests/rig/test_braking.py",),
     "rig.wiring.runaway": ("tests/rig/test_runaway.py",),
-    "rig.wiring.steps": ("tests/rig/test_teardown.py", "tests/rig/test_braking.py"),
+    "rig.wiring.off": ("tests/rig/test_teardown.py", "tests/rig/test_braking.py"),
     "rig.control.safety": ("tests/rig/test_safety.py",),
     "rig.wiring.drive_limits": ("tests/rig/test_drive_limits.py",),
     "rig.terminal.stop_button": ("tests/rig/test_stop_button.py",),

@@ -30,8 +30,8 @@ from rig.wiring.braking import (
     grown,
     next_state,
 )
+from rig.wiring.off import Steps
 from rig.wiring.runaway import SIGNS, Runaway, RunawayError, Seen
-from rig.wiring.steps import Steps
 from rig.wiring.teardown import SafeState, make_safe
 from tests.drivers.dbc_host import DbcHost, make_dbc_host
 from tests.drivers.dbc_host import enabled as enabled_dbc

@@ -23,8 +23,7 @@ from rig.runs.run_file import read_record
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
-from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, WINDOW_S, OffProof
-from rig.wiring.steps import Steps
+from rig.wiring.off import DECAY_WINDOWS, PATIENCE_S, WINDOW_S, OffProof, Steps
 from rig.wiring.teardown import SafeState, make_safe
 
 from .benches import variant
