@@ -18,9 +18,8 @@ from rig.config.configuration import Document
 from rig.control.readings import Readings, reading_findings, take_readings
 from rig.control.session import DEVICES, describe_devices
 from rig.planning.plan import bench_limits, servo_limits
-from rig.wiring.bench_text import Watcher, watcher
 from rig.wiring.connect import device_files
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, Watcher, watcher
 from rig.wiring.off import BEFORE_PROMPT, HANDS_OFF
 from rig.wiring.preflight import bench_findings, device_findings
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.sample import Phase, Sample
 from rig.config.sequence import approach
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import Operator, Verb
-from rig.control.phases import Event
 from rig.planning.feedforward import Compensator
 from rig.planning.hot_fire import Regulator, hot_fire_words
 from rig.planning.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage, with_mass
@@ -24,6 +24,51 @@ from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.off import BEFORE_PROMPT
 from rig.wiring.preflight import require_ready
+
+
+class Event(Enum):
+    """How a phase ended."""
+
+    DONE = "done"
+    FIRST_PASS = "first pass"
+    NEXT_REPEAT = "next repeat"
+    NEXT_STAGE = "next stage"
+    REPEAT_STAGE = "repeat stage"
+
+
+TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
+    (Phase.LOAD, Event.DONE): Phase.PREPARE,
+    (Phase.LOAD, Event.REPEAT_STAGE): Phase.LOAD,
+    (Phase.PREPARE, Event.DONE): Phase.ENABLE,
+    (Phase.ENABLE, Event.DONE): Phase.APPROACH,
+    (Phase.ENABLE, Event.FIRST_PASS): Phase.FIRST_PASS,
+    (Phase.FIRST_PASS, Event.DONE): Phase.WEIGH,
+    (Phase.WEIGH, Event.DONE): Phase.APPROACH,
+    (Phase.WEIGH, Event.FIRST_PASS): Phase.FIRST_PASS,
+    (Phase.APPROACH, Event.DONE): Phase.SETTLE,
+    (Phase.SETTLE, Event.DONE): Phase.EXCITE,
+    (Phase.EXCITE, Event.DONE): Phase.HOLD,
+    (Phase.HOLD, Event.NEXT_REPEAT): Phase.APPROACH,
+    (Phase.HOLD, Event.DONE): Phase.RELEASE,
+    (Phase.RELEASE, Event.DONE): Phase.BOUNDARY,
+    (Phase.BOUNDARY, Event.NEXT_STAGE): Phase.LOAD,
+    (Phase.BOUNDARY, Event.REPEAT_STAGE): Phase.LOAD,
+    (Phase.BOUNDARY, Event.DONE): Phase.FINISHED,
+}
+
+
+def next_phase(phase: Phase, event: Event) -> Phase:
+    """Return the next phase by the transition table.
+
+    Raises:
+        ValueError: The table has no such transition; the message states phase and event.
+    """
+    try:
+        return TRANSITIONS[phase, event]
+    except KeyError:
+        raise ValueError(
+            f"no transition from phase {phase.value!r} on event {event.value!r}"
+        ) from None
 
 
 class WeightError(Exception):

@@ -19,8 +19,7 @@ from rig.planning.plan import Plan
 from rig.terminal.control_socket import ControlSocket
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import watcher_of
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, watcher_of
 
 _BAR = 12
 

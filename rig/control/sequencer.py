@@ -8,8 +8,13 @@ from drivers.errors import DeviceError, DriveFault
 from rig.common.errors import StorageError
 from rig.common.sample import Phase
 from rig.control.cycle import Cycle, TripError
-from rig.control.phase_handlers import Console, PhaseHandlers, StartingPoint, WeightError
-from rig.control.phases import next_phase
+from rig.control.phase_handlers import (
+    Console,
+    PhaseHandlers,
+    StartingPoint,
+    WeightError,
+    next_phase,
+)
 from rig.control.safety import Check, Trip
 from rig.planning.plan import Plan
 from rig.runs.recorder import Recorder

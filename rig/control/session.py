@@ -49,9 +49,8 @@ from rig.runs.run_record import (
 )
 from rig.terminal.stop_button import StopButton
 from rig.weighing.weight_check import Scale
-from rig.wiring.bench_text import unprotected
 from rig.wiring.connect import connect, device_files
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, unprotected
 from rig.wiring.drive_limits import only_here
 
 MEDIA_YAML = "application/yaml"

@@ -16,7 +16,7 @@ from .mutant_runner import Verdict, judge
 
 ROOT = Path(__file__).resolve().parents[2]
 TARGETS: Mapping[str, tuple[str, ...]] = {
-    "rig.control.phases": ("tests/rig/test_phases.py",),
+    "rig.control.phase_handlers": ("tests/rig/test_phases.py",),
     "rig.wiring.teardown": ("tests/rig/test_teardown.py",),
     "rig.wiring.braking": ("tests/rig/test_braking.py",),
     "rig.wiring.runaway": ("tests/rig/test_runaway.py",),

@@ -9,7 +9,7 @@ import itertools
 import pytest
 
 from rig.common.sample import Phase
-from rig.control.phases import TRANSITIONS, Event, next_phase
+from rig.control.phase_handlers import TRANSITIONS, Event, next_phase
 
 TABLE = {
     ("load", "done"): "prepare",

@@ -21,7 +21,7 @@ from rig.config.serial_bus import UNWATCHED_SHARE
 from rig.control.readings import NOT_AVAILABLE, Readings, reading_findings
 from rig.planning.limits import Limits
 from rig.planning.plan import bench_limits
-from rig.wiring.bench_text import Watcher, bench_line, watcher, watcher_of
+from rig.wiring.devices import Watcher, bench_line, watcher, watcher_of
 
 from .benches import variant
 

@@ -23,8 +23,8 @@ from rig.config.serial_bus import NO_WATCHDOG
 from rig.control.check import describe, examine
 from rig.results.run.page.limits import read_attachments
 from rig.runs.mcap.reader import read_run
-from rig.wiring.bench_text import watcher, watcher_of
 from rig.wiring.connect import connect, servo_data
+from rig.wiring.devices import watcher, watcher_of
 from rig.wiring.preflight import device_findings, require_startable
 from rig.wiring.scales import servo_scales
 

@@ -12,9 +12,8 @@ from rig.common.errors import Cause
 from rig.common.places import require_file, write_asked
 from rig.config.bench import load_bench
 from rig.control.check import describe, examine, require_connectable
-from rig.wiring.bench_text import bench_line, watcher
 from rig.wiring.connect import connect
-from rig.wiring.ownership import say_taken_over
+from rig.wiring.devices import bench_line, say_taken_over, watcher
 
 
 @click.command("check")

@@ -44,9 +44,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import bench_line, unprotected
-from rig.wiring.devices import Devices
-from rig.wiring.ownership import say_taken_over
+from rig.wiring.devices import Devices, bench_line, say_taken_over, unprotected
 from rig.wiring.preflight import require_startable
 
 RECORD_FILE = COMMISSION_JSON

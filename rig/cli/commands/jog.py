@@ -26,9 +26,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
-from rig.wiring.bench_text import unprotected
-from rig.wiring.devices import Devices
-from rig.wiring.ownership import say_taken_over
+from rig.wiring.devices import Devices, say_taken_over, unprotected
 from rig.wiring.preflight import require_startable
 from rig.wiring.teardown import observed
 

@@ -19,7 +19,7 @@ from rig.config.configuration import Document
 from rig.control.off import Off, given_up, make_off
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import bench_line
+from rig.wiring.devices import bench_line
 
 ENDS_S: Final = 0.7
 """Time for the present attempt after the second Ctrl-C, s."""

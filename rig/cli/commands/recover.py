@@ -17,7 +17,7 @@ from rig.common.tables import table
 from rig.results.run.go_on import go_on_words
 from rig.results.run.report import REPORT_FILE
 from rig.runs.recover import damaged_name, mend
-from rig.wiring.ownership import until_the_end
+from rig.wiring.devices import until_the_end
 
 
 @click.command("recover")

@@ -32,7 +32,7 @@ from rig.runs.run_record import FEEDFORWARD_INPUT, RunRecord
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.ownership import say_taken_over, until_the_end
+from rig.wiring.devices import say_taken_over, until_the_end
 from rig.wiring.preflight import require_startable
 
 

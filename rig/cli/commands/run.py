@@ -39,8 +39,7 @@ from rig.runs.run import bench_constants, create_folder, require_space, require_
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import bench_line
-from rig.wiring.ownership import say_taken_over, until_the_end
+from rig.wiring.devices import bench_line, say_taken_over, until_the_end
 from rig.wiring.preflight import require_startable
 
 

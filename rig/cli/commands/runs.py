@@ -285,7 +285,7 @@ def accept(
     from rig.common.locks import hold_folder
     from rig.common.places import require_file, write_asked
     from rig.results.acceptance.limits import limits_for
-    from rig.wiring.ownership import until_the_end
+    from rig.wiring.devices import until_the_end
 
     require_file(json_file, "--json")
     require_file(junit_file, "--junit")
