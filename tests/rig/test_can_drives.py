@@ -307,10 +307,10 @@ def test_an_estop_of_someone_else_shows_as_a_fault(made: list[SimulatedCanBench]
 
 LOST = {
     "odrive_can": [
-        getattr(can_drives, name)
-        for name in ["HEARTBEAT", "SET_STATE", "SET_MODE", "INPUT_POS", "ESTIMATES", "IQ", "BUS", "SET_LIMITS"]
-    ]
-    + [can_drives.ESTIMATES | REMOTE_FLAG, 0x080],
+        *(can_drives.HEARTBEAT, can_drives.SET_STATE, can_drives.SET_MODE, can_drives.INPUT_POS),
+        *(can_drives.ESTIMATES, can_drives.ESTIMATES | REMOTE_FLAG, can_drives.IQ, can_drives.BUS),
+        *(can_drives.SET_LIMITS, 0x080),
+    ],
     "mit_mini": [can_drives.MIT_COMMAND, can_drives.MIT_REPLY, 0x080],
 }  # fmt: skip
 

@@ -17,8 +17,6 @@ from rig.cli import entry as cli
 from rig.cli.crash import drive_words, note_drive, noting_folder
 from rig.cli.entry import BAD_INPUT, CRASHED, DEVICE_FAILED, STOPPED, status
 from rig.common.errors import InputError, StorageError
-from rig.runs.run_record import RUN_FILE
-from rig.wiring.teardown import SafeState
 
 from .command import assert_in_words, rig
 
@@ -177,18 +175,6 @@ def test_the_words_of_a_later_exception_come_first() -> None:
     assert drive_words(second) == OFF
 
 
-def test_an_exception_that_carries_the_state_of_the_drive_says_it() -> None:
-    error = ValueError("unforeseen")
-    error.safe = SafeState(verified=True, state="switch on disabled")  # type: ignore[attr-defined]
-    assert drive_words(error) == OFF
-
-
-@pytest.mark.parametrize("command", ["run", "resume", "jog"])
-def test_a_command_that_moves_says_where_nothing_is_known(command: str) -> None:
-    words = crash.report(ValueError("unforeseen"), [command], command)
-    assert "switch the main supply of a real bench off" in words
-
-
 def test_the_traceback_goes_to_the_run_folder(tmp_path: Path) -> None:
     run = tmp_path / "run"
     run.mkdir()
@@ -196,21 +182,6 @@ def test_the_traceback_goes_to_the_run_folder(tmp_path: Path) -> None:
         raise ValueError("unforeseen")
     assert str(run) in crash.report(noted.value, ["run"], "run")
     assert len(list(run.glob("crash-*.txt"))) == 1
-
-
-def test_a_run_folder_on_the_command_line_is_the_place_too(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    run.mkdir()
-    (run / RUN_FILE).write_text("{}", encoding="utf-8")
-    crash.report(ValueError("unforeseen"), ["identify", "x" * 5000, "\0", "run"], "identify")
-    assert len(list(run.glob("crash-*.txt"))) == 1
-    assert crash.RUN_FILE == RUN_FILE
-
-
-def test_two_in_one_second_do_not_write_over_each_other(tmp_path: Path) -> None:
-    for _ in range(2):
-        crash.report(ValueError("unforeseen"), ["effects"], "effects")
-    assert len(list(tmp_path.glob("crash-*.txt"))) == 2
 
 
 def test_where_the_folder_cannot_be_written_it_is_a_temporary_file(
@@ -257,18 +228,6 @@ def test_the_process_ends_with_its_own_status(tmp_path: Path, body: str) -> None
     assert "rig effects: the program broke down: " in ended.stderr
     kept = next(tmp_path.glob("crash-*.txt")).read_text(encoding="utf-8")
     assert "Traceback (most recent call last)" in kept
-
-
-def test_an_object_that_fails_as_it_goes_is_not_shown(tmp_path: Path) -> None:
-    body = "type('Owner', (), {'__del__': lambda self: 1 / 0})(); return 'all'"
-    ended = rig("effects", folder=tmp_path, entry=EFFECTS.format(body=body))
-    assert_in_words(ended)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "all\n", "")
-
-
-def test_every_status_has_a_name_of_its_own() -> None:
-    names = ("DONE", "BAD_VERDICT", "BAD_INPUT", "STOPPED", "DEVICE_FAILED", "CRASHED")
-    assert [getattr(cli, name) for name in names] == [0, 1, 2, 3, 4, 5]
 
 
 def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:

@@ -5,7 +5,6 @@ Real kills: tests/long.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 from collections.abc import Iterator
@@ -21,18 +20,13 @@ from drivers.interfaces import Measuring, ServoMotion, ServoReadings, ServoState
 from drivers.mock.faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
-    ALIVE,
-    READY,
     REPORT_FILE,
-    SILENCE_S,
-    TOOK_OVER,
     Cause,
     Deed,
     Ward,
     report,
     stop,
     watch,
-    words_of,
 )
 from rig.wiring.teardown import SafeState
 
@@ -149,25 +143,6 @@ def test_it_remembers_the_drive_the_folder_and_the_limit() -> None:
         0.5,
     )
     assert ward.armed is False
-
-
-def test_without_a_limit_it_waits_a_fifth_of_a_second() -> None:
-    ward = Ward()
-    assert (ward.drive, ward.folder, ward.armed) == ({}, None, False)
-    assert ward.limit_s == SILENCE_S == 0.2
-
-
-def test_the_words_of_the_two_programs() -> None:
-    """Both sides must be of one version: the guard waits for these bytes."""
-    assert (READY, TOOK_OVER) == (b"ready\n", b"took over\n")
-    assert ALIVE == b"alive\n"
-    assert [cause.value for cause in Cause] == [
-        "released",
-        "gone",
-        "left",
-        "silent",
-        "handed over",
-    ]
 
 
 def test_the_guard_stands_by_before_power_and_until_it_is_verified_off(host: SerialHost) -> None:
@@ -325,11 +300,6 @@ def test_a_link_that_cannot_be_opened_is_opened_again_and_again() -> None:
     assert [failure.safe.problems for failure in told] == [("no such port",)] * 3
 
 
-def test_nobody_has_to_be_told_of_a_failure() -> None:
-    servo: Any = Stuck(reachable=False)
-    assert stop(servo, servo.clock, patience_s=0.001).attempts == 2
-
-
 def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> None:
     LineFaults(moving(host).line, host.bench.clock).cut(None)
     deed = stop(host.servo, host.bench.clock, patience_s=5.0)
@@ -368,23 +338,6 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
         "seconds": 0.0512,
         "message": words,
     }
-
-
-@pytest.mark.parametrize(
-    ("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "gave no sign of life for 0.25 s")]
-)
-def test_what_was_done_in_words(cause: Cause, why: str) -> None:
-    ward = Ward({"name": "the drive"}, limit_s=0.25)
-    words = (
-        f"guardian: the program that drove the drive {why}; "
-        "after 0.05 s the drive is de-energised (read back: switch on disabled)"
-    )
-    assert words_of(OFF, ward, cause) == report(OFF, ward, cause) == words
-
-
-def test_a_deed_cannot_be_changed() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        OFF.attempts = 1  # type: ignore[misc]
 
 
 def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:

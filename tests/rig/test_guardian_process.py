@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 import rig.wiring.guardian as guardian
-from drivers.clock import RealClock, SimulatedClock
+from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
 from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.units import ServoScales
@@ -291,57 +291,6 @@ def test_after_a_takeover_it_stands_by_for_the_next_power(
     assert ("lock", [7, 9], "the guardian of a program that died") in process.did
 
 
-class Recorder:
-    """Takes the place of classes, and notes how they are used."""
-
-    def __init__(self) -> None:
-        self.made: dict[str, tuple[Any, ...]] = {}
-        self.opened: list[bool] = []
-
-    def of(self, name: str) -> Callable[..., Any]:
-        outer = self
-
-        class Made:
-            def __init__(self, *arguments: Any) -> None:
-                outer.made[name] = arguments
-
-            def add_node(self, *arguments: Any) -> str:
-                outer.made["node"] = arguments
-                return "the node"
-
-            def open(self) -> None:
-                outer.opened.append(True)
-
-        return Made
-
-
-def test_the_drive_is_reached_through_the_port_that_is_open(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    notes = Recorder()
-    for name in ("EposSerialLink", "Cia402Servo", "InheritedPort"):
-        monkeypatch.setattr(guardian, name, notes.of(name))
-    servo, clock = guardian.drive_on(33, guardian.Ward(json.loads(json.dumps(DRIVE))))
-    assert isinstance(clock, RealClock)
-    linked_clock, connect, name = notes.made["EposSerialLink"]
-    assert linked_clock is clock
-    assert name == "EPOS4 at /dev/some"
-    assert notes.made["InheritedPort"] == (33,)
-    connect()
-    opened: list[Any] = []
-    monkeypatch.setattr(guardian, "PySerialPort", lambda *a, **k: opened.append((a, k)))
-    # A port that is gone is opened by its name; the other program may still hold its lock.
-    connect()
-    assert opened == [(("/dev/some", 1_000_000), {"exclusive": False})]
-    assert notes.made["node"] == (5, Path("/some/drive.eds"))
-    node, link, scales = notes.made["Cia402Servo"]
-    assert node == "the node"
-    assert type(link).__qualname__ == type(servo).__qualname__
-    assert scales == SCALES
-    assert hash(scales) == hash(SCALES)
-    assert notes.opened == [True]
-
-
 def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
 
@@ -353,12 +302,3 @@ def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> 
     assert guardian._wait(7, 5, 0.25) is True
     assert guardian._wait(7, 5, None) is False
     assert asked == [([5, 7], [], [], 0.25), ([5, 7], [], [], None)]
-
-
-def test_it_speaks_to_a_program_that_is_gone_without_failing() -> None:
-    reading, writing = os.pipe()
-    guardian._speak(writing, b"ready\n")
-    assert os.read(reading, 100) == b"ready\n"
-    os.close(reading)
-    guardian._speak(writing, b"ready\n")
-    os.close(writing)

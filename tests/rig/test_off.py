@@ -369,41 +369,9 @@ def test_a_live_power_stage_is_found_with_a_stated_offset(here: Path, live: None
     assert status(["check", "bench.yaml"]) == 4
 
 
-def test_check_of_a_sound_bench_says_what_was_seen(here: Path) -> None:
-    assert status(["check", "practical", "--json", "check.json"]) == 0
-    seen = json.loads(Path("check.json").read_text())["off"]
-    assert seen == {
-        "off": True,
-        "state": "switch on disabled",
-        "current_A": 0.0,
-        "motion_rad_s": 0.0,
-        "joint_read": True,
-        "doubt": "",
-    }
-
-
-@pytest.mark.parametrize("bench", BENCHES[:3])
-def test_a_jog_says_so(here: Path, stuck: None, bench: str) -> None:
-    assert status(["jog", bench, "--to", "5", "--json", "jog.json"]) == 4
-    found = json.loads(Path("jog.json").read_text())
-    assert (found["state"], found["de_energised"]) == ("failed", False)
-    assert abs(found["drive"]["current_A"]) > 1.0
-    assert "could NOT be verified" in found["message"]
-
-
 def test_a_jog_does_not_begin(here: Path, live: None) -> None:
     assert status(["jog", "practical", "--to", "5", "--json", "jog.json"]) == 4
     assert "before the jog" in json.loads(Path("jog.json").read_text())["message"]
-
-
-def test_a_run_ends_at_the_end_of_the_stage_and_keeps_it(here: Path, stuck: None) -> None:
-    assert status(["run", "two.yaml", "--yes", "--out", "out"]) == 4
-    record = read_record(Path("out"))
-    assert (record.state, record.de_energised) == ("failed", False)
-    assert [stage.state for stage in record.stages] == ["done", "planned"]
-    assert record.drive is not None
-    assert record.drive["current_A"] is not None
-    assert "do not touch the weights" in record.message
 
 
 def test_nobody_is_asked_for_a_weight(

@@ -46,12 +46,6 @@ def test_every_pair_of_phase_and_event() -> None:
         )
 
 
-def test_no_phase_and_no_event_is_without_a_place_in_the_table() -> None:
-    assert {phase.value for phase in Phase} == {word for word, _ in TABLE} | {"finished"}
-    assert {event.value for event in Event} == {word for _, word in TABLE}
-    assert len(TRANSITIONS) == len(TABLE)
-
-
 def test_every_way_to_the_end_passes_through_release() -> None:
     """The drive has power from ENABLE to RELEASE: no way from one to the end, or to a prompt,
     leaves RELEASE out.

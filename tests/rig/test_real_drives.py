@@ -174,11 +174,6 @@ def test_the_unit_of_the_speed_can_be_named(here: Path, keys: str, unit: float) 
         assert servo._scales.motor_speed_unit_rad_s == pytest.approx(unit)
 
 
-def test_two_units_of_the_speed_contradict_each_other(here: Path) -> None:
-    with pytest.raises(InputError, match=r"velocity_unit rpm and velocity_unit_rad_s 0.5 are both"):
-        load_bench(bench("Elmo", "velocity_unit: rpm, velocity_unit_rad_s: 0.5, "))
-
-
 def test_a_needed_object_is_named_with_what_it_is_for(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -232,14 +227,6 @@ def test_neither_voltage_nor_temperature_are_guessed(here: Path) -> None:
     assert (unknown.voltage_object, unknown.temperature_object) == (None, None)
     own = scales("practical")
     assert (own.voltage_object, own.temperature_object) == ((0x2100, 0), (0x2101, 0))
-
-
-def test_what_is_known_of_the_maker_is_said(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["check", bench("Technosoft")]) == 0
-    shown = capsys.readouterr().out
-    assert "known of Technosoft iPOS" in shown
-    assert "velocity_unit_counts_per_s 0.0152588" in shown
-    assert "supply 2055h and temperature 2058h are in units that differ" in shown
 
 
 def test_an_unknown_maker_is_named_with_the_nearest(here: Path) -> None:

@@ -77,19 +77,6 @@ def test_commands_never_jump(runner: Any, fake_bench: Any) -> None:
     assert np.abs(np.diff(bench.targets, 2)).max() / runner.plan.cycle_s**2 < 100
 
 
-def test_a_run_becomes_recordings(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    dataset = load_run(folder.path)
-    assert [r.name for r in dataset.recordings] == ["empty[1]", "empty[2]", "heavy"]
-    heavy = dataset.recordings[2]
-    assert (heavy.stage, heavy.weight_mass) == ("loaded", 10.0)
-    assert len(heavy.time) == 500
-    assert heavy.period == pytest.approx(0.001)
-    assert heavy.averaged == {"current", "voltage"}
-    np.testing.assert_array_equal(heavy.channels["command"], runner.plan.stages[1].targets)
-    assert heavy.contact_force == pytest.approx(10 * 10 * 9.80665)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -339,15 +326,6 @@ def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) 
     assert "could NOT be verified" in outcome.message
     assert "main supply" in outcome.message
     assert folder.record.de_energised is False
-
-
-def test_equal_runs_give_equal_samples(runner: Any, fake_bench: Any) -> None:
-    first, _ = runner(fake_bench())
-    one = read_run(first.recording)
-    first.recording.unlink()
-    second, _ = runner(fake_bench())
-    two = read_run(second.recording)
-    assert one.messages == two.messages
 
 
 class Pacer:

@@ -4,7 +4,6 @@ back.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -223,12 +222,6 @@ def test_only_what_nobody_foresaw_is_handed_on() -> None:
     assert safe(Servo({"disable": KeyboardInterrupt})).unforeseen == ()
 
 
-def test_what_the_devices_and_the_disk_say_is_foreseen() -> None:
-    for error in (LinkError("gone"), StorageError("the disk is full")):
-        found = safe(Servo({"quick_stop": lambda error=error: error}))  # type: ignore[misc]
-        assert (found.problems, found.unforeseen) == ((str(error),), ())
-
-
 def test_an_exception_that_cannot_be_shown_is_named() -> None:
     class Mute(Exception):
         def __str__(self) -> str:
@@ -301,41 +294,6 @@ def test_all_steps_are_tried_in_order() -> None:
     assert done == [1, 2]
 
 
-UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unknown; gone; full); "
-
-
-@pytest.mark.parametrize(
-    ("found", "words"),
-    [
-        (
-            SafeState(True, "fault", current_A=-0.004, motion_rad_s=0.0),
-            "the drive is de-energised (read back: fault), 0.00 A, joint at rest",
-        ),
-        (
-            SafeState(True, "fault", motion_rad_s=0.0),
-            "the drive is de-energised (read back: fault), current not reported, joint at rest",
-        ),
-        (
-            SafeState(False, "switch on disabled", (), True, (), 3.98, 0.0, "3.98 A flow"),
-            "it could NOT be verified that the drive is de-energised: 3.98 A flow; do not touch "
-            "the weights or the joint; switch the main supply off, and wait until the joint rests",
-        ),
-        (
-            SafeState(False, "unknown", ("gone", "full"), watched=False),
-            UNVERIFIED + "it has no watchdog and may go on HOLDING UNDER POWER: switch the main "
-            "supply off now",
-        ),
-        (
-            SafeState(False, "unknown", ("gone", "full")),
-            UNVERIFIED + "its own watchdog takes the power off; "
-            "switch the main supply off before approaching the bench",
-        ),
-    ],
-)
-def test_how_the_drive_was_left_in_words(found: SafeState, words: str) -> None:
-    assert found.message == words
-
-
 def test_the_record_holds_no_exceptions() -> None:
     found = SafeState(False, "off", ("p",), True, (ValueError(),), 3.98, 0.5, "it flows")
     assert found.record() == {
@@ -348,14 +306,6 @@ def test_the_record_holds_no_exceptions() -> None:
         "doubt": "it flows",
         "joint_read": None,
     }
-
-
-def test_how_the_drive_was_left_is_a_plain_value() -> None:
-    found = SafeState(True, "off", unforeseen=(ValueError("odd"),))
-    assert found == SafeState(True, "off")
-    assert "odd" not in repr(found)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        found.verified = False  # type: ignore[misc]
 
 
 class Deaf(Servo):

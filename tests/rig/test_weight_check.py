@@ -13,7 +13,6 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from identification.recording import Dataset, Recording
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
@@ -25,9 +24,7 @@ from rig.runs.run_record import Verdict
 from rig.weighing.weight_check import (
     FrictionLevel,
     LoadedLevel,
-    comparable,
     friction_level,
-    off_label,
     suspects,
     tolerance_kg,
     weigh,
@@ -96,11 +93,6 @@ def test_friction_is_measured_by_work(amplitude: float) -> None:
     assert found.path.sum() == pytest.approx(4 * amplitude, rel=0.05)
 
 
-def test_no_motion_is_no_level() -> None:
-    assert friction_level(np.zeros(5000), np.ones(5000), PERIOD_S) is None
-    assert friction_level(np.linspace(0, 1, 50), np.ones(50), PERIOD_S) is None
-
-
 @pytest.mark.parametrize("label", [0.0, 5.0, 30.6])
 def test_the_right_weight_is_right(label: float) -> None:
     found = weigh(item("a", label), REFERENCE, ())
@@ -130,13 +122,6 @@ def test_an_uncertain_reference_does_not_decide() -> None:
     found = weigh(item("a", 10.0, 5.0), vague, ())
     assert found.verdict is Verdict.UNCHECKED
     assert "uncertain by" in found.message
-
-
-def test_a_first_run_cannot_be_checked() -> None:
-    for earlier in ((), (item("empty", 0.0),), (item("a", 10.0), item("b", 10.0))):
-        found = weigh(item("heavy", 20.0, 5.0), None, earlier)
-        assert found.verdict is Verdict.UNCHECKED
-        assert "cannot be checked yet" in found.message
 
 
 @pytest.mark.parametrize("masses", [(0.0, 10.0), (10.0, 20.0), (0.0, 10.0, 20.0)])
@@ -199,11 +184,6 @@ def test_with_two_loaded_stages_both_are_named() -> None:
     stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0)]
     assert [found.stage for found in suspects(stages, None)] == ["a", "b"]
     assert "one of a, b is wrong" in suspects(stages, None)[0].message
-
-
-def test_with_a_reference_it_is_only_the_wrong_one() -> None:
-    stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0)]
-    assert [found.stage for found in suspects(stages, REFERENCE)] == ["b"]
 
 
 def test_nothing_is_named_where_all_agree_or_nothing_can_be_compared() -> None:
@@ -320,13 +300,6 @@ def test_after_the_run_the_stage_off_its_label_is_named(
     assert "warning: stage m20: its friction is that of 2" in capsys.readouterr().err
 
 
-def test_after_a_run_with_the_right_weights_nothing_is_named(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    path = sequence(tmp_path / "s.yaml", 0, 10, 20, first_pass=False)
-    assert run_hanging({}, path, "--out", str(out)) == 0
-    assert read_record(out).weights == []
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None:
     out, result = tmp_path / "out", tmp_path / "result.json"
@@ -345,12 +318,3 @@ def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None
     assert status(["identify", str(out), *quick]) == 0
     warnings = json.loads(result.read_text())["warnings"]
     assert any(words.startswith("stage m20: its friction is that of 2") for words in warnings)
-
-
-def test_a_campaign_without_comparable_masses_is_left_alone() -> None:
-    t = np.arange(0.0, 2.0, PERIOD_S)
-    one = Recording("a", {"time": t, "angle": np.sin(t), "torque": np.ones_like(t)}, BENCH)
-    assert not comparable(Dataset((one,)))
-    assert comparable(Dataset((one,)), REFERENCE)
-    linear = dataclasses.replace(one, bench=dataclasses.replace(BENCH, motion="linear"))
-    assert off_label(Dataset((linear,)), REFERENCE) == []
