@@ -8,7 +8,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from drivers.clock import SimulatedClock
 from drivers.epos.frames import DLE, ERROR, Opcode, encode
@@ -36,9 +36,21 @@ Match = Callable[[int, bool], bool]
 
 @dataclass
 class _Rule:
-    match: Match
+    match: Callable[..., bool]
     left: int | None
-    change: Callable[[int, bytes, bool], Frame | None]
+    change: Callable[..., Any]
+
+
+def _change(rules: list[_Rule], *what: object) -> Callable[..., Any] | None:
+    """Return the change by the first rule that matches, and count it; None if no rule matches."""
+    for rule in rules:
+        if rule.match(*what):
+            if rule.left is not None:
+                rule.left -= 1
+                if not rule.left:
+                    rules.remove(rule)
+            return rule.change
+    return None
 
 
 class WireFaults:
@@ -150,25 +162,12 @@ class WireFaults:
         if self._let_pass[identifier, data]:
             self._let_pass[identifier, data] -= 1
             return identifier, data
-        for rule in self._rules:
-            if rule.match(identifier, host):
-                if rule.left is not None:
-                    rule.left -= 1
-                    if not rule.left:
-                        self._rules.remove(rule)
-                return rule.change(identifier, data, host)
-        return identifier, data
+        change = _change(self._rules, identifier, host)
+        return (identifier, data) if change is None else change(identifier, data, host)
 
 
 _BROKEN_STUFFING: Final = bytes([DLE, 0x01])
 _HEAD: Final = 4
-
-
-@dataclass
-class _LineRule:
-    from_host: bool | None
-    left: int | None
-    change: Callable[[bytes, bool], bytes]
 
 
 class LineFaults:
@@ -187,7 +186,7 @@ class LineFaults:
     def __init__(self, line: SimulatedLine, clock: SimulatedClock) -> None:
         self._line = line
         self._clock = clock
-        self._rules: list[_LineRule] = []
+        self._rules: list[_Rule] = []
         self._free_ns = {True: 0, False: 0}
         line.filters.append(self._filter)
 
@@ -262,21 +261,13 @@ class LineFaults:
     def _add(
         self, from_host: bool | None, count: int, change: Callable[[bytes, bool], bytes]
     ) -> None:
-        self._rules.append(_LineRule(from_host, count or None, change))
+        match = lambda host: from_host in (None, host)  # noqa: E731
+        self._rules.append(_Rule(match, count or None, change))
 
     def _filter(self, now: int, data: bytes, host: bool) -> bytes:
-        data = self._changed(data, host)
+        if data and (change := _change(self._rules, host)) is not None:
+            data = change(data, host)
         return self._hold(data, host, now) if data and now < self._free_ns[host] else data
-
-    def _changed(self, data: bytes, host: bool) -> bytes:
-        for rule in self._rules:
-            if data and rule.from_host in (None, host):
-                if rule.left is not None:
-                    rule.left -= 1
-                    if not rule.left:
-                        self._rules.remove(rule)
-                return rule.change(data, host)
-        return data
 
 
 _MODE_DISPLAY = key(0x6061)

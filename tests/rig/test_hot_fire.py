@@ -365,10 +365,8 @@ def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
 
     folder = Path("silent")
     folder.mkdir()
-    with (
-        connect(bench, 0, False, attach) as devices,
-        RunProgress(plan.cycle_s, plan.duration_s) as progress,
-    ):
+    progress = RunProgress(plan.cycle_s, plan.duration_s)
+    with connect(bench, 0, False, attach) as devices:
         inputs = Inputs(bench, sequence, 0, False)
         _, outcome = execute(
             inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress

@@ -169,16 +169,15 @@ def _move(
     bench: Bench, jog: Jog, devices: Devices, stop: StopButton, screen: Screen, reset_fault: bool
 ) -> Outcome:
     span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
-    with RunProgress(bench.cycle_s, len(jog.angles) * span / jog.speed, screen) as progress:
-        return move(
-            jog,
-            bench,
-            devices,
-            stop,
-            progress,
-            lambda words, good: screen.say(words, err=not good),
-            reset_fault,
-        )
+    return move(
+        jog,
+        bench,
+        devices,
+        stop,
+        RunProgress(bench.cycle_s, len(jog.angles) * span / jog.speed, screen),
+        lambda words, good: screen.say(words, err=not good),
+        reset_fault,
+    )
 
 
 def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +16,10 @@ from rig.common.errors import InputError
 from rig.common.locks import hold_folder
 from rig.common.places import require_file
 from rig.common.provenance import utc_now
-from rig.control.attendance import connected, require_attendance
-from rig.control.operator import operator_for
-from rig.control.remote import RunProgress, observed, reachable
-from rig.control.session import Inputs, execute
+from rig.control.attendance import carry_out, require_attendance
+from rig.control.session import Inputs
 from rig.planning.feedforward import Feedforward, load_feedforward
-from rig.planning.plan import Plan, make_plan
+from rig.planning.plan import make_plan
 from rig.planning.predicted_load import PredictedLoad, friction_model
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
@@ -30,9 +27,7 @@ from rig.runs.resume import prepare, stopped_words
 from rig.runs.run import bench_constants, first_unfinished, require_space
 from rig.runs.run_record import FEEDFORWARD_INPUT, RunRecord
 from rig.terminal.prompt import at_terminal
-from rig.terminal.screen import Screen
-from rig.terminal.stop_button import StopButton
-from rig.wiring.devices import say_taken_over, until_the_end
+from rig.wiring.devices import until_the_end
 from rig.wiring.preflight import require_startable
 
 
@@ -115,7 +110,19 @@ def command(
     )
     require_space(run, left.cycles)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
-    status = _carry_out(inputs, plan, left.duration_s, run, yes, in_console, json_file)
+    status = carry_out(
+        inputs,
+        plan,
+        run,
+        "rig resume",
+        yes=yes,
+        in_console=in_console,
+        left_s=left.duration_s,
+        patience_s=resumed.bench.value.prompt_timeout_s,
+        conclude=lambda folder, outcome, screen: conclude(
+            folder, outcome, reference, json_file, screen
+        ),
+    )
     return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
@@ -123,39 +130,3 @@ def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Fee
     """Return the feed-forward with which the run was started, or None."""
     stated = record.inputs.get(FEEDFORWARD_INPUT)
     return None if stated is None else load_feedforward(recorded_input(run, stated), constants)
-
-
-def _carry_out(
-    inputs: Inputs,
-    plan: Plan,
-    left_s: float,
-    run: Path,
-    yes: bool,
-    in_console: bool,
-    json_file: Path | None,
-) -> int:
-    """Connect, continue in the run's folder, and report the outcome; return the exit status."""
-    bench = inputs.bench
-    screen = Screen()
-    screen.silence()
-    with (
-        closing(screen),
-        StopButton(screen.say) as stop,
-        reachable(stop, screen, inputs, plan, run, in_console) as control,
-    ):
-        offset = inputs.feedforward is not None
-        with connected(
-            stop,
-            bench,
-            inputs.seed,
-            inputs.realtime,
-            torque_offset=offset,
-            purpose="rig resume",
-        ) as devices:
-            say_taken_over(devices.lock, screen)
-            patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
-            operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
-            with RunProgress(plan.cycle_s, left_s, screen) as progress:
-                devices = observed(devices, control, progress)
-                folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
-        return conclude(folder, outcome, inputs.reference, json_file, screen)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,8 @@ from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.config.sequence import load_sequence
-from rig.control.attendance import connected, require_attendance
-from rig.control.operator import operator_for
-from rig.control.remote import RunProgress, observed, reachable
+from rig.control.attendance import carry_out, require_attendance
+from rig.control.sequencer import Outcome
 from rig.control.session import Inputs, execute
 from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
@@ -35,11 +33,10 @@ from rig.planning.predicted_load import (
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
-from rig.runs.run import bench_constants, create_folder, require_space, require_unused
+from rig.runs.run import RunFolder, bench_constants, create_folder, require_space, require_unused
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
-from rig.terminal.stop_button import StopButton
-from rig.wiring.devices import bench_line, say_taken_over, until_the_end
+from rig.wiring.devices import bench_line, until_the_end
 from rig.wiring.preflight import require_startable
 
 
@@ -202,36 +199,31 @@ def _run(options: _Options) -> int:
 def _carry_out(
     options: _Options, inputs: Inputs, plan: Plan, path: Path, injector: FaultInjector | None
 ) -> int:
-    """Connect, run into a new folder, and report the outcome; return the exit status."""
-    bench = inputs.bench
-    screen = Screen()
-    screen.silence()
-    only_there = options.in_console
-    with (
-        noting_folder(path),
-        closing(screen),
-        StopButton(screen.say) as stop,
-        reachable(stop, screen, inputs, plan, path, only_there) as control,
-    ):
-        attach = None if injector is None else injector.attach
-        offset = inputs.feedforward is not None
-        with connected(
-            stop, bench, options.seed, options.realtime, attach, offset, "rig run"
-        ) as devices:
-            say_taken_over(devices.lock, screen)
-            until_the_end(create_folder(path, "rig run"))
-            patience_s, tolerance = options.patience_s(bench.value), bench.value.weight_tolerance
-            operator = operator_for(options.yes, screen, patience_s, tolerance, control, only_there)
-            carry_out = execute if injector is None else injector.execute
-            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
-                devices = observed(devices, control, progress)
-                folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
-        status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
+    """Run into a new folder; return the exit status."""
+    ended: list[Outcome] = []
+
+    def concluded(folder: RunFolder, outcome: Outcome, screen: Screen) -> int:
+        ended.append(outcome)
+        return conclude(folder, outcome, inputs.reference, options.json_file, screen)
+
+    with noting_folder(path):
+        status = carry_out(
+            inputs,
+            plan,
+            path,
+            "rig run",
+            yes=options.yes,
+            in_console=options.in_console,
+            left_s=plan.duration_s,
+            patience_s=options.patience_s(inputs.bench.value),
+            conclude=concluded,
+            begin=lambda: until_the_end(create_folder(path, "rig run")),
+            attach=None if injector is None else injector.attach,
+            run=execute if injector is None else injector.execute,
+        )
     if injector is not None:
-        click.echo(describe_findings(injector.conclude(status, outcome.message)))
-    if status != DONE:
-        return status
-    return accept_at_the_end(path, options.junit_file)
+        click.echo(describe_findings(injector.conclude(status, ended[-1].message)))
+    return accept_at_the_end(path, options.junit_file) if status == DONE else status
 
 
 def _dry_run(options: _Options, inputs: Inputs, load: PredictedLoad) -> int:
