@@ -9,7 +9,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -33,7 +33,6 @@ help:
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
-	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (out/fault_matrix.md)"
 	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
@@ -157,9 +156,6 @@ growth: $(VENV)/.runtime
 
 weight-check: $(VENV)/.runtime
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done
-
-transports: $(VENV)/.runtime
-	$(BIN)/python -m tests.long.transports
 
 fault-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.fault_matrix

@@ -168,20 +168,6 @@ def test_an_mit_motor_gets_its_special_frames_only_with_orders(
     assert not made[0].drive.powered
 
 
-@pytest.mark.parametrize("bench", BENCHES)
-def test_checking_changes_nothing(
-    bench: str, made: list[SimulatedCanBench], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert status(["check", bench]) == 0
-    assert "state of the drive: switch on disabled" in capsys.readouterr().out
-    drive = made[0].drive
-    if isinstance(drive, can_drives.ODriveAxis):
-        assert all(identifier & REMOTE_FLAG for identifier in drive.received)
-    else:
-        assert isinstance(drive, can_drives.MitMotor)
-        assert set(drive.orders) == {can_drives.MIT_LEAVE}  # The only way to ask it.
-
-
 def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton], None]) -> Outcome:
     """Run until ``press`` presses the button at the start of a phase."""
     document, steps = load_bench(bench), load_sequence(sequence)
@@ -291,18 +277,6 @@ def test_a_host_that_falls_silent_is_noticed_by_the_drive(
         clock.sleep_until_ns(clock.now_ns() + 150_000_000)
         assert not drive.powered
         assert drive.fault_code == drive.lost_code
-
-
-def test_an_estop_of_someone_else_shows_as_a_fault(made: list[SimulatedCanBench]) -> None:
-    document = load_bench("odrive_can")
-    with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
-        devices.prepare(document.value.cycle_s)
-        devices.servo.enable()
-        made[0].bus.attach().send(can_drives.ESTOP, b"")
-        clock = made[0].clock
-        clock.sleep_until_ns(clock.now_ns() + 30_000_000)
-        assert devices.servo.state().value == "fault"
-        assert devices.servo.fault().code == can_drives.ESTOP_REQUESTED
 
 
 LOST = {

@@ -14,7 +14,7 @@ import pytest
 
 from rig.cli import crash
 from rig.cli import entry as cli
-from rig.cli.crash import drive_words, note_drive, noting_folder
+from rig.cli.crash import note_drive, noting_folder
 from rig.cli.entry import BAD_INPUT, CRASHED, DEVICE_FAILED, STOPPED, status
 from rig.common.errors import InputError, StorageError
 
@@ -136,13 +136,6 @@ def test_what_is_foreseen_keeps_its_status_and_says_how_the_drive_was_left(
     assert not list(tmp_path.glob("crash-*"))
 
 
-def test_a_program_that_ends_itself_is_let_go(effects_raise: Raise) -> None:
-    effects_raise(SystemExit(7))
-    with pytest.raises(SystemExit) as ended:
-        status(["effects"])
-    assert ended.value.code == 7
-
-
 def test_how_the_drive_was_left_travels_with_the_exception(
     effects_raise: Raise, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -152,27 +145,6 @@ def test_how_the_drive_was_left_travels_with_the_exception(
     assert status(["effects"]) == CRASHED
     assert OFF in capsys.readouterr().err.splitlines()
     assert f"drive: {OFF}\n" in next(tmp_path.glob("crash-*.txt")).read_text(encoding="utf-8")
-
-
-def test_the_words_are_found_on_what_led_to_an_exception() -> None:
-    first = KeyError("first")
-    note_drive(first, "earlier")
-    note_drive(first, OFF)
-    assert drive_words(first) == OFF
-    second = ValueError("second")
-    second.__cause__ = first
-    assert drive_words(second) == OFF
-    assert drive_words(ExceptionGroup("both", [OSError(), second])) == OFF
-    assert drive_words(ValueError("other")) is None
-
-
-def test_the_words_of_a_later_exception_come_first() -> None:
-    first, second = KeyError("first"), ValueError("second")
-    note_drive(first, "not known")
-    note_drive(second, OFF)
-    second.__context__ = first
-    first.__context__ = second
-    assert drive_words(second) == OFF
 
 
 def test_the_traceback_goes_to_the_run_folder(tmp_path: Path) -> None:

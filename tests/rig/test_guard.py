@@ -143,16 +143,6 @@ def guard(guardian: Guardian, time: Time, tmp_path: Path, monkeypatch: pytest.Mo
     return made
 
 
-def test_it_opens_the_port_of_the_bench(guard: Guard) -> None:
-    port: Any = guard.open_port()
-    assert port.arguments == ("/dev/some", 1_000_000)
-    assert port.exclusive
-    guard.arm(0.2)
-    # The guardian has the same open file, and with it the lock.
-    again: Any = guard.open_port()
-    assert not again.exclusive
-
-
 def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
     guard: Guard, guardian: Guardian
 ) -> None:
@@ -190,17 +180,6 @@ def test_it_tells_the_drive_first_and_then_to_stand_by(
     }
     assert json.loads(armed) == {"armed": True, "limit_s": 0.25, "folder": str(tmp_path / "run")}
     assert rest == b""
-
-
-def test_the_second_time_it_tells_the_guardian_that_it_has(
-    guard: Guard, guardian: Guardian
-) -> None:
-    guard.arm(0.2)
-    guard.release()
-    guardian.heard()
-    guard.arm(0.3)
-    assert len(guardian.started) == 1
-    assert guardian.heard() == b'{"armed": true, "limit_s": 0.3}\n'
 
 
 def test_it_feeds_while_armed_and_not_more_often_than_needed(
@@ -403,18 +382,6 @@ def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
         guard.feed()
     # Armed again, it is missed again.
     missed(guard, guardian, time)
-
-
-def test_a_guardian_that_ends_after_it_did_not_listen_is_reported_as_well(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
-    missed(guard, guardian, time)
-    guardian.hears.close()
-    time.wait(0.1)
-    with pytest.raises(LinkError, match="has ended"):
-        guard.feed()
-    time.wait(0.1)
-    guard.feed()
 
 
 def answered(guard: Guard, guardian: Guardian, time: Time, seconds: float) -> None:

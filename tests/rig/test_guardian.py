@@ -278,13 +278,6 @@ def test_it_tries_five_times_a_second_as_long_as_it_takes() -> None:
     assert {failure.safe.state for failure in failures} == {"unknown"}
 
 
-def test_it_ends_after_an_attempt_when_the_drive_is_handed_over() -> None:
-    servo: Any = Stuck(reachable=False)
-    asked = iter([False, False, False, True])
-    deed = stop(servo, servo.clock, give_up=lambda: next(asked, True))
-    assert (deed.safe.verified, deed.attempts) == (False, 2)
-
-
 def test_a_link_that_cannot_be_opened_is_opened_again_and_again() -> None:
     servo: Any = Stuck()
     failures = [LinkError("no such port")] * 3
@@ -338,14 +331,3 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
         "seconds": 0.0512,
         "message": words,
     }
-
-
-def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:
-    deed = Deed(SafeState(True, "switch on disabled"), 1, 0.05)
-    words = report(deed, Ward({"name": "the drive"}, tmp_path / "gone"), Cause.GONE)
-    assert words == (
-        "guardian: the program that drove the drive is gone; after 0.05 s the drive is "
-        "de-energised "
-        "(read back: switch on disabled); guardian.json cannot be written: No such file or "
-        "directory"
-    )

@@ -179,22 +179,6 @@ def test_the_end_of_its_input_alone_ends_it(process: Process) -> None:
 STARTED = [("drive", 33, json.loads(json.dumps(DRIVE))), ("says", SPEAKING, b"ready\n")]
 
 
-def test_it_goes_when_it_is_released(process: Process) -> None:
-    process.told({"other": 1}, {"drive": DRIVE}, {"armed": True, "limit_s": 0.3}, {"armed": False})
-    assert process.ends() == 0
-    assert process.did == STARTED
-    assert process.servo.stopped == 0
-
-
-def test_it_waits_for_the_drive_to_be_named(
-    process: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lines = [b'{"drive":', b" " + json.dumps(DRIVE).encode() + b"}\n", b""]
-    monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
-    assert guardian.main() == 0
-    assert process.did == STARTED
-
-
 @pytest.mark.parametrize("left", [False, True])
 def test_it_stops_the_drive_of_a_program_that_died(process: Process, left: bool) -> None:
     process.told({"drive": DRIVE}, {"armed": True}, *([{"left": True}] if left else []))

@@ -127,13 +127,6 @@ def test_a_learned_zero_narrows_the_limit() -> None:
     assert not off.prove().off
 
 
-def test_an_alternating_current_is_told_as_rms() -> None:
-    drive = Drive(lambda t: 3.0 * math.sin(500.0 * t))
-    proof = proof_of(drive).prove()
-    assert not proof.off
-    assert proof.current_A == pytest.approx(3.0 / math.sqrt(2.0), rel=0.2)
-
-
 def test_a_decaying_current_is_waited_for() -> None:
     drive = Drive(lambda t: 5.0 * math.exp(-t / 0.005))
     assert proof_of(drive).prove().off
@@ -362,11 +355,6 @@ def test_an_offset_of_the_current_sensor_can_be_stated(
     off = json.loads(Path("check.json").read_text())["off"]
     assert off["off"] is (code == 0)
     assert off["current_A"] == pytest.approx(offset_A - stated_A, abs=0.03)
-
-
-def test_a_live_power_stage_is_found_with_a_stated_offset(here: Path, live: None) -> None:
-    variant(here, ("servo: {node: 1", "servo: {current_offset_A: 0.2, node: 1"))
-    assert status(["check", "bench.yaml"]) == 4
 
 
 def test_a_jog_does_not_begin(here: Path, live: None) -> None:

@@ -192,15 +192,6 @@ def test_a_joint_that_moves_while_its_motor_rests_is_not_proved_off(desk: Desk) 
     assert "the joint moves at" in done.message
 
 
-def test_a_joint_encoder_that_cannot_be_read_is_said(desk: Desk) -> None:
-    desk.encoder.reachable = False
-    done = desk.off()
-    assert done.proved
-    safe = done.record()["safe"]
-    assert (safe["joint_read"], safe["problems"]) == (False, ["the encoder does not answer"])
-    assert "by the motor alone, because the joint encoder could not be read" in done.message
-
-
 @pytest.mark.parametrize("eds", ["encoder.eds", "gone.eds"])
 def test_an_encoder_without_its_file_does_not_prevent_the_stop(
     eds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -255,14 +246,6 @@ def test_a_guardian_hands_over_or_is_killed(desk: Desk, obeys: bool) -> None:
     assert desk.processes.sent == sent
     assert [user.ended for user in done.users] == ["handed over" if obeys else "killed"]
     assert done.seconds < (0.5 if obeys else HANDOVER_S + 0.5)
-
-
-def test_a_guardian_that_ends_with_its_program_is_left_alone(desk: Desk) -> None:
-    desk.processes.add(RUN, "rig run", signal.SIGTERM)
-    desk.processes.add(GUARDIAN, f"python -m {MODULE} 3")
-    desk.processes.after = lambda number: desk.processes.here.clear()
-    desk.off()
-    assert desk.processes.sent == [(RUN, signal.SIGTERM)]
 
 
 def test_who_cannot_be_ended_does_not_keep_the_bench_from_being_made_safe(desk: Desk) -> None:
@@ -326,16 +309,6 @@ def test_a_port_that_is_back_while_it_is_tried_is_used(
 
     done = make_off(desk.document, say, desk.link.clock, desk.processes)
     assert (done.proved, done.attempts, desk.link.opened) == (True, 2, 1)
-
-
-def test_a_simulation_has_nothing_to_switch_off(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "off.json"
-    assert status(["off", "practical", "--json", str(file)]) == DONE
-    record = json.loads(file.read_text())
-    assert (record["proved"], record["real"], record["safe"]) == (True, False, None)
-    assert "simulation" in capsys.readouterr().out
 
 
 @pytest.fixture

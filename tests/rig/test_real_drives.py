@@ -6,7 +6,6 @@ import dataclasses
 import json
 import math
 import re
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,10 @@ from rig.config.canopen import ServoSection
 from rig.config.configuration import resolve
 from rig.config.serial_bus import NO_WATCHDOG
 from rig.control.check import describe, examine
-from rig.results.run.page.limits import read_attachments
 from rig.runs.mcap.reader import read_run
 from rig.wiring.connect import connect, servo_data
 from rig.wiring.devices import watcher, watcher_of
-from rig.wiring.preflight import device_findings, require_startable
+from rig.wiring.preflight import device_findings
 from rig.wiring.scales import servo_scales
 
 SHORT = """\
@@ -151,14 +149,6 @@ def test_objects_of_the_maker_can_be_named(here: Path) -> None:
         assert devices.servo.sample().supply_voltage_V == pytest.approx(0.0)
 
 
-def test_an_object_that_the_bench_names_must_be_there(here: Path) -> None:
-    document = load_bench(bench("EPOS4", "supply_object: [0x2200, 2], "))
-    with pytest.raises(
-        InputError, match="2200h:02h is not in the device's EDS, although the bench file"
-    ):
-        require_startable(document, date(2026, 1, 1), lambda _: None)
-
-
 @pytest.mark.parametrize(
     ("keys", "unit"),
     [
@@ -187,14 +177,6 @@ def test_a_needed_object_is_named_with_what_it_is_for(
     )
 
 
-def test_the_page_of_a_run_shows_the_limits_that_were_in_force(here: Path) -> None:
-    name = bench("Trinamic")
-    assert status(["run", "short.yaml", "--bench", name, "--yes", "--out", "o"]) == 0
-    attached = read_attachments(read_run(here / "o/recording.mcap").attachments)
-    assert attached.bench is not None
-    assert attached.bench.limits.torque_N_m == pytest.approx(45)
-
-
 def scales(name: str) -> ServoScales:
     document = load_bench(name)
     assert isinstance(document.value.servo, ServoSection)
@@ -220,18 +202,6 @@ def test_the_maker_s_units_are_used_until_the_bench_says_otherwise(here: Path) -
     assert (none.current_object, none.supply_object) == (None, (0x6079, 0))
     chosen = scales(bench("Elmo", "device: copley, "))
     assert chosen.motor_speed_unit_rad_s == pytest.approx(0.1 * 2 * math.pi / 4096)
-
-
-def test_neither_voltage_nor_temperature_are_guessed(here: Path) -> None:
-    unknown = scales(bench("Schunk"))
-    assert (unknown.voltage_object, unknown.temperature_object) == (None, None)
-    own = scales("practical")
-    assert (own.voltage_object, own.temperature_object) == ((0x2100, 0), (0x2101, 0))
-
-
-def test_an_unknown_maker_is_named_with_the_nearest(here: Path) -> None:
-    with pytest.raises(InputError, match="did you mean 'maxon_epos4'"):
-        load_bench(bench("EPOS4", "device: maxon_epos5, "))
 
 
 def test_the_eds_file_of_another_maker_is_refused(

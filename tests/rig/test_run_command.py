@@ -177,15 +177,6 @@ def test_the_prompt_insists_on_the_planned_mass(
     assert ("answer", 10.0) in events
 
 
-def test_no_answer_stops_the_run(short_sequence: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("0\n"))
-    assert run(str(short_sequence), "--out", "out") == 3
-    record = read_record(Path("out"))
-    assert (record.state, record.de_energised) == ("stopped", True)
-    assert [s.state for s in record.stages] == ["done", "stopped"]
-    assert len(load_run(Path("out")).recordings) == 2
-
-
 def test_ctrl_c_stops_at_once(short_sequence: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     handler = signal.getsignal(signal.SIGINT)
 
@@ -259,22 +250,6 @@ def test_an_operator_may_take_a_minute(runner: Any) -> None:
         assert outcome.ending.value == "done", outcome.message
         assert devices.servo.state() is ServoState.SWITCH_ON_DISABLED
     assert folder.record.stale == 0
-
-
-def test_check_reads_the_bench_and_moves_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["check", "practical", "--json", "check.json"]) == 0
-    text = capsys.readouterr().out
-    assert "simulated drive" in text
-    assert "state of the drive: switch on disabled\n" in text
-    assert text.splitlines()[-1] == "verdict: good: a run would start"
-    assert [line.split()[-3] for line in text.splitlines() if line.startswith("angle m")] == [
-        "set",
-        "set",
-    ]
-    assert "e+0" not in text
-    found = json.loads(Path("check.json").read_text())
-    assert found["schema"] == "loadrig.check/1"
-    assert found["encoder"]["product_code"] != found["servo"]["product_code"]
 
 
 def test_a_bench_without_a_bus_says_so(capsys: pytest.CaptureFixture[str]) -> None:
@@ -392,13 +367,6 @@ def test_recover_a_run_cut_off_in_its_stage(finished: Path) -> None:
     assert status(["recover", str(folder)]) == 0
 
 
-def test_recover_without_run_json(finished: Path) -> None:
-    folder = torn(finished, 0.985)
-    (folder / "run.json").unlink()
-    assert status(["recover", str(folder)]) == 0
-    assert len(load_run(folder).recordings) == 1
-
-
 def test_recover_leaves_a_whole_run_alone(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -444,19 +412,6 @@ def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(
     assert 900 < len(log.samples["time"]) < 1151
     assert status(["resume", str(holed), "--yes"]) == 0
     assert len(load_run(holed).recordings) == 1
-
-
-def test_a_hole_in_a_stopped_run_is_not_read_silently(
-    holed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    raw = json.loads((holed / "run.json").read_text())
-    raw["state"] = raw["parts"][0]["state"] = "stopped"
-    (holed / "run.json").write_text(json.dumps(raw))
-    assert status(["export", str(holed), "--out", "x.csv"]) == 2
-    assert (
-        "samples are in the recording, although the excitation was finished"
-        in capsys.readouterr().err
-    )
 
 
 def test_a_real_bench_needs_an_eds_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
