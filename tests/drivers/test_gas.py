@@ -37,7 +37,7 @@ def swing(seconds: float, period: float) -> Array:
     )
 
 
-@pytest.mark.parametrize("period", [5e-5, 1e-3, 0.05])
+@pytest.mark.parametrize("period", [1e-3, 0.05])
 def test_eq_7_burns_what_flows_out_and_what_is_stored(period: float) -> None:
     b = burn(machine(), swing(10.0, period), period)
     stored = b.pressure_Pa * b.free_volume_m3 / RT
