@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.worlds.own_plant.sampled import Sampled, SampledMachine, Sent
 from drivers.mock.plant.machine import SimulatedMachine, simulate
 from drivers.mock.plant.parts.constants import Loops, Machine, Sensing
-from drivers.mock.plant.sampled import Sampled, SampledMachine, Sent
 
 RATE_HZ = 4000.0
 QUIET = Machine(loops=Loops(rate_Hz=RATE_HZ), sensing=Sensing(0, 0, 0.0), steps_per_loop=8)

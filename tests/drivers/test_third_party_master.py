@@ -38,7 +38,14 @@ class Stepped(canopen.Network):
                 self.notify(identifier, bytearray(found), time_ns / 1e9)
 
 
-@pytest.fixture(params=MAKES)
+@pytest.fixture(
+    params=[
+        make
+        if make in ("EPOS4", "Faulhaber", "Copley")
+        else pytest.param(make, marks=pytest.mark.proof)
+        for make in MAKES
+    ]
+)
 def pair(
     request: pytest.FixtureRequest, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> Iterator[tuple[BaseNode402, SimulatedBench]]:
