@@ -38,13 +38,11 @@ class Stepped(canopen.Network):
                 self.notify(identifier, bytearray(found), time_ns / 1e9)
 
 
+OFTEN = ("EPOS4", "Faulhaber", "Copley")
+
+
 @pytest.fixture(
-    params=[
-        make
-        if make in ("EPOS4", "Faulhaber", "Copley")
-        else pytest.param(make, marks=pytest.mark.proof)
-        for make in MAKES
-    ]
+    params=[m if m in OFTEN else pytest.param(m, marks=pytest.mark.proof) for m in MAKES]
 )
 def pair(
     request: pytest.FixtureRequest, tmp_path: Path, caplog: pytest.LogCaptureFixture
