@@ -189,7 +189,7 @@ def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton],
     return outcome
 
 
-@pytest.mark.parametrize("stage", ["empty", "heavy"])
+@pytest.mark.parametrize("stage", [pytest.param("empty", marks=pytest.mark.proof), "heavy"])
 @pytest.mark.parametrize("presses", [1, 2])
 @pytest.mark.parametrize(
     "phase",

@@ -58,10 +58,14 @@ def bench(make: str, keys: str = "", packaged: str = "practical", eds: str = "")
 @pytest.mark.parametrize(
     ("make", "packaged"),
     [
-        (make, packaged)
-        for make in LACKS
-        for packaged in ("practical", "practical_serial")
-        if (make, packaged) != ("EPOS2", "practical_serial")
+        *((make, "practical") for make in LACKS),
+        *(
+            pytest.param(
+                make, "practical_serial", marks=() if make == "EPOS4" else pytest.mark.proof
+            )
+            for make in LACKS
+            if make != "EPOS2"
+        ),
     ],
 )
 def test_a_drive_of_this_make_runs_and_what_is_not_watched_is_told(
@@ -147,21 +151,6 @@ def test_objects_of_the_maker_can_be_named(here: Path) -> None:
         for _ in range(20):
             devices.link.exchange()
         assert devices.servo.sample().supply_voltage_V == pytest.approx(0.0)
-
-
-@pytest.mark.parametrize(
-    ("keys", "unit"),
-    [
-        ("velocity_unit: rpm, ", 2 * math.pi / 60),
-        ("velocity_unit: counts_per_s, ", 2 * math.pi / 4096),
-        ("velocity_unit_rad_s: 0.5, ", 0.5),
-        ("", 2 * math.pi / 4096),
-    ],
-)
-def test_the_unit_of_the_speed_can_be_named(here: Path, keys: str, unit: float) -> None:
-    with connect(load_bench(bench("Elmo", keys)), 0, realtime=False) as devices:
-        servo: Any = devices.servo
-        assert servo._scales.motor_speed_unit_rad_s == pytest.approx(unit)
 
 
 def test_a_needed_object_is_named_with_what_it_is_for(
