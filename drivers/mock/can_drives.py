@@ -89,9 +89,7 @@ class CanDrive(ABC):
         self._latched = self._sampler.latch(self._clock.now_ns())
 
     def _target(self, motor_rad: float, torque_N_m: float = 0.0) -> None:
-        """Follow a target and add a torque at the motor; the drive reaches the target after the
-        time since the last target, in whole milliseconds.
-        """
+        """Reach a target after the time since the last one, ms, and add a torque at the motor."""
         now = self._clock.now_ns()
         step_ns = min(max(round((now - self._fed_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
         self._fed_ns = now
@@ -105,9 +103,7 @@ class CanDrive(ABC):
         self._machine.feed(torque_N_m / self._machine.constants.motor.torque_constant_N_m_A)
 
     def _reading(self) -> Reading:
-        """Return the reading that was taken at the last command, or a new reading if the last
-        command is too old.
-        """
+        """Return the reading at the last command, or a new one if that is too old."""
         now = self._clock.now_ns()
         return self._latched if now - self._fed_ns < _IDLE_NS else self._sampler.peek(now)
 

@@ -154,10 +154,7 @@ def _moves(
     own: list[ServoLimits],
     off: OffProof,
 ) -> tuple[Ending, str, BaseException | None]:
-    """Make the moves; return how they ended.
-
-    The drive's limits are stored in ``own`` when they have been read.
-    """
+    """Make the moves; return how they ended; ``own`` receives the drive's limits."""
     servo, wanted = devices.servo, servo_limits(jog.limits, bench)
     try:
         stop.check()

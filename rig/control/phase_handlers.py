@@ -275,14 +275,7 @@ class PhaseHandlers:
         return Event.DONE
 
     def _prove_units(self) -> None:
-        """Compare the reports of the devices with each other and with the bench file.
-
-        The comparison takes milliseconds, during which the drive holds the position. If the joint
-        has hardly moved, the comparison continues in the next pass.
-
-        Raises:
-            ConfigurationError: A unit, sign, ratio or constant is wrong.
-        """
+        """Compare the reports of the devices; after too little motion, go on in the next pass."""
         if self.cycle.units is None:
             return
         proof = self.cycle.units.require()
@@ -297,12 +290,7 @@ class PhaseHandlers:
         self.cycle.resume()
 
     def _weigh(self) -> Event:
-        """Compare the friction measured at low amplitude with the confirmed mass, while the drive
-        holds the position.
-
-        The comparison takes milliseconds, far less than the drive's heartbeat time-out. If the
-        joint did not move, no comparison is possible, and a pass with larger amplitude follows.
-        """
+        """Compare friction at low amplitude with the mass; without motion, ask for another pass."""
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
         undecided = level is None or self.cycle.units is not None

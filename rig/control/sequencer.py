@@ -172,9 +172,7 @@ class Sequencer:
         return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None
 
     def _announce(self, outcome: Outcome) -> tuple[BaseException, ...]:
-        """Show and record the final state of the drive at once, before a further failure is
-        possible.
-        """
+        """Show and record the final state of the drive, before a further failure is possible."""
         ending = outcome.ending
         return attempt_all(
             lambda: self._operator.result(

@@ -187,9 +187,7 @@ def _half_cycles(recording: Recording) -> Iterator[_HalfCycle]:
 
 
 def _excess(pieces: Sequence[_Piece], mass: float, reference: Reference | None) -> Array | None:
-    """Return by how much each piece's load is above the mean of its kind, kg, shape (n,), or None
-    if the friction of a kind is not positive.
-    """
+    """Return each piece's load above the mean of its kind, kg, or None without friction."""
     excess = np.zeros(len(pieces))
     for kind in {piece.kind for piece in pieces}:
         mine = [k for k, piece in enumerate(pieces) if piece.kind == kind]

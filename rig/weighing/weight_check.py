@@ -196,11 +196,7 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the straight line of friction over mass through the
-    other stages; true if these determine no line.
-
-    A stage with too large a standard error agrees with any line.
-    """
+    """Whether each loaded stage agrees with the line through the others, or none exists."""
     for item in items:
         others = [other for other in items if other is not item]
         if not item.weight_kg or len({other.weight_kg for other in others}) < 2:

@@ -176,9 +176,7 @@ def seen_words(current_A: float | None, motion_rad_s: float | None, joint_read: 
 
 @dataclass
 class _Window:
-    """Readings of one window: currents, A; times, s, and angles, rad, of motor and joint; errors of
-    the encoder.
-    """
+    """Readings of one window: currents, A; times, s, and angles, rad; errors of the encoder."""
 
     currents: list[float] = field(default_factory=list)
     motor: list[tuple[float, float]] = field(default_factory=list)
@@ -282,9 +280,7 @@ class OffProof:
                 return
 
     def _window(self, steps: Steps) -> _Window:
-        """Read for :data:`WINDOW_S`, but at least :data:`LEAST_READINGS` times; a reading that
-        fails, or lacks a value, is repeated, up to :data:`_FAILURES` times.
-        """
+        """Read for the time and number of readings of a window; repeat readings that fail."""
         window, failures, count = _Window(), 0, 0
         begin_ns = self._clock.now_ns()
         while failures < _FAILURES and (
@@ -325,9 +321,7 @@ class OffProof:
         return Proof(state, current, motion, self._doubt(state, current, motion, window), read)
 
     def _angles(self, window: _Window) -> list[tuple[list[tuple[float, float]], float]]:
-        """Return times and joint angles of the window by each encoder, and the change of the angle
-        that its resolution explains, rad.
-        """
+        """Return times and joint angles by each encoder, and what its resolution explains, rad."""
         measuring = self._servo.measuring()
         motor = [(at, angle / measuring.gear_ratio) for at, angle in window.motor]
         found = [(motor, measuring.joint_step_rad)]
@@ -405,9 +399,7 @@ def _stated(currents: list[float], zero_A: float) -> float | None:
 
 
 def _speed(angles: list[tuple[float, float]], slack_rad: float) -> float | None:
-    """Return the speed, rad/s, between the two halves of a window, less the travel that the
-    resolution of the encoder explains; None if there are too few angles.
-    """
+    """Return the speed, rad/s, between both halves, less the resolution; None without angles."""
     if len(angles) < LEAST_READINGS:
         return None
     half = len(angles) // 2

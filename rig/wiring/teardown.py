@@ -88,9 +88,7 @@ class SafeState:
 
 
 def _repeat(steps: Steps, watch: Callable[[], object], clock: Clock) -> None:
-    """Run control cycles for :data:`REPEATED_S`, also after cycles that failed: the process data of
-    each cycle contain the last command. Errors of devices are not stored.
-    """
+    """Run cycles for :data:`REPEATED_S`: their process data contain the last command."""
     cycles = Steps()
     end_ns = clock.now_ns() + round(REPEATED_S * NS)
     for _ in range(MOST_REPEATED):

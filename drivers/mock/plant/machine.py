@@ -527,9 +527,7 @@ class SimulatedMachine:
         )
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
-        """Return the next ``count`` noise samples, equal to those that ``count`` single loop
-        periods draw.
-        """
+        """Return the next noise samples, as single loop periods would draw them."""
         left = self._noise[self._noise_at :]
         if count <= len(left):
             self._noise_at += count
