@@ -16,7 +16,7 @@ import pytest
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoMotion, ServoReadings, ServoState
+from drivers.interfaces import ServoState
 from drivers.mock.faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
@@ -31,6 +31,7 @@ from rig.wiring.guardian import (
 from rig.wiring.teardown import SafeState
 
 from ..drivers.serial_host import SerialHost, make_serial_host
+from .drives import FakeDrive
 
 ARMED = b'{"armed": true, "folder": "/somewhere"}\n'
 RELEASED = b'{"armed": false}\n'
@@ -201,7 +202,7 @@ def test_it_goes_on_trying_while_the_line_is_dead(host: SerialHost) -> None:
     assert 8.0 < deed.seconds < 16.0
 
 
-class Stuck:
+class Stuck(FakeDrive):
     """A drive that brakes for ever, or that cannot be reached; notes when it is told what, s."""
 
     def __init__(self, reachable: bool = True) -> None:
@@ -209,42 +210,18 @@ class Stuck:
         self.reachable = reachable
         self.told: list[tuple[str, float]] = []
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
+        if verb == "glance":
+            self.clock.sleep_until_ns(self.clock.now_ns() + NS // 1000)
+            return
         self.told.append((verb, self.clock.now_ns() / NS))
         if not self.reachable:
             raise LinkError("gone")
-
-    prepared = False
-
-    def sent_state(self) -> ServoState | None:
-        return None
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self._do("quick stop")
-
-    def disable(self) -> None:
-        self._do("disable")
-
-    def glance(self) -> ServoReadings:
-        self.clock.sleep_until_ns(self.clock.now_ns() + NS // 1000)
-        return ServoReadings(0.0, current_A=0.0)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
-
-    def state(self) -> ServoState:
-        self._do("state")
-        return (
+        self.power = (
             ServoState.SWITCH_ON_DISABLED
             if ("disable", 1.0) in self.told
             else ServoState.QUICK_STOP_ACTIVE
         )
-
-    def motion(self) -> ServoMotion:
-        return ServoMotion()
-
-    def promised_deceleration(self) -> float:
-        return 1.0
 
 
 def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
@@ -252,7 +229,7 @@ def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
     failures: list[Deed] = []
     deed = stop(servo, servo.clock, failed=failures.append)
     assert [told for told in servo.told if told[0] != "state"] == [
-        ("quick stop", 0.0),
+        ("quick_stop", 0.0),
         ("disable", 1.0),
     ]
     assert (deed.safe.verified, deed.attempts) == (True, 1)
@@ -271,7 +248,7 @@ def test_it_tries_five_times_a_second_as_long_as_it_takes() -> None:
             servo.told.append(("disable", 1.0))
 
     deed = stop(servo, servo.clock, failed=failed)
-    tries = [seconds for verb, seconds in servo.told if verb == "quick stop"]
+    tries = [seconds for verb, seconds in servo.told if verb == "quick_stop"]
     assert tries[:3] == [0.0, 0.201, 0.402]
     assert (deed.safe.verified, deed.safe.watched) == (True, False)
     assert deed.attempts == len(failures) + 1 == len(tries) > 4900

@@ -18,8 +18,9 @@ import pytest
 import rig.wiring.guardian as guardian
 from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.units import ServoScales
+
+from .drives import FakeDrive
 
 SCALES = ServoScales(
     4096, 100.0, 15.0, 0.45, sign=-1, voltage_object=(0x2200, 1), temperature_object=(0x3201, 2)
@@ -37,7 +38,7 @@ SPEAKING = 4711
 OFF = "the drive is de-energised (read back: switch on disabled), 0.00 A, joint at rest"
 
 
-class Servo:
+class Servo(FakeDrive):
     """A drive that can be reached after so many attempts."""
 
     def __init__(self, failures: int = 0) -> None:
@@ -45,29 +46,12 @@ class Servo:
         self.stopped = 0
         self.asked: Callable[[], None] = lambda: None
 
-    prepared = False
-
-    def sent_state(self) -> ServoState | None:
-        return None
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self.stopped += 1
-        if self.stopped == 7:
+    def do(self, verb: str) -> None:
+        self.stopped += verb == "quick_stop"
+        if verb == "quick_stop" and self.stopped == 7:
             self.asked()
-
-    def disable(self) -> None:
-        pass
-
-    def glance(self) -> ServoReadings:
-        return ServoReadings(0.0, current_A=0.0)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
-
-    def state(self) -> ServoState:
-        if self.stopped <= self.failures:
+        if verb == "state" and self.stopped <= self.failures:
             raise LinkError("no answer")
-        return ServoState.SWITCH_ON_DISABLED
 
 
 @dataclasses.dataclass

@@ -20,7 +20,6 @@ import drivers.mock
 from benchmarks.adapters import RealTimeBench
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
@@ -38,45 +37,24 @@ from rig.wiring.connect import BareBench, bare_bench, bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, Deed, Ward, drive_on, stop
 
 from ..drivers.host import DRIVE_EDS, DRIVE_NODE, SCALES
+from .drives import FakeDrive
 from .pty_bench import PtyBench, pty_bench
 from .test_one_owner import ANGLE, rig
 
 RUN, GUARDIAN = 101, 102
 
 
-class Servo:
+class Servo(FakeDrive):
     """A drive that is off after the first order, unless it cannot be reached."""
-
-    prepared = False
 
     def __init__(self) -> None:
         self.reachable = True
-        self.leak_A = 0.0
         self.told: list[str] = []
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
         self.told.append(verb)
-        if not self.reachable:
+        if not self.reachable and verb != "glance":
             raise LinkError("no answer")
-
-    def sent_state(self) -> ServoState | None:
-        return None
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self._do("quick stop")
-
-    def disable(self) -> None:
-        self._do("disable")
-
-    def state(self) -> ServoState:
-        self._do("state")
-        return ServoState.SWITCH_ON_DISABLED
-
-    def glance(self) -> ServoReadings:
-        return ServoReadings(0.0, current_A=self.leak_A)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
 
 class Encoder:
@@ -176,7 +154,7 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Desk:
 def test_a_bench_that_nobody_uses_is_switched_off(desk: Desk) -> None:
     done = desk.off()
     assert (done.proved, done.users, done.attempts, desk.link.closed) == (True, (), 1, 1)
-    assert desk.servo.told[0] == "quick stop"
+    assert desk.servo.told[0] == "quick_stop"
     record = done.record()
     assert (record["schema"], record["real"], record["proved"]) == ("loadrig.off/1", True, True)
     assert record["safe"]["state"] == "switch on disabled"
@@ -223,7 +201,7 @@ def test_a_program_that_does_not_leave_is_killed_before_anything_is_sent(desk: D
     done = desk.off()
     assert desk.processes.sent == [(RUN, signal.SIGTERM), (RUN, signal.SIGKILL)]
     assert [user.ended for user in done.users] == ["killed"]
-    assert desk.servo.told[:2] == ["alone", "quick stop"]
+    assert desk.servo.told[:2] == ["alone", "quick_stop"]
     assert RELEASE_S <= done.seconds < RELEASE_S + 1.0
 
 
@@ -292,7 +270,7 @@ def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: De
 
 
 def test_a_drive_that_says_off_while_current_flows_is_not_proved_off(desk: Desk) -> None:
-    desk.servo.leak_A = 3.98
+    desk.servo.current = 3.98
     done = desk.off()
     assert not done.proved
     assert done.record()["safe"]["current_A"] == pytest.approx(3.98)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import Measuring, ServoLimits, ServoMotion, ServoReadings, ServoState
+from drivers.interfaces import ServoLimits, ServoMotion, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import (
     INSISTENT_ATTEMPTS,
@@ -22,6 +22,8 @@ from rig.wiring.teardown import (
     give_back,
     make_safe,
 )
+
+from .drives import FakeDrive
 
 CYCLE_NS = 10_000_000
 OFF, ON, BRAKING = (
@@ -72,17 +74,14 @@ class Clock(SimulatedClock):
         super().sleep_until_ns(time_ns)
 
 
-class Servo:
+class Servo(FakeDrive):
     """A drive under power, whose verbs raise where they are told to."""
-
-    prepared = False
 
     def __init__(self, raising: dict[str, Callable[[], BaseException]]) -> None:
         self.raising = raising
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
-        self.current = self.angle = 0.0
         self.moved = (0.0, 0.0)
         self.clock = Clock(self)
 
@@ -94,9 +93,12 @@ class Servo:
         if verb in self.raising:
             raise self.raising[verb]()
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
         self.order.append(verb)
         self.fail(verb)
+        if verb == "glance":
+            self.pass_time(NS // 1000)
+        self.power = {"quick_stop": BRAKING, "disable": OFF}.get(verb, self.power)
 
     def hurry(self) -> bool:
         self.fail("hurry")
@@ -105,39 +107,16 @@ class Servo:
     def sent_state(self) -> ServoState | None:
         return self.sent
 
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self._do("quick_stop")
-        self.power = BRAKING
-
     def watch(self) -> ServoState | None:
-        self._do("watch")
+        self.do("watch")
         self.pass_time(CYCLE_NS)
         return self.sent
-
-    def disable(self) -> None:
-        self._do("disable")
-        self.power = OFF
-
-    def state(self) -> ServoState:
-        self._do("state")
-        return self.power
-
-    def glance(self) -> ServoReadings:
-        self._do("glance")
-        self.pass_time(NS // 1000)
-        return ServoReadings(self.angle, current_A=self.current)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
     def motion(self) -> ServoMotion:
         return ServoMotion(*self.moved)
 
-    def promised_deceleration(self) -> float:
-        return 1.0
-
     def write_limits(self, limits: ServoLimits) -> None:
-        self._do("write_limits")
+        self.do("write_limits")
 
 
 def safe(servo: Any, brake: bool = True, insistent: bool = False) -> SafeState:
@@ -316,25 +295,21 @@ class Deaf(Servo):
         self.frames = frames
         self.word = ON
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
         self.order.append(verb)
+        self.word = {"quick_stop": BRAKING, "disable": OFF}.get(verb, self.word)
         self.frames -= 1
         if self.frames >= 0:
             raise LinkError("gone")
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self.word = BRAKING
-        super().quick_stop(at_once=at_once)
+        if verb == "glance":
+            self.pass_time(NS // 1000)
+        if verb in ("quick_stop", "disable", "watch"):
+            self.power = self.word
 
     def watch(self) -> ServoState | None:
         self.pass_time(CYCLE_NS)
-        self._do("watch")
-        self.power = self.word
+        self.do("watch")
         return self.sent
-
-    def disable(self) -> None:
-        self.word = OFF
-        super().disable()
 
 
 def stopped(servo: Any, insistent: bool) -> SafeState:
