@@ -1,6 +1,4 @@
-# make demo   set up, run the Figure 10 bench on the simulated bus, identify it, write the report
-# make test   set up, lint, types, import directions, tests
-# make help   the rest
+# make help   lists the targets
 
 PYTHON ?= python3
 VENV := .venv
@@ -13,40 +11,7 @@ PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 .DEFAULT_GOAL := help
 
 help:
-	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
-	@echo "make test      lint, types, import directions, tests"
-	@echo "make proofs    the tests that measure accuracy on whole benches and recordings, which make test leaves out"
-	@echo "make structure rooms, sizes and imports against their budgets"
-	@echo "make docs      build the documentation as a site (out/docs/index.html); warnings are errors"
-	@echo "make reference write the reference pages (docs/reference) from the code"
-	@echo "make docs-run  run every code block of the documentation, the long ones too"
-	@echo "make paper     the paper's figures and tables done again, 20 seeds (out/paper)"
-	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
-	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
-	@echo "make profile-coverage  how often likelihood profiles and intervals hold the truth"
-	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
-	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer, diagnoses (out/real)"
-	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds"
-	@echo "make prove     the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)"
-	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
-	@echo "make prove-worlds  the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
-	@echo "make bench     speed, as ratios within one run"
-	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
-	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
-	@echo "make fault-matrix  every fault in every phase of a run on each transport (out/fault_matrix.md)"
-	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
-	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
-	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)"
-	@echo "make moments   200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)"
-	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
-	@echo "make durand    check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects"
-	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
-	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
-	@echo "make fuzz      a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format"
-	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
-	@echo "make plan-study  what proposed experiments gain on random benches"
-	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
-	@echo "make clean     remove the virtual environment and everything generated"
+	@grep -hE '^[a-z-]+:.*## ' Makefile | sed -E 's/^([a-z-]+):.*## /make \1\t/' | expand -t 22
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -65,19 +30,19 @@ $(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	@touch $@ $(VENV)/.runtime
 
-docs: $(VENV)/.docs reference
+docs: $(VENV)/.docs reference  ## build the documentation as a site (out/docs/index.html); warnings are errors
 	$(BIN)/sphinx-build -q -b html -W --keep-going docs out/docs
 	@! grep -rlE '<(script|link|img)[^>]+(src|href)="https?://' out/docs --include='*.html' \
 	  || { echo "these pages load files from a network"; exit 1; }
 	@echo "out/docs/index.html"
 
-reference: $(VENV)/.runtime
+reference: $(VENV)/.runtime  ## write the reference pages (docs/reference) from the code
 	$(BIN)/python docs/generator
 
-docs-run: $(VENV)/.dev
+docs-run: $(VENV)/.dev  ## run every code block of the documentation, the long ones too
 	$(BIN)/python -m tests.long.docs_run
 
-demo: $(VENV)/.runtime
+demo: $(VENV)/.runtime  ## run the Figure 10 sequence on the simulated bench and identify it (runs/demo/report.html)
 	rm -rf $(DEMO)
 	$(BIN)/rig run figure10 --yes --out $(DEMO)
 	$(BIN)/rig identify $(DEMO) --method both
@@ -88,7 +53,7 @@ lint: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-structure:
+structure:  ## rooms, sizes and imports against their budgets
 	$(PYTHON) tools/structure.py
 
 # The kernels are compiled while the types are checked; the tests then need not wait for them.
@@ -98,93 +63,93 @@ kernels: $(VENV)/.dev
 	-@$(BIN)/rig identify out/kernels/run > /dev/null
 	@rm -rf out/kernels
 
-test: $(VENV)/.dev
+test: $(VENV)/.dev  ## lint, types, import directions, tests
 	@$(MAKE) --no-print-directory -j2 lint kernels
 	$(BIN)/pytest -n auto --dist worksteal -m "not proof"
 
-proofs: $(VENV)/.dev
+proofs: $(VENV)/.dev  ## the tests that measure accuracy on whole benches and recordings, which make test leaves out
 	$(BIN)/pytest -n auto --dist worksteal -m proof
 
-plan-study: $(VENV)/.runtime
+plan-study: $(VENV)/.runtime  ## what proposed experiments gain on random benches
 	$(BIN)/python benchmarks/plan_study.py --benches 20
 
-long: $(VENV)/.runtime
+long: $(VENV)/.runtime  ## time and memory of recordings from 1e4 to 3.6e7 samples
 	$(BIN)/python benchmarks/long_recording.py
 	$(BIN)/python benchmarks/long_recording.py --run
 
-paper: $(VENV)/.runtime
+paper: $(VENV)/.runtime  ## the paper's figures and tables done again, 20 seeds (out/paper)
 	$(BIN)/rig paper --out out/paper
 
-accuracy: $(VENV)/.runtime
+accuracy: $(VENV)/.runtime  ## errors and interval coverage of the default method over 20 seeds of noise
 	$(BIN)/python benchmarks/figure10_accuracy.py --seeds 20
 
-floor: $(VENV)/.runtime
+floor: $(VENV)/.runtime  ## errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)
 	$(BIN)/python benchmarks/floor.py --benches 200 --first 5000
 
-profile-coverage: $(VENV)/.runtime
+profile-coverage: $(VENV)/.runtime  ## how often likelihood profiles and intervals hold the truth
 	$(BIN)/python benchmarks/profile_coverage.py --benches 40
 
-literal: $(VENV)/.runtime
+literal: $(VENV)/.runtime  ## the literal bench, noise-free: the paper's constants and 20 random sets
 	$(BIN)/python benchmarks/literal_accuracy.py
 
-real: $(VENV)/.runtime
+real: $(VENV)/.runtime  ## the real recordings: friction ladder, closed loop, screw drives, transfer, diagnoses (out/real)
 	$(BIN)/python benchmarks/real_recordings.py
 	$(BIN)/python benchmarks/real_diagnoses.py tests/campaigns/*.yaml
 
-feedforward: $(VENV)/.runtime
+feedforward: $(VENV)/.runtime  ## tracking and energy before and after friction feed-forward, 8 seeds
 	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 200
 	$(BIN)/python benchmarks/feedforward_hidden.py
 
-prove: $(VENV)/.dev
+prove: $(VENV)/.dev  ## the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)
 	$(BIN)/rig prove --rigs $(or $(RIGS),24) --jobs 2 --out out/proof
 	$(BIN)/python -m benchmarks.worlds out/worlds $(PROVE_WORLDS) --jobs 2
 	$(BIN)/rig prove --from out/worlds --jobs 2 --out out/proof-worlds
 
-prove-gas: $(VENV)/.runtime
+prove-gas: $(VENV)/.runtime  ## the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)
 	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
 
-prove-worlds: $(VENV)/.dev
+prove-worlds: $(VENV)/.dev  ## the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)
 	for plant in own third mujoco; do \
 	  $(BIN)/python -m benchmarks.worlds out/worlds-$$plant --plant $$plant --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 && \
 	  $(BIN)/rig prove --from out/worlds-$$plant --jobs 2 --out out/proof-$$plant || exit 1; done
 
-bench: $(VENV)/.runtime
+bench: $(VENV)/.runtime  ## speed, as ratios within one run
 	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
-growth: $(VENV)/.runtime
+growth: $(VENV)/.runtime  ## how a diagnosis grows with samples and with the catalogue
 	$(BIN)/python benchmarks/diagnosis_growth.py
 
-weight-check: $(VENV)/.runtime
+weight-check: $(VENV)/.runtime  ## how often the weight check is right, on a stiff and a soft bench
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done
 
-fault-matrix: $(VENV)/.dev
+fault-matrix: $(VENV)/.dev  ## every fault in every phase of a run on each transport (out/fault_matrix.md)
 	$(BIN)/python -m tests.long.fault_matrix
 
-makes: $(VENV)/.dev
+makes: $(VENV)/.dev  ## drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing
 	$(BIN)/python -m tests.long.makes figure10
 	$(BIN)/python -m tests.long.makes faults
 	$(BIN)/python -m tests.long.makes homing
 
-kill: $(VENV)/.dev
+kill: $(VENV)/.dev  ## kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian
 	$(BIN)/python -m tests.long.kill
 	$(BIN)/python -m tests.long.guardian
 
-process-matrix: $(VENV)/.dev
+process-matrix: $(VENV)/.dev  ## adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)
 	$(BIN)/python -m tests.long.process_matrix
 
-moments: $(VENV)/.dev
+moments: $(VENV)/.dev  ## 200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)
 	$(BIN)/python -m tests.long.moments
 
-units: $(VENV)/.dev
+units: $(VENV)/.dev  ## 100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion
 	$(BIN)/python -m tests.long.units
 
-durand: $(VENV)/.dev
+durand: $(VENV)/.dev  ## check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects
 	$(BIN)/python -m tests.long.durand_peer
 
-realtime: $(VENV)/.dev
+realtime: $(VENV)/.dev  ## Figure 10 over slcan in real time, then identified; nothing else should run
 	$(BIN)/python -m tests.long.realtime
 
-console: $(VENV)/.dev
+console: $(VENV)/.dev  ## from STOP on the page to the drive read back off, and lateness with three pages
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500)
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --realtime
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --wire slcan --wire socketcand --wire dbc --wire serial
@@ -192,16 +157,16 @@ console: $(VENV)/.dev
 	$(BIN)/python benchmarks/console.py lateness
 	$(BIN)/python benchmarks/console.py lateness --making
 
-fuzz: $(VENV)/.dev
+fuzz: $(VENV)/.dev  ## a million frames or bytes for every decoder, a million EDS files, DBC files and maps; 150 000 random logs of each format
 	$(BIN)/python tests/long/fuzz.py
 	$(BIN)/python tests/long/dbc_fuzz.py
 	$(BIN)/python -m tests.long.log_shapes
 	$(BIN)/python -m tests.long.text_fuzz
 
-mutants: $(VENV)/.dev
+mutants: $(VENV)/.dev  ## small changes of the safety modules, which their tests must notice; their branch coverage
 	$(BIN)/python -m tests.long.mutants
 	$(BIN)/pytest -q --cov-branch --cov-report=term-missing $$($(BIN)/python -m tests.long.mutants --coverage)
 
-clean:
+clean:  ## remove the virtual environment and everything generated
 	rm -rf $(VENV) runs out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +

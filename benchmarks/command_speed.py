@@ -29,8 +29,7 @@ from diagnosis_growth import FULL, record
 
 import rig.config.sequence
 from drivers.mock.plant.parts.constants import Machine
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import torque_noise
+from identification.filter.likelihood import Point, torque_noise
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import pack
 from identification.recording import Model

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.joint import Joint
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Dataset

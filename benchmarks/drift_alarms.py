@@ -11,7 +11,7 @@ import argparse
 
 import numpy as np
 
-from rig.results.catalogue.trend import courses
+from rig.results.catalogue.compare import courses
 from rig.runs.catalogue.entry import Constant, Details
 
 NAMES = ("Mc", "Ms", "omega_sf", "sigma_2", "J", "mu_c", "mu_s", "omega_sL", "mu_2")

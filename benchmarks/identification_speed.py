@@ -35,8 +35,7 @@ from identification.estimate import equation_error as varpro
 from identification.estimate.default import identify
 from identification.estimate.paper_method import GENERATIONS, POPULATION, StageProblem
 from identification.filter.experiment import Experiment, Filter
-from identification.filter.likelihood import static_crossings
-from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
+from identification.filter.likelihood import HUBER_THRESHOLD, static_crossings, torque_noise
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import pack
 from identification.numerics.least_squares import huber

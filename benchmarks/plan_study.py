@@ -33,10 +33,14 @@ from rig.common.tables import table
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.results.design.document import PROPOSAL_FILE, excitation_words, proposal_text
-from rig.results.design.experiment import plan_experiment
 from rig.results.document import write_texts
-from rig.results.identify.record import identification_record, uncertainty_record
+from rig.results.identify.design import (
+    PROPOSAL_FILE,
+    excitation_words,
+    plan_experiment,
+    proposal_text,
+)
+from rig.results.identify.identify import identification_record, uncertainty_record
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
 

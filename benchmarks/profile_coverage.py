@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from identification.estimate.default import identify
-from identification.estimate.profile import crossings
+from identification.estimate.uncertainty import crossings
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.simulate.drive_loop import respond, usual_loop

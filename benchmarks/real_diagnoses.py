@@ -18,15 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.within_limits import bandwidth_of, views_and_fit, within_limits
+from identification.diagnosis.held_out import validation_rms
+from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.oracle import greedy_bic, library
 from identification.diagnosis.result import Diagnosis
-from identification.diagnosis.score.significance import trial_candidates
-from identification.diagnosis.selection.held_out import validation_rms
+from identification.diagnosis.significance import trial_candidates
+from identification.diagnosis.within_limits import bandwidth_of, views_and_fit, within_limits
 from identification.effects import MOTION
 from identification.effects.effect import Context
-from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from identification.views.view import views
 from rig.common.tables import table
@@ -43,20 +42,20 @@ def greedy(dataset: Dataset, equation: str) -> tuple[int, float, float | None]:
     on the fitted recordings and on those set aside, None without any.
     """
     fitted, aside = dataset.part("fit"), dataset.part("validate")
-    unit, bandwidth = torque_unit(fitted[0]), bandwidth_of(fitted)
-    here, nominal = views_and_fit(dataset, bandwidth)
+    bandwidth = bandwidth_of(fitted)
+    nominal = views_and_fit(dataset, bandwidth)[1]
     left_out = set(dataset.model.terms)
     terms = [t for t in MOTION if t.name not in left_out]
     names = greedy_bic(library(nominal, terms))
     added = tuple(a for name in names if (a := _best(nominal, name)) is not None)
-    free = fit(here, unit, nominal.nominal, added, nominal) if added else nominal
+    free = nominal.again(nominal.nominal, added) if added else nominal
     # Of a dozen effects the refinement within limits may end worse than it began.
-    joint = min((free, within_limits(here, unit, free)), key=lambda j: j.cost)
+    joint = min((free, within_limits(free)), key=lambda j: j.cost)
     rows = joint.stack.part(equation)
     sigma = next(e.sigma for e in joint.equations if e.name == equation)
     error = sigma * math.sqrt(float(np.mean(joint.residual[rows] ** 2)))
     others = views((*fitted, *aside), bandwidth, campaign=dataset.recordings)[len(fitted) :]
-    return len(names), error, validation_rms(joint, others, unit).get(equation)
+    return len(names), error, validation_rms(joint, others).get(equation)
 
 
 def _best(joint: Joint, name: str) -> Added | None:

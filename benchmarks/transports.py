@@ -28,8 +28,8 @@ from adapters import LawicelAdapter, RealTimeBench, SocketcandServer
 
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS, Clock, RealClock
 from drivers.epos.link import EposSerialLink
 from drivers.errors import DeviceError

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
-
-from drivers.errors import ConfigurationError
+from typing import Final, Protocol, runtime_checkable
 
 IN_PLACE: Final = frozenset({35, 37})
 """Homing methods without motion: the present position becomes the home position. 35 is the older
@@ -68,7 +66,7 @@ class HomingOffer:
         more = f" (only without motion: {self.why_not})" if self.why_not else ""
         return f"the drive can set its zero by homing, {shown}{more}"
 
-    def refusal(self, method: int) -> str:
+    def problem(self, method: int) -> str:
         """Return the reason why a homing method cannot be used, or an empty text if it can be
         used.
         """
@@ -94,8 +92,9 @@ class HomingOrder:
     acceleration_rad_s2: float
 
 
-class Homes:
-    """Interface for the homing of a drive; as implemented here, the drive cannot home."""
+@runtime_checkable
+class Homes(Protocol):
+    """A drive that can set its zero by itself; other drives lack these methods."""
 
     def homing_offer(self) -> HomingOffer:
         """Return whether the drive can home, by its EDS and by reading objects, without writing
@@ -104,7 +103,7 @@ class Homes:
         Raises:
             LinkError: The drive cannot be reached.
         """
-        return HomingOffer(why_not="this program can home only drives with the profile CiA 402")
+        ...
 
     def begin_homing(self, order: HomingOrder) -> Mapping[str, int]:
         """Write the settings of a homing, verify them, and energise the drive in homing mode,
@@ -114,20 +113,19 @@ class Homes:
             Name of each written object to the value that was read back.
 
         Raises:
-            ConfigurationError: The drive cannot home, or does not store a setting.
+            ConfigurationError: The drive does not store a setting.
             StateError: The drive is already energised, or does not activate homing mode (6061h) in
                 time; it is then de-energised.
         """
-        raise ConfigurationError(
-            f"{self.homing_offer().words}; homing method {order.method} is not executed"
-        )
+        ...
 
     def start_homing(self) -> None:
         """Put the start of the homing (controlword bit 4) into the PDO of the next exchange."""
+        ...
 
     def homing_state(self) -> HomingState:
         """Return the state of the homing at the last exchange."""
-        return HomingState.FAILED
+        ...
 
     def end_homing(self) -> tuple[int, int]:
         """Select the usual mode of operation again; the drive must be de-energised.
@@ -139,4 +137,8 @@ class Homes:
             StateError: The drive is energised.
             LinkError: The drive cannot be reached.
         """
-        return 0, 0
+        ...
+
+
+NO_HOMING: Final = HomingOffer(why_not="this program can home only drives with the profile CiA 402")
+"""Offer of a drive that is not one of :class:`Homes`."""

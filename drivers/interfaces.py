@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
-from drivers.homing import Homes
 
 
 @dataclass(frozen=True)
@@ -68,18 +67,6 @@ class SpeedRemedies:
         a speed reported as ``factor`` times the true speed; empty if no key corrects it.
         """
         return ()
-
-
-class Recognised:
-    """Evidence that a device is not the one that was assumed."""
-
-    def identity_doubts(self) -> Iterator[str]:
-        """Yield a text for each difference between the device and its description.
-
-        Raises:
-            LinkError: The device cannot be reached.
-        """
-        yield from ()
 
 
 class ServoState(Enum):
@@ -277,7 +264,41 @@ class Link(ABC):
         """Return the raw frames that were sent or received since the last call, oldest first."""
 
 
-class Servo(SpeedRemedies, Recognised, Homes, ABC):
+class Device(ABC):
+    """What every device of a bench can do."""
+
+    @abstractmethod
+    def identity(self) -> Identity:
+        """Read who it is.
+
+        Raises:
+            LinkError: The device cannot be reached, as in the other methods.
+        """
+
+    def identity_problems(self) -> Iterator[DeviceError]:
+        """Yield an error for each difference between the device and its description."""
+        yield from ()
+
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield the errors of :meth:`prepare` for a de-energised device, by read requests alone."""
+        yield from ()
+
+    def lacks(self, cycle_s: float) -> Lacks:
+        """Return the limits and measured values that the device lacks, by read requests alone."""
+        return NOTHING
+
+    @abstractmethod
+    def prepare(self, cycle_s: float) -> None:
+        """Compare units and resolution with those of the device, and map process data. A drive is
+        not energised; its cycle time is set, and its heartbeat time-out is verified by reading it
+        back (:meth:`Servo.enable` starts it and :meth:`Servo.disable` ends it).
+
+        Raises:
+            ConfigurationError: A scale, a unit or the identity differs from the bench file.
+        """
+
+
+class Servo(SpeedRemedies, Device):
     """A position servo. Only :meth:`enable` ever changes the state of the drive toward power.
 
     Attributes:
@@ -295,10 +316,6 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
     prepared: bool = False
 
     @abstractmethod
-    def identity(self) -> Identity:
-        """Read who it is."""
-
-    @abstractmethod
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h), not from a cached frame."""
 
@@ -310,15 +327,11 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
     def read_limits(self) -> ServoLimits:
         """Read the limits that are stored in the drive."""
 
-    def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits and measured values that the drive lacks. Nothing is sent."""
-        return NOTHING
-
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of the stored limits, or None if unknown. Nothing is sent."""
         return None
 
-    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+    def limit_problems(self, limits: ServoLimits) -> Iterator[DeviceError]:
         """Yield the errors that :meth:`write_limits` would raise, without sending anything."""
         yield from ()
 
@@ -373,25 +386,6 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
             0, "the drive is in fault: look up the fault on its display and in its manual"
         )
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the errors of :meth:`prepare` for a de-energised drive, by read requests alone.
-
-        Raises:
-            LinkError: The drive cannot be reached.
-        """
-        yield from ()
-
-    @abstractmethod
-    def prepare(self, cycle_s: float) -> None:
-        """Compare the units with those of the drive, map process data, set the cycle time, and
-        verify the heartbeat time-out. The drive is not energised.
-
-        The heartbeat time-out is read back; :meth:`enable` starts it and :meth:`disable` ends it.
-
-        Raises:
-            ConfigurationError: A scale, a unit or the identity differs from the bench file.
-        """
-
     @abstractmethod
     def enable(self) -> None:
         """Energise the drive and hold the present position.
@@ -443,12 +437,8 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Return the sample of the last exchange."""
 
 
-class Encoder(Recognised, ABC):
+class Encoder(Device):
     """A joint encoder."""
-
-    @abstractmethod
-    def identity(self) -> Identity:
-        """Read who it is."""
 
     def reading(self) -> float:
         """Read the joint angle, rad, by read requests alone; NaN if there is no angle.
@@ -462,37 +452,13 @@ class Encoder(Recognised, ABC):
         """Return the joint angle of one count; NaN if it is not known. Nothing is sent."""
         return math.nan
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the errors that :meth:`prepare` would raise, by read requests alone.
-
-        Raises:
-            LinkError: The encoder cannot be reached.
-        """
-        yield from ()
-
-    def lacks(self) -> Iterator[str]:
-        """Yield a text for each value that the encoder does not report, by read requests alone.
-
-        Raises:
-            LinkError: The encoder cannot be reached.
-        """
-        yield from ()
-
-    @abstractmethod
-    def prepare(self, cycle_s: float) -> None:
-        """Compare the resolution with that of the device, and map process data."""
-
     @abstractmethod
     def sample(self) -> EncoderSample:
         """Return the sample of the last exchange."""
 
 
-class PressureTransmitter(ABC):
+class PressureTransmitter(Device):
     """A pressure transmitter on the chamber of the gas generator."""
-
-    @abstractmethod
-    def identity(self) -> Identity:
-        """Read who it is."""
 
     def reading(self) -> float:
         """Read the pressure, Pa, by read requests alone; NaN if there is no pressure.
@@ -501,18 +467,6 @@ class PressureTransmitter(ABC):
             LinkError: The transmitter cannot be reached.
         """
         return math.nan
-
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the errors that :meth:`prepare` would raise, by read requests alone.
-
-        Raises:
-            LinkError: The transmitter cannot be reached.
-        """
-        yield from ()
-
-    @abstractmethod
-    def prepare(self, cycle_s: float) -> None:
-        """Compare the unit with that of the device, check its state, and map process data."""
 
     @abstractmethod
     def sample(self) -> PressureSample:

@@ -30,7 +30,15 @@ P = ParamSpec("P")
 V = TypeVar("V")
 
 
-def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
+def short_name(address: ObjectAddress) -> str:
+    """Return the name of an object in messages: 6064h, or 607Dh:01h."""
+    index, subindex = address
+    return f"{index:04X}h:{subindex:02X}h" if subindex else f"{index:04X}h"
+
+
+def problem_of(
+    act: Callable[P, object], *args: P.args, **kwargs: P.kwargs
+) -> Iterator[DeviceError]:
     """Call ``act``, and yield the error if the device or its EDS refuses the request; yield nothing
     if the request is accepted.
 
@@ -99,7 +107,13 @@ class PdoLayout:
 
 
 class ProcessChannel(ObjectAccess, Protocol):
-    """Interface of one device on a link: its objects, and its part of the cyclic exchange."""
+    """Interface of one device on a link: its objects, and its part of the cyclic exchange.
+
+    Attributes:
+        node_id: Node identifier, 1 to 127.
+    """
+
+    node_id: int
 
     @property
     def label(self) -> str:
@@ -287,8 +301,8 @@ def read_identity(objects: ObjectAccess) -> Identity:
     )
 
 
-def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
-    """Yield a text for each number of the identity object (1018h) that differs from the EDS.
+def identity_problems(channel: ProcessChannel) -> Iterator[ConfigurationError]:
+    """Yield an error for each number of the identity object (1018h) that differs from the EDS.
 
     Raises:
         LinkError: No answer.
@@ -297,14 +311,14 @@ def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
         stated = channel.stated(*address)
         found = optional(channel.read, *address) if stated else None
         if stated and found is not None and found != stated:
-            yield (
+            yield ConfigurationError(
                 f"{channel.label} reports the {what} {found:X}h, but its EDS file is for the "
                 f"{what} {stated:X}h: the device or the EDS file is the wrong one; check node "
                 "identifier and EDS file in the bench file"
             )
 
 
-def access_refusals(
+def access_problems(
     channel: ProcessChannel,
     outputs: Sequence[PdoLayout],
     inputs: Sequence[PdoLayout],
@@ -324,12 +338,12 @@ def access_refusals(
     Raises:
         LinkError: No answer.
     """
-    unmappable = list(refusal(channel.require_mappable, outputs, inputs))
+    unmappable = list(problem_of(channel.require_mappable, outputs, inputs))
     yield from unmappable
     if unmappable:
         return
     for address in dict.fromkeys((*others, *channel.accessed(outputs, inputs, watched))):
-        for error in refusal(channel.read, *address):
+        for error in problem_of(channel.read, *address):
             if not (isinstance(error, ObjectAccessError) and error.code == _WRITE_ONLY):
                 yield error
     yield from channel.unguarded(watched)

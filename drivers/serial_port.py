@@ -103,10 +103,6 @@ class InheritedPort:
 
         Bytes that are not accepted in time are dropped, because an old request must not be sent
         later.
-
-        Raises:
-            OSError: The line is gone.
-            TimeoutError: The line does not accept the bytes within :data:`WRITE_LIMIT_S`.
         """
         descriptor = self.fileno()
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
@@ -126,11 +122,6 @@ class InheritedPort:
 
     @os_errors
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes, or wait for bytes until the time-out.
-
-        Raises:
-            OSError: The line is gone.
-        """
         descriptor = self.fileno()
         ready, _, _ = select.select([descriptor], [], [], max(0.0, timeout_s))
         if not ready:
@@ -148,11 +139,6 @@ class InheritedPort:
 
     @os_errors
     def discard(self) -> None:
-        """Drop what has come in.
-
-        Raises:
-            OSError: The line is gone.
-        """
         termios.tcflush(self.fileno(), termios.TCIFLUSH)
 
     def fileno(self) -> int:
@@ -166,7 +152,6 @@ class InheritedPort:
         return self._descriptor
 
     def close(self) -> None:
-        """Close the port; safe to call twice, raises nothing."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             close_all(partial(self._drain, descriptor), partial(os.close, descriptor))

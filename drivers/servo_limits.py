@@ -15,7 +15,7 @@ from drivers.errors import (
     RangeError,
 )
 from drivers.interfaces import LimitSteps, ServoLimits
-from drivers.objects import ObjectAccess, ObjectAddress, ProcessChannel, optional, refusal
+from drivers.objects import ObjectAccess, ObjectAddress, ProcessChannel, optional, problem_of
 from drivers.units import ServoScales
 
 POSITION_MIN: Final = (0x607D, 1)
@@ -231,18 +231,18 @@ def store_limit(
     """Write one limit object and verify it by reading it back; the errors are those of
     :func:`write`.
     """
-    for error in refusal(store, drive, address, value):
+    for error in problem_of(store, drive, address, value):
         raise named(address, value, scales, error) from error
 
 
-def refusals(
+def problems(
     drive: ProcessChannel, scales: ServoScales, values: Iterable[tuple[ObjectAddress, int]]
 ) -> Iterator[DeviceError]:
     """Yield an error for each value that does not fit into its limit object, without sending
     anything.
     """
     for address, value in values:
-        for error in refusal(drive.require_fit, *address, value):
+        for error in problem_of(drive.require_fit, *address, value):
             yield named(address, value, scales, error)
 
 

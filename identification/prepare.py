@@ -383,12 +383,7 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
 
 
 def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz: float) -> None:
-    """Refuse a bandwidth that the recording's rate or length does not allow.
-
-    Raises:
-        RecordingError: The bandwidth is not between 0 and half the sample rate, or the filter is
-            longer than the recording.
-    """
+    """Raise RecordingError for a bandwidth that rate or length do not allow."""
     if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
             f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state a "
@@ -426,12 +421,7 @@ def _motion(
 
 
 def _unresolved(velocity: Array, rate: float) -> BoolArray:
-    """Mark samples at which three-point and seven-point differences disagree, because the sample
-    rate does not resolve the motion.
-
-    This test is used for channels without noise, which are not filtered: near a breakaway or a stop
-    their speed changes within microseconds.
-    """
+    """Mark samples whose three- and seven-point differences disagree: unresolved motion."""
     fine = derivative(velocity, 1.0 / rate)
     steps = np.abs(np.diff(velocity, n=7, prepend=velocity[:4], append=velocity[-3:]))
     worst = np.maximum.reduce([np.roll(steps, k) for k in range(-4, 5)])
@@ -480,17 +470,17 @@ def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
             filled = first + np.round((filled - first) / step) * step
         filled[index[on]] = values[on]
         channels[name] = filled
-    return replace(recording, channels=channels), _long(~measured)
+    holes = np.zeros(size, dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], (~measured).astype(np.int64), [0]))))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        holes[start:stop] = stop - start > SHORT_HOLE
+    return replace(recording, channels=channels), holes
 
 
 def _grid(
     time: Array, period: float
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
-    """Return the grid index of each sample, and origin and period of the grid, s.
-
-    Origin and period are those of a straight line of time stamp over index. The line is fitted
-    twice, the second time without the samples that are far from the first line.
-    """
+    """Return each sample's grid index, and origin and period of a line fitted twice, s."""
     index = np.concatenate(
         ([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))
     ).astype(np.int64)
@@ -504,12 +494,3 @@ def _grid(
         if np.sum(near) < 2:
             break
     return index, origin, period
-
-
-def _long(missing: BoolArray) -> BoolArray:
-    """Return the marks in runs of more than :data:`SHORT_HOLE` missing samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], missing.astype(np.int64), [0]))))
-    out = np.zeros(len(missing), dtype=bool)
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        out[start:stop] = stop - start > SHORT_HOLE
-    return out

@@ -160,8 +160,8 @@ class Model:
         fixed: Parameters that are not fitted: name to value.
         priors: Parameters known with an uncertainty: name to value and standard deviation.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
-        friction: Rung of :data:`identification.model.ladder.LADDER` that is fitted to the unloaded
-            recordings.
+        friction: Model of :data:`identification.model.parameters.LADDER` that is fitted to the
+            unloaded recordings.
     """
 
     terms: tuple[str, ...] = ()

@@ -268,7 +268,7 @@ class Identification:
         seconds: Wall-clock time spent.
         fitted: Name to the value at the end of the fit, including parameters that are not
             identifiable by themselves but are needed to simulate the fitted model.
-        friction: Rung of :data:`identification.model.ladder.LADDER`.
+        friction: Rung of :data:`identification.model.parameters.LADDER`.
         starts: Search ends of each search; empty if each search had one start only.
         tradeoffs: Pairs of parameters that correlate strongly.
         least_pinned: Text that states the least determined combination of parameters.

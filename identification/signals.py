@@ -214,9 +214,7 @@ class Decimator:
 
 @compiled_sums
 def _decimated(series: Array, taps: Array, factor: int) -> Array:
-    """Return every ``factor``-th output of a symmetric FIR filter whose window lies inside the
-    series, (k, m) to (k, n).
-    """
+    """Return every ``factor``-th output of a symmetric FIR filter, (k, m) to (k, n)."""
     reach = len(taps)
     out = np.empty((series.shape[0], max(0, (series.shape[1] - reach) // factor + 1)))
     for i in range(out.shape[0]):
@@ -231,9 +229,7 @@ def _decimated(series: Array, taps: Array, factor: int) -> Array:
 
 @compiled_sums
 def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) -> Array:
-    """Return the outputs of :func:`_decimated` at the indices ``places``, (k, m) to (n, k); series
-    of zeros are skipped.
-    """
+    """Return the outputs of :func:`_decimated` at the indices ``places``, (k, m) to (n, k)."""
     reach, count = len(taps), len(places)
     out = np.zeros((count, series.shape[0]))
     for i in range(series.shape[0]):
@@ -294,13 +290,7 @@ def decimator(rate: float, bandwidth: float) -> Decimator:
 
 
 def _low_pass(half: int, cutoff: float) -> Array:
-    """Return the taps of a low-pass of sum one, the sinc function in Kaiser's window, shape
-    (2 half + 1,).
-
-    Args:
-        half: Taps on either side of the middle one.
-        cutoff: Frequency at -6 dB over half the sampling rate.
-    """
+    """Return the taps of a low-pass of sum one, a sinc in Kaiser's window, (2 half + 1,)."""
     # scipy.signal.firwin returns the same taps, but takes a quarter of the time of all imports.
     place = np.arange(-half, half + 1, dtype=np.float64)
     bessel = scipy.special.i0  # imported here, since no run needs it

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -21,17 +21,14 @@ from hypothesis import settings
 
 from identification.numerics.compiled import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
-from rig.common.start_up import keep_freed_memory
 
 _GRACE_S = 1.0
-_FOREIGN = Path(__file__).with_name("worlds")
 _MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
 """Files in memory, and the room that the tests want there."""
 
 # As the command line sets its own process up, before numpy is loaded: threads of the linear algebra
 # would spin in the way of the tests that run beside these.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-keep_freed_memory()
 gc.set_threshold(GARBAGE_THRESHOLD)
 
 # Every process of a test would compile the program anew, and pytest all tests.
@@ -63,37 +60,6 @@ def pytest_xdist_auto_num_workers() -> int:
     return 1 + (os.cpu_count() or 1)
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(
-    collector: pytest.Collector,
-) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    """Have every second worker go through the files from the last one to the first.
-
-    After a clean clone all modules must be compiled. Two workers in the same order would each
-    compile all of them; from both ends, each compiles half and reads the other half.
-    """
-    report = yield
-    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    if int(number) % 2 and isinstance(collector, pytest.Directory):
-        report.result.reverse()
-    return report
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests into one order for all workers, whichever way each went through the files.
-
-    After a clean clone, two workers that both begin on the simulated bench would both compile its
-    kernels. So the second worker, which xdist starts at its share of the list, begins with the
-    tests on foreign plants.
-    """
-    items.sort(key=lambda item: item.path)
-    foreign = [item for item in items if item.path.is_relative_to(_FOREIGN)]
-    others = [item for item in items if not item.path.is_relative_to(_FOREIGN)]
-    start = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    items[:] = [*others[:start], *foreign, *others[start:]]
-
-
 def pytest_collection_finish() -> None:
     # Modules and thousands of tests stay to the end: no collection of garbage walks over them.
     gc.freeze()
@@ -111,7 +77,7 @@ def no_leaks() -> Iterator[None]:
         thread.join(_GRACE_S)
     # A thread that ended may have started another one.
     leaked = [f"thread {thread.name}" for thread in _new_threads(threads)]
-    started = [c for c in _children(process) - children if not _is_resource_tracker(c)]
+    started = [c for c in _children(process) - children if not _stays(c)]
     _, alive = psutil.wait_procs(started, _GRACE_S)
     leaked += [f"process {child.pid}" for child in alive]
     # A server that is not written in Python closes its port in a thread of its own.
@@ -157,10 +123,12 @@ def _listening(process: psutil.Process) -> set[int]:
     return {c.laddr.port for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN}
 
 
-def _is_resource_tracker(child: psutil.Process) -> bool:
-    # multiprocessing keeps one of these for the life of the interpreter.
+def _stays(child: psutil.Process) -> bool:
+    # multiprocessing keeps the first of these for the life of the interpreter; the other one reads
+    # files for all commands.
+    kept = ("resource_tracker", "rig.sources.served")
     try:
-        return any("resource_tracker" in word for word in child.cmdline())
+        return any(name in word for word in child.cmdline() for name in kept)
     except psutil.Error:
         # It has ended.
         return False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import subprocess
 import sys
@@ -69,95 +68,3 @@ def test_the_reference_is_what_the_code_says() -> None:
     generator = [sys.executable, str(ROOT / "docs" / "generator"), "--check"]
     done = subprocess.run(generator, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-def keys_of(schema: dict[str, object]) -> set[str]:
-    """Return the names of all properties in a JSON schema."""
-    found: set[str] = set()
-    todo: list[object] = [schema]
-    while todo:
-        item = todo.pop()
-        if isinstance(item, dict):
-            properties = item.get("properties")
-            if isinstance(properties, dict):
-                found |= set(properties)
-            todo += item.values()
-        elif isinstance(item, list):
-            todo += item
-    return found
-
-
-@pytest.mark.parametrize("page", ["bench", "sequence", "campaign", "fault_schedule"])
-def test_every_key_stands_in_the_reference(page: str) -> None:
-    from rig.config.bench import Bench
-    from rig.config.campaign import Campaign
-    from rig.config.faults import FaultSchedule
-    from rig.config.sequence import Sequence
-
-    model = {
-        "bench": Bench,
-        "sequence": Sequence,
-        "campaign": Campaign,
-        "fault_schedule": FaultSchedule,
-    }[page]
-    text = (ROOT / "docs" / "reference" / f"{page}.md").read_text(encoding="utf-8")
-    keys = keys_of(model.model_json_schema())
-    assert len(keys) > 10
-    assert {key for key in keys if f"| `{key}` |" not in text} == set()
-
-
-def test_every_command_and_option_stands_in_the_reference() -> None:
-    import click
-
-    text = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
-    for name in cli.COMMANDS:
-        section = text.split(f"## rig {name}\n", 1)[1].split("\n## ", 1)[0]
-        command = cli.cli.get_command(click.Context(cli.cli), name)
-        assert command is not None
-        for parameter in command.params:
-            if getattr(parameter, "hidden", False):
-                continue
-            spelt = (
-                parameter.opts
-                if isinstance(parameter, click.Option)
-                else [parameter.make_metavar(click.Context(command))]
-            )
-            assert [form for form in spelt if form.strip("[]") not in section] == [], name
-
-
-@pytest.mark.parametrize(
-    "field", ["parameters", "fit_by_recording", "noise_floor_rms", "alias_group", "confirmed_kg"]
-)
-def test_fields_of_results_stand_in_the_reference(field: str) -> None:
-    assert field in (ROOT / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
-
-
-def test_the_image_of_the_readme_is_small() -> None:
-    images = list((ROOT / "docs" / "images").iterdir())
-    assert images
-    assert max(image.stat().st_size for image in images) < 200_000
-
-
-def test_the_effects_page_has_every_effect() -> None:
-    from identification.effects import EFFECTS
-
-    text = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
-    for name, entry in EFFECTS.items():
-        section = text.split(f"### {name}\n", 1)[1].split("\n### ", 1)[0]
-        for quantity in entry.parameters:
-            assert f"| `{quantity.name}` | {quantity.unit}".rstrip() in section, json.dumps(
-                [name, quantity.name]
-            )
-
-
-def test_no_two_steps_of_the_first_pages_share_a_folder() -> None:
-    """A reader follows `make demo`, the README and the tutorials in one folder, in any order."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs" / "tutorials").glob("*.md"))]
-    written = {"runs/demo": "make demo"}
-    for block in (block for page in pages for block in blocks(page) if block.kind == "console"):
-        for command in block.text.splitlines():
-            words = shlex.split(command.removeprefix("$ "))
-            if "--out" in words:
-                folder = words[words.index("--out") + 1]
-                assert folder not in written, f"{block.place} writes {folder}: {written[folder]}"
-                written[folder] = block.place

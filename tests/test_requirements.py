@@ -43,7 +43,7 @@ sys.modules.update(dict.fromkeys(json.loads(sys.argv[1])))
 from rig.cli.entry import COMMANDS
 for module, _ in COMMANDS.values():
     importlib.import_module(module.partition(":")[0])
-importlib.import_module("rig.console.serve")
+importlib.import_module("rig.console.app")
 """
 
 

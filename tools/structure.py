@@ -123,6 +123,17 @@ def _absolute(module: Module, node: ast.ImportFrom) -> str:
     return ".".join([*parts, node.module] if node.module else parts)
 
 
+def loaded_late(module: Module, known: Mapping[str, Module]) -> Iterator[tuple[str, str]]:
+    """Yield the modules and attributes that a module names as ``module:attribute``, as the table of
+    commands does; each such attribute counts as an importer of its module.
+    """
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            name, colon, attribute = node.value.partition(":")
+            if colon and name in known and attribute.isidentifier():
+                yield name, attribute
+
+
 def thin(arrows: Mapping[str, set[str]], known: Mapping[str, Module]) -> Iterator[Break]:
     """Yield modules with fewer than two importers and fewer than :data:`FULL_LINES` lines, and
     rooms of at least three modules of which most have fewer than two importers.
@@ -131,6 +142,9 @@ def thin(arrows: Mapping[str, set[str]], known: Mapping[str, Module]) -> Iterato
     for name, others in arrows.items():
         for other in others:
             importers[other].add(name)
+    for module in known.values():
+        for other, attribute in loaded_late(module, known):
+            importers[other].add(attribute)
     rooms: dict[str, list[int]] = defaultdict(list)
     for name, module in known.items():
         if module.gathers or name in ENTRY:

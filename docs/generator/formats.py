@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from keys import table
 
-from rig.sources.readers import FOREIGN, FORMATS
+from rig.sources.formats import FOREIGN, FORMATS
 
 _HEAD = """\
 # File formats of recordings

@@ -107,7 +107,7 @@ def _sections(record: type, path: str, titles: dict[type, str]) -> Iterator[str]
             key.shape.words.replace("section", " or ".join(links), 1) if links else key.shape.words
         )
         rows.append((f"`{key.name}`", meaning.unit, words, key.default, meaning.text))
-    about = re.sub(r":\w+:`~?([\w.]+)`", r"`\1`", summary(record).replace("``", "`"))
+    about = re.sub(r":\w+:`~?([\w.]+)`", r"`\1`", summary(record.__doc__ or "").replace("``", "`"))
     keys = table(("key", "unit", "value", "default", "meaning"), rows)
     yield f"## {titles[record]}\n\n{about}\n\n{keys}"
     for place, inside in deeper:

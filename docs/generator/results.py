@@ -16,7 +16,21 @@ from pathlib import Path
 from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
-from identification.result import MeasuredNoise
+from identification.estimate.ladder import Interval
+from identification.estimate.paper_method import Contender
+from identification.estimate.simulated_ladder import Constant
+from identification.result import (
+    Convergence,
+    Fit,
+    KnownConstant,
+    MeasuredNoise,
+    Parameter,
+    Prior,
+    Profile,
+    Resampled,
+    Starts,
+    Tradeoff,
+)
 from rig.cli.authoring.schema import meanings
 from rig.commissioning.record import Measured
 from rig.control.readings import Readings
@@ -30,23 +44,16 @@ _PROVENANCE = "Every result file"
 WRITERS: Mapping[str, tuple[str, ...]] = {
     _PROVENANCE: ("rig.common.provenance:Provenance.record",),
     "rig identify: identify.json": (
-        "rig.results.identify.record:identification_record",
-        "rig.results.identify.record:parameter_record",
-        "rig.results.identify.record:fit_record",
-        "rig.results.identify.record:_stage_record",
-        "rig.results.identify.record:_history_record",
-        "rig.results.identify.record:known_record",
-        "rig.results.identify.record:uncertainty_record",
-        "rig.results.identify.record:ladder_record",
-        "rig.results.identify.record:simulated_record",
-        "rig.results.identify.record:_constant_record",
-        "rig.results.identify.record:transfer_record",
-        "rig.results.identify.record:_moved_record",
-        "rig.results.identify.record:comparison_record",
+        "rig.results.identify.identify:identification_record",
+        "rig.results.identify.identify:uncertainty_record",
+        "rig.results.identify.identify:ladder_record",
+        "rig.results.identify.identify:simulated_record",
+        "rig.results.identify.identify:transfer_record",
+        "rig.results.identify.identify:comparison_record",
     ),
     "rig identify --plan: plan file": (
-        "rig.results.design.document:plan_record",
-        "rig.results.design.document:_intervals_record",
+        "rig.results.identify.design:plan_record",
+        "rig.results.identify.design:_intervals_record",
     ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.model_file:diagnosis_record",
@@ -60,13 +67,13 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
-        "rig.results.simulate.document:simulation_record",
-        "rig.results.simulate.document:_case_record",
-        "rig.results.simulate.document:_sums_record",
-        "rig.results.simulate.document:_errors",
+        "rig.results.identify.simulate:simulation_record",
+        "rig.results.identify.simulate:_case_record",
+        "rig.results.identify.simulate:_sums_record",
+        "rig.results.identify.simulate:_record_errors",
     ),
     "rig check --json": (
-        "rig.cli.commands.check:examine",
+        "rig.cli.commands.bench:examine",
         "rig.wiring.off:Proof.record",
         "rig.config.bench:calibration_records",
     ),
@@ -80,7 +87,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.commissioning.record:StepRecord.record",
         "rig.wiring.teardown:SafeState.record",
     ),
-    "rig jog --json": ("rig.cli.commands.jog:_record", "rig.wiring.teardown:SafeState.record"),
+    "rig jog --json": ("rig.cli.commands.bench:_record", "rig.wiring.teardown:SafeState.record"),
     "rig off --json": ("rig.control.off:Off.record", "rig.wiring.teardown:SafeState.record"),
     "rig run --faults: faults.json": (),
     "rig effects --json": (
@@ -94,24 +101,24 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.look:_column_record",
     ),
     "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
-    "rig runs show --json": ("rig.results.catalogue.show:show_record",),
+    "rig runs show --json": ("rig.results.catalogue.listing:show_record",),
     "rig runs compare --json": (
         "rig.results.catalogue.compare:compare_record",
         "rig.results.catalogue.compare:_difference_record",
         "rig.results.catalogue.compare:figures_record",
     ),
     "rig runs trend --json": (
-        "rig.results.catalogue.trend:trend_record",
-        "rig.results.catalogue.trend:_history_record",
-        "rig.results.catalogue.trend:_course_record",
+        "rig.results.catalogue.compare:trend_record",
+        "rig.results.catalogue.compare:_history_record",
+        "rig.results.catalogue.compare:_course_record",
     ),
     "rig runs verify --json": (
-        "rig.results.catalogue.show:verification_record",
-        "rig.results.catalogue.show:_run_record",
+        "rig.results.catalogue.listing:verification_record",
+        "rig.results.catalogue.listing:_run_record",
     ),
     "rig runs accept: acceptance.json": (
-        "rig.results.acceptance.record:acceptance_record",
-        "rig.results.acceptance.record:_check_record",
+        "rig.results.acceptance.certificate:acceptance_record",
+        "rig.results.acceptance.certificate:_check_record",
     ),
     "rig paper: paper.json": (
         "rig.results.paper.tables:paper_record",
@@ -139,7 +146,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
 }
 """Section of the table to the functions whose dictionaries are written."""
 _RECORDS: Mapping[str, tuple[type, ...]] = {
-    "rig identify: identify.json": (MeasuredNoise,),
+    "rig identify: identify.json": (
+        *(Convergence, Fit, KnownConstant, MeasuredNoise, Parameter, Prior, Profile, Resampled),
+        *(Starts, Tradeoff, Constant, Contender, Interval),
+    ),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
@@ -147,8 +157,10 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig run --faults: faults.json": (Finding,),
 }
 """Section to the records that are written field by field."""
-_INTERNAL = frozenset({"transmission", "voltage", "right"})
-"""Keys of dictionaries that stay inside these functions."""
+_INTERNAL = frozenset({"transmission", "voltage", "right"}) | frozenset(
+    {"absolute", "cost_history", "excess", "parameter_history", "prior"}
+)
+"""Keys of dictionaries that stay inside these functions, and fields that records leave out."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig runs list --json": frozenset({"run"}),
     "rig identify: identify.json": frozenset(

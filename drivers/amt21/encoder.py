@@ -12,7 +12,7 @@ from drivers.can.port import ANSWER_SHARE
 from drivers.clock import NS, Clock
 from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Encoder, EncoderSample, Identity, Link, RawFrame
-from drivers.objects import refusal
+from drivers.objects import problem_of
 from drivers.port_errors import close_all, opened, words
 from drivers.serial_port import BytePort, raw_frames
 from drivers.units import EncoderScales, nearest
@@ -95,14 +95,14 @@ class Amt21Line:
             "wiring of the encoder, the bit rate, and the address"
         )
 
-    def ask(self, offset: int = 0, *command: int) -> None:
+    def ask(self) -> None:
         """Send a request; the encoder latches its position when it receives the request.
 
         Raises:
             LinkError: The line is gone.
         """
         port = self._opened()
-        request = bytes([self.address + offset, *command])
+        request = bytes([self.address])
         try:
             port.discard()
             port.write(request)
@@ -312,11 +312,6 @@ class Amt21Encoder(Encoder):
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
-        """Request the position once and return the joint angle, rad, or NaN if the answer is bad.
-
-        Raises:
-            LinkError: No encoder answers.
-        """
         self.line.find_echo()
         value = self._ask()
         if value is None:
@@ -324,57 +319,18 @@ class Amt21Encoder(Encoder):
         return self._angle(nearest(value, COUNTS_PER_TURN, self._scales.middle))
 
     def step_rad(self) -> float:
-        """Return the joint angle of one of the 16384 counts."""
         return abs(self._scales.rad_per_count)
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error if the answers of the encoder at rest do not agree.
-
-        Raises:
-            LinkError: No encoder answers.
-        """
-        yield from refusal(self._trusted)
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        yield from problem_of(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
         """Find the encoder, and start from a position at rest on which several of its answers
         agree.
-
-        Raises:
-            LinkError: No encoder answers.
-            ConfigurationError: The answers of the encoder do not agree.
         """
         self._gate.start(self._trusted(), cycle_s, near=self._scales.middle)
         self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
-
-    def turns(self) -> int | None:
-        """Read the turn counter of a multi-turn encoder, as a signed number; return None if the
-        answer is bad.
-
-        Raises:
-            LinkError: The line is gone.
-        """
-        value = self._ask(TURNS)
-        return None if value is None else (value ^ 0x2000) - 0x2000
-
-    def set_zero(self) -> None:
-        """Make the present position the zero of a single-turn encoder, which then restarts and must
-        be prepared again.
-
-        Raises:
-            LinkError: The line is gone.
-        """
-        self.line.ask(EXTENDED, SET_ZERO)
-        self._fresh = False
-
-    def reset(self) -> None:
-        """Restart the encoder, which must then be prepared again.
-
-        Raises:
-            LinkError: The line is gone.
-        """
-        self.line.ask(EXTENDED, RESET)
-        self._fresh = False
 
     def ask(self) -> None:
         """Request the position for this cycle.
@@ -400,9 +356,6 @@ class Amt21Encoder(Encoder):
         self._fresh = value is not None and self._gate.admit(value, self._asked_ns, self._elsewhere)
 
     def sample(self) -> EncoderSample:
-        """Return the sample of the last exchange, with a time stamp of the host, because the
-        encoder sends no time.
-        """
         return EncoderSample(self._asked_ns / NS, self._angle(self._gate.position), self._fresh)
 
     def _elsewhere(self) -> int | None:
@@ -431,8 +384,8 @@ class Amt21Encoder(Encoder):
             )
         return good[-1]
 
-    def _ask(self, offset: int = 0) -> int | None:
-        self.line.ask(offset)
+    def _ask(self) -> int | None:
+        self.line.ask()
         self.line.collect()
         return decode(self.line.answer)
 
@@ -470,12 +423,6 @@ class EncoderLink(Link):
             at_instant(self._ask)
 
     def open(self) -> None:
-        """Open the servo's link and the encoder's line; if one of the two cannot be opened, both
-        are closed.
-
-        Raises:
-            LinkError: The link or the line cannot be opened.
-        """
         self._servo_link.open()
         try:
             self._line.open()
@@ -484,19 +431,10 @@ class EncoderLink(Link):
             raise
 
     def close(self) -> None:
-        """Close link and line. This method raises no error, and may be called twice and after a
-        failure.
-        """
         close_all(self._line.close, self._servo_link.close)
 
     def exchange(self) -> None:
-        """Exchange process data with the servo while the encoder prepares its answer.
-
-        Raises:
-            LinkError: The bus failed, or the line of the encoder failed, which is reported once
-                until it works again; the values of the encoder are then not fresh.
-            DriveFault: A device sent an emergency message.
-        """
+        """Exchange process data with the servo while the encoder prepares its answer."""
         began_ns = self.clock.now_ns()
         self._asked = False
         self._failures.clear()
@@ -526,6 +464,5 @@ class EncoderLink(Link):
             self._failures.append(error)
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the frames of link and line since the last call, oldest first."""
         frames = self._servo_link.take_frames() + self._line.take_frames()
         return sorted(frames, key=lambda frame: frame.time_ns)

@@ -111,11 +111,6 @@ class PythonCanPort:
 
     @os_errors
     def transmit(self, identifier: int, data: bytes) -> None:
-        """Send a frame.
-
-        Raises:
-            OSError: The bus refuses the frame, does not accept it in time, or is gone.
-        """
         if identifier > _HIGHEST_BASE:
             remote = bool(identifier & REMOTE_FLAG)
             if remote and self._remote_frames_lost:
@@ -138,11 +133,6 @@ class PythonCanPort:
 
     @os_errors
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return the received frames, at most :data:`MAX_COLLECTED`.
-
-        Raises:
-            OSError: The bus failed, or received data violate its protocol.
-        """
         frames: list[RawFrame] = []
         read = 0
         message = self._bus.recv(timeout_s)
@@ -155,7 +145,6 @@ class PythonCanPort:
         return frames
 
     def shutdown(self) -> None:
-        """Close the bus; safe to call twice, raises nothing."""
         close_all(self._bus.shutdown)
 
 

@@ -172,20 +172,10 @@ class SlcanPort:
 
     @os_errors
     def transmit(self, identifier: int, data: bytes) -> None:
-        """Send a frame.
-
-        Raises:
-            OSError: The line is gone, or does not accept the frame in time.
-        """
         self._line.write(encode(identifier, data))
 
     @os_errors
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return the received frames.
-
-        Raises:
-            OSError: The line is gone.
-        """
         deadline = self._clock.now_ns() + round(timeout_s * NS)
         while True:
             left = deadline - self._clock.now_ns()
@@ -195,7 +185,6 @@ class SlcanPort:
                 return [raw_frame((now, identifier, data, False)) for identifier, data in found]
 
     def shutdown(self) -> None:
-        """Close the adapter's channel and the line; safe to call twice, raises nothing."""
         close_all(partial(self._line.write, CLOSE), self._line.close)
 
 

@@ -16,9 +16,8 @@ from typing import Final
 from drivers.canopen import cia402
 from drivers.canopen.motion import OUTPUT_PDO, Motion, Observed
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, ObjectAccessError, StateError
-from drivers.interfaces import ServoReadings, ServoSample, ServoState
-from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel, optional, watchable
+from drivers.interfaces import ServoSample, ServoState
+from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel, watchable
 from drivers.units import ServoScales, Unwrapper
 
 SUPPLY_EVERY: Final = 10
@@ -176,51 +175,6 @@ Some drives activate a mode only in the state SWITCHED ON.
 """
 
 
-def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
-    """Return an error if the drive, by object 6502h, does not support this mode, or None if it
-    supports the mode or has no 6502h.
-    """
-    offered = None
-    if channel.describes(*MODES):
-        offered = optional(channel.read, *MODES)
-    bit = motion.mode - 1
-    if offered is None or offered & 1 << bit:
-        return None
-    return StateError(
-        f"the drive does not support mode {motion.mode}, {motion.words} (6502h reads "
-        f"{offered:08X}h, in which bit {bit} is 0): set servo.mode to a mode that the drive "
-        "supports"
-    )
-
-
-def select(channel: ProcessChannel, motion: Motion) -> None:
-    """Write the mode of operation (6060h).
-
-    Raises:
-        StateError: The drive does not support the mode (6502h).
-    """
-    if (error := not_offered(channel, motion)) is not None:
-        raise error
-    channel.write(*MODE, motion.mode)
-
-
-def in_force(channel: ProcessChannel, motion: Motion) -> bool:
-    """Return whether the mode is active, that is, shown in object 6061h."""
-    return channel.read(*MODE_DISPLAY) == motion.mode
-
-
-def not_shown(
-    channel: ProcessChannel, motion: Motion, state: ServoState, waited_s: float
-) -> StateError:
-    """Return the error for a drive that does not activate the mode."""
-    return StateError(
-        f"in state '{state.value}' the active mode 6061h still reads "
-        f"{channel.read(*MODE_DISPLAY)}, {waited_s:g} s after mode {motion.mode} "
-        f"({motion.words}) was written to 6060h: check in the drive's manual how this mode is "
-        "selected"
-    )
-
-
 _US: Final = 1e-6
 _SPAN: Final = 8
 """Number of exchanges over which a speed is computed from positions; over one exchange the
@@ -332,39 +286,3 @@ class CyclicValues:
                 moved = (position - before) * self._scales.joint_rad_per_count
                 self._speed = moved * NS / ((cycle - then) * self._cycle_ns)
         return self._speed
-
-
-def read_once(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> ServoReadings:
-    """Read each value of a drive outside the control cycle; a value that the drive does not have is
-    NaN.
-    """
-    speed, supply, temperature = (
-        _read_or_nan(channel, address)
-        for address in (SPEED_ACTUAL, scales.supply_object, scales.temperature_object)
-    )
-    return glance(channel, scales, sent)._replace(
-        velocity_rad_s=speed * scales.joint_speed_unit_rad_s * scales.sign,
-        supply_voltage_V=supply * scales.supply_unit_V,
-        temperature_C=temperature * scales.temperature_unit_C,
-    )
-
-
-def glance(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> ServoReadings:
-    """Read position and current outside the control cycle; a value that the drive does not have is
-    NaN.
-    """
-    counts = _read_or_nan(channel, POSITION)
-    current = _read_or_nan(channel, sent.current)
-    return ServoReadings(
-        counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-        current_A=scales.current_A(current, sent.current_unit_A),
-    )
-
-
-def _read_or_nan(channel: ProcessChannel, address: ObjectAddress | None) -> float:
-    if address is None:
-        return math.nan
-    try:
-        return channel.read(*address)
-    except (ConfigurationError, ObjectAccessError):
-        return math.nan

@@ -1,29 +1,47 @@
-"""Position servo for CiA 402 drives, in any mode of operation and over any transport."""
+"""Position servo for CiA 402 drives, in any mode of operation and over any transport, and its
+homing: mode 6, objects 6098h, 6099h, 609Ah, 607Ch and 60E3h, bits 10, 12 and 13 of the statusword.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext, suppress
 from typing import Final
 
 from drivers import servo_limits
-from drivers.canopen import cia402, cia402_objects
+from drivers.canopen import cia402
 from drivers.canopen import cia402_objects as objects
-from drivers.canopen import motion as velocity_unit
 from drivers.canopen.cia402 import Command, controlword, decode_state
-from drivers.canopen.cia402_homing import HomingServo
-from drivers.canopen.cia402_objects import Cyclic, CyclicValues, glance, read_once
+from drivers.canopen.cia402_objects import CyclicValues
 from drivers.canopen.link import explain
-from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion, ProfilePosition
+from drivers.canopen.motion import (
+    OUTPUT_PDO,
+    TARGET_POSITION,
+    TORQUE_OFFSET,
+    CyclicPosition,
+    Motion,
+    Observed,
+    ProfilePosition,
+    SpeedUnit,
+    stated_unit_problems,
+)
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
+from drivers.errors import (
+    ConfigurationError,
+    DeviceError,
+    DriveFault,
+    ObjectAccessError,
+    StateError,
+)
+from drivers.homing import IN_PLACE, STANDARD, Homes, HomingOffer, HomingOrder, HomingState
 from drivers.interfaces import (
     Identity,
     Lacks,
     LimitSteps,
     Link,
     Measuring,
+    Servo,
     ServoLimits,
     ServoMotion,
     ServoReadings,
@@ -33,212 +51,69 @@ from drivers.interfaces import (
 from drivers.objects import (
     VENDOR,
     ObjectAddress,
+    PdoLayout,
     ProcessChannel,
-    access_refusals,
-    identity_doubts,
+    access_problems,
+    identity_problems,
     optional,
+    problem_of,
     read_identity,
-    refusal,
+    short_name,
 )
 from drivers.transitions import await_state, exchanges
 from drivers.units import ServoScales
 
-_ONLY_HOST = "only this program, and not the drive, checks this limit in every cycle"
+HOMING: Final = 6
+"""Value of 6060h."""
+HOME_OFFSET: Final = (0x607C, 0)
+METHOD: Final = (0x6098, 0)
+SEARCH_SPEED: Final = (0x6099, 1)
+ZERO_SPEED: Final = (0x6099, 2)
+HOMING_ACCELERATION: Final = (0x609A, 0)
+SUPPORTED_METHODS: Final = 0x60E3
+_START: Final = 1 << 4
+_REACHED, _ATTAINED, _ERROR = 1 << 10, 1 << 12, 1 << 13
 
 
-def description_refusals(
-    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion
-) -> Iterator[DeviceError]:
-    """Yield an error for each object that the servo needs and the EDS lacks, without sending
-    anything.
-    """
-    yield from refusal(channel.require_fit, *VENDOR, 0)
-    lacking = False
-    for address, purpose in {**objects.NEEDED, **motion.needed}.items():
-        for error in refusal(channel.require_fit, *address, 0):
-            lacking = True
-            yield ConfigurationError(f"{error}; every run needs this object, because {purpose}")
-    for address in scales.named_objects:
-        for error in refusal(channel.require_fit, *address, 0):
-            lacking = True
-            yield ConfigurationError(
-                f"{error}, although the bench file names this object: correct the bench file"
-            )
-    if sent.current is None:
-        lacking = True
-        yield ConfigurationError(
-            "the device's EDS has neither the current 6078h nor the torque 6077h as process data; "
-            "one of the two is needed to check the limits of current and torque: state the "
-            "maker's own object of the current in servo.current_object and its unit in "
-            "servo.current_unit_A"
-        )
-    if not lacking:
-        settings = (address for address, _ in objects.settings(channel, 0.0))
-        for address in (*held_limits(channel, motion), *settings):
-            yield from refusal(channel.require_fit, *address, 0)
-        yield from refusal(
-            channel.require_mappable, objects.outputs(motion), objects.inputs(sent, channel)
-        )
-
-
-def held_limits(channel: ProcessChannel, motion: Motion) -> tuple[ObjectAddress, ...]:
-    """Return the objects of limits that the EDS of the drive has and that the drive obeys in this
-    mode, without sending anything.
-    """
-    return tuple(
-        address
-        for address in servo_limits.OBJECTS
-        if address not in motion.unheld and channel.describes(*address)
-    )
-
-
-def lacks(
-    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion, cycle_s: float
-) -> Lacks:
-    """Return the limits and values that the drive, by its EDS, does not have, without sending
-    anything.
+class Homing(Motion):
+    """Homing mode: after the start of a homing the drive moves by itself.
 
     Args:
-        channel: The drive.
-        scales: Units of the drive.
-        sent: The objects that the drive sends in every cycle.
-        motion: The mode of operation.
-        cycle_s: Control cycle, s.
-    """
-    held = held_limits(channel, motion)
-    missing = {
-        field: f"{what} ({_name(address)})"
-        for address, (field, what) in servo_limits.FIELDS.items()
-        if address not in held
-    }
-    words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
-    words += [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
-    words += _replaced(channel, scales, sent, cycle_s)
-    if motion.mode == ProfilePosition.mode and not channel.describes(
-        *servo_limits.PROFILE_ACCELERATION
-    ):
-        words.append("no ramps of the profile (6083h, 6084h): set them with the maker's tool")
-    return Lacks(frozenset(missing), sent.temperature is None, sent.supply is None, tuple(words))
-
-
-def _replaced(
-    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, cycle_s: float
-) -> Iterator[str]:
-    """Yield texts on the values that are not monitored, and on the value that replaces each missing
-    object.
+        usual: The mode of operation of the bench, whose process data stay mapped during the homing.
     """
 
-    def place(address: ObjectAddress | None) -> str:
-        if address is None:
-            return ""
-        single = ", which cannot be process data" if channel.describes(*address) else ""
-        return f" ({_name(address)}{single})"
+    mode = HOMING
+    words = "homing"
+    target = METHOD
+    follows = False
 
-    supply, temperature, voltage = map(
-        place, (scales.supply_object, scales.temperature_object, scales.voltage_object)
-    )
-    for there, text in (
-        (sent.supply, f"not monitored: supply voltage{supply}; servo.supply_object names it"),
-        (
-            sent.temperature,
-            f"not monitored: temperature{temperature}; servo.temperature_object names it",
-        ),
-        (sent.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
-        (sent.time, "no time stamp (1013h): samples have the time of the SYNC on this computer"),
-        (sent.speed, "no motor speed (606Ch): the speed is computed from the position"),
-        (
-            sent.current if sent.current in (scales.current_object, objects.CURRENT) else None,
-            "no motor current (6078h): the current is computed from the torque (6077h)",
-        ),
-        *(
-            (
-                channel.describes(*rated) or None,
-                f"not checked: {what} ({_name(rated)}): the drive's values are in thousandths of "
-                "this value; read it with the maker's tool",
-            )
-            for what, rated in (
-                ("rated current", scales.rated_current_object),
-                ("rated torque", scales.rated_torque_object),
-            )
-        ),
-        (
-            channel.describes(*objects.CYCLE) or None,
-            f"no interpolation period (60C2h): set the period to {cycle_s * 1e3:g} ms with the "
-            f"maker's tool",
-        ),
-        (
-            objects.stops_alone(channel.describes) or None,
-            f"{_watchless(channel)}, so that the drive counts as a drive without a watchdog; if "
-            "its manual states that the drive takes the power off when it receives nothing from "
-            "this program, set servo.stops_alone: true",
-        ),
-    ):
-        if there is None:
-            yield text
+    def __init__(self, usual: Motion) -> None:
+        super().__init__()
+        self.usual = usual
+        self.takes_offset = usual.takes_offset
+        self.started = False
 
+    def reset(self) -> None:
+        """Clear the state of the motion, including the start of a homing, because switching the
+        drive on must never start a homing.
+        """
+        super().reset()
+        self.started = False
 
-def _watchless(channel: ProcessChannel) -> str:
-    """Return what a drive lacks that does not take the power off by itself."""
-    if not channel.describes(*objects.ON_ABORT):
-        return "no object for the reaction to a lost master (6007h)"
-    return "neither heartbeat consumer (1016h) nor life guarding (100Ch, 100Dh)"
+    @property
+    def outputs(self) -> tuple[ObjectAddress, ...]:
+        return self.usual.outputs
 
-
-def _name(address: ObjectAddress) -> str:
-    index, subindex = address
-    return f"{index:04X}h:{subindex:02X}h" if subindex else f"{index:04X}h"
-
-
-def refusals(
-    channel: ProcessChannel,
-    scales: ServoScales,
-    sent: Cyclic,
-    motion: Motion,
-    cycle_s: float,
-    watched: bool,
-) -> Iterator[DeviceError]:
-    """Yield an error for each unit that differs from the bench file, a cycle time that cannot be
-    set, and each object that a run reads or writes and the drive refuses to read.
-    """
-    if (error := cia402_objects.not_offered(channel, motion)) is not None:
-        yield error
-    yield from unit_refusals(channel, scales, motion, cycle_s)
-    needed = (*objects.NEEDED, *motion.needed, *held_limits(channel, motion))
-    settings = (address for address, _ in objects.settings(channel, cycle_s))
-    outputs, inputs = objects.outputs(motion), objects.inputs(sent, channel)
-    yield from access_refusals(channel, outputs, inputs, watched, (*needed, *settings))
-
-
-def unit_refusals(
-    channel: ProcessChannel, scales: ServoScales, motion: Motion, cycle_s: float
-) -> Iterator[DeviceError]:
-    """Yield those errors of units, vendor and cycle time that the mapping of process data does not
-    detect.
-    """
-    if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
-        yield ConfigurationError(
-            f"vendor 1018h:01h: the drive reports {channel.read(*VENDOR):X}h, but the units are "
-            f"those of the vendor {scales.vendor_id:X}h in its EDS file: use the EDS file of this "
-            "drive"
-        )
-    yield from scales.mismatches(channel)
-    yield from velocity_unit.refusals(channel, scales)
-    milliseconds = round(cycle_s * 1e3)
-    if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
-        yield ConfigurationError(
-            f"the cycle time is {cycle_s * 1e3:g} ms; it must be a whole number of milliseconds "
-            "(60C2h)"
-        )
-    if motion.takes_offset:
-        yield from _offset_refusals(channel)
-
-
-def _offset_refusals(channel: ProcessChannel) -> Iterator[ConfigurationError]:
-    for error in refusal(channel.read, *TORQUE_OFFSET):
-        words = f"{channel.label}: no torque offset 60B2h ({error}): run without feed-forward"
-        offset_error = ConfigurationError(words)
-        offset_error.__cause__ = error
-        yield offset_error
+    def stage(
+        self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
+    ) -> None:
+        """Put the controlword into the PDO of the next exchange. The homing starts only if the
+        drive is energised. The commands of other modes are 0.
+        """
+        if word == cia402.ENABLE_OPERATION and self.started:
+            word |= _START
+        values = (counts if address == TARGET_POSITION else 0 for address in self.outputs)
+        channel.stage(OUTPUT_PDO, word, *values)
 
 
 WATCH_S: Final = 0.1
@@ -256,9 +131,10 @@ control loop end then at the latest, so that a drive that does not answer or obe
 """
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
+_FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
 
 
-class Cia402Servo(HomingServo):
+class Cia402Servo(SpeedUnit, Homes, Servo):
     """A drive that follows a position. Only :meth:`enable`, which :meth:`begin_homing` calls,
     changes the state of the drive toward power.
 
@@ -285,13 +161,18 @@ class Cia402Servo(HomingServo):
         motion: Motion | None = None,
         stops_alone: bool | None = None,
     ) -> None:
+        super().__init__(scales)
         self._channel = channel
         self._link = link
         self._clock = link.clock
-        self._scales = scales
         self._motion = motion or CyclicPosition()
         self._sent = objects.cyclic(channel, scales)
-        self._held = held_limits(channel, self._motion)
+        # The limits that the EDS of the drive has and that the drive obeys in this mode.
+        self._held = tuple(
+            address
+            for address in servo_limits.OBJECTS
+            if address not in self._motion.unheld and channel.describes(*address)
+        )
         self._inputs = objects.inputs(self._sent, channel)
         self._values = CyclicValues(channel, scales, self._sent, self._inputs)
         self._watch_s = watch_s
@@ -309,12 +190,10 @@ class Cia402Servo(HomingServo):
         self._deceleration = math.nan
 
     def identity(self) -> Identity:
-        """Read the drive's identity."""
         return read_identity(self._channel)
 
-    def identity_doubts(self) -> Iterator[str]:
-        """Yield a text for each number of the identity (1018h) that differs from the EDS file."""
-        yield from identity_doubts(self._channel)
+    def identity_problems(self) -> Iterator[DeviceError]:
+        yield from identity_problems(self._channel)
 
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h), and end the heartbeat time-out of a drive
@@ -335,84 +214,151 @@ class Cia402Servo(HomingServo):
         return state
 
     def sent_state(self) -> ServoState | None:
-        """Return the state in the process data of the last exchange, or None if the drive is not
-        prepared or process data are missing.
-        """
         if not self._cycle_ns or not self._channel.fresh:
             return None
         return decode_state(self._values.motion()[0])
 
     def read_limits(self) -> ServoLimits:
-        """Read the limits that are stored in the drive."""
         return servo_limits.read(self._channel, self._scales, self._held)
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits and values that the drive, by its EDS, does not have, without sending
-        anything.
+        motion, sent = self._motion, self._sent
+        missing = {
+            field: f"{what} ({short_name(address)})"
+            for address, (field, what) in servo_limits.FIELDS.items()
+            if address not in self._held
+        }
+        words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
+        words += [
+            f"no such limit in the drive: {text}; only this program, and not the drive, checks "
+            "this limit in every cycle"
+            for text in missing.values()
+        ]
+        words += self._replaced(cycle_s)
+        if motion.mode == ProfilePosition.mode and not self._channel.describes(
+            *servo_limits.PROFILE_ACCELERATION
+        ):
+            words.append("no ramps of the profile (6083h, 6084h): set them with the maker's tool")
+        return Lacks(
+            frozenset(missing), sent.temperature is None, sent.supply is None, tuple(words)
+        )
+
+    def _replaced(self, cycle_s: float) -> Iterator[str]:
+        """Yield texts on the values that are not monitored, and on the value that replaces each
+        missing object.
         """
-        return lacks(self._channel, self._scales, self._sent, self._motion, cycle_s)
+        scales, sent, has = self._scales, self._sent, self._channel.describes
 
-    def speed_remedy(self, factor: float) -> str:
-        """Return a text that states the setting to change if the reported speed is ``factor`` times
-        the true speed.
-        """
-        return velocity_unit.remedy(self._scales, factor)
+        def place(address: ObjectAddress | None) -> str:
+            if address is None:
+                return ""
+            single = ", which cannot be process data" if has(*address) else ""
+            return f" ({short_name(address)}{single})"
 
-    def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor of the known unit of speed nearest to a rough ``factor``."""
-        return velocity_unit.nearest_factor(self._scales, factor, spread)
-
-    def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
-        """Return the keys of the bench file, with values, that correct the unit of the speed."""
-        return velocity_unit.settings(self._scales, factor)
+        supply, temperature, voltage = map(
+            place, (scales.supply_object, scales.temperature_object, scales.voltage_object)
+        )
+        watchless = "neither heartbeat consumer (1016h) nor life guarding (100Ch, 100Dh)"
+        if not has(*objects.ON_ABORT):
+            watchless = "no object for the reaction to a lost master (6007h)"
+        for there, text in (
+            (sent.supply, f"not monitored: supply voltage{supply}; servo.supply_object names it"),
+            (
+                sent.temperature,
+                f"not monitored: temperature{temperature}; servo.temperature_object names it",
+            ),
+            (sent.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
+            (
+                sent.time,
+                "no time stamp (1013h): samples have the time of the SYNC on this computer",
+            ),
+            (sent.speed, "no motor speed (606Ch): the speed is computed from the position"),
+            (
+                sent.current in (scales.current_object, objects.CURRENT) and sent.current,
+                "no motor current (6078h): the current is computed from the torque (6077h)",
+            ),
+            *(
+                (
+                    has(*rated),
+                    f"not checked: {what} ({short_name(rated)}): the drive's values are in "
+                    "thousandths of this value; read it with the maker's tool",
+                )
+                for what, rated in (
+                    ("rated current", scales.rated_current_object),
+                    ("rated torque", scales.rated_torque_object),
+                )
+            ),
+            (
+                has(*objects.CYCLE),
+                f"no interpolation period (60C2h): set the period to {cycle_s * 1e3:g} ms with the "
+                "maker's tool",
+            ),
+            (
+                objects.stops_alone(has),
+                f"{watchless}, so that the drive counts as a drive without a watchdog; if its "
+                "manual states that the drive takes the power off when it receives nothing from "
+                "this program, set servo.stops_alone: true",
+            ),
+        ):
+            if not there:
+                yield text
 
     def limit_steps(self) -> LimitSteps:
-        """Return the resolution of each limit at the joint, that is, one unit of its object."""
         return servo_limits.steps(self._scales)
 
-    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield an error for each limit that does not fit into its object."""
+    def limit_problems(self, limits: ServoLimits) -> Iterator[DeviceError]:
         encoded = servo_limits.encode(limits, self._scales).items()
         values = [(address, value) for address, value in encoded if address in self._held]
-        values += [
-            (address, value)
-            for address, value in self._motion.settings(limits)
-            if self._channel.describes(*address)
-        ]
-        yield from servo_limits.refusals(self._channel, self._scales, values)
+        values += self._motion_settings(limits)
+        yield from servo_limits.problems(self._channel, self._scales, values)
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write limits into the drive and verify them by reading back.
-
-        Raises:
-            LimitError: A value that is read back differs from the written value, or a limit does
-                not fit into its object.
-            ObjectAccessError: The drive refuses a limit.
-        """
         servo_limits.write(self._channel, self._scales, limits, self._held)
         self._deceleration = limits.quick_stop_deceleration_rad_s2
-        for address, value in self._motion.settings(limits):
-            if self._channel.describes(*address):
-                servo_limits.store_limit(self._channel, self._scales, address, value)
+        for address, value in self._motion_settings(limits):
+            servo_limits.store_limit(self._channel, self._scales, address, value)
         self._motion.take_limits(limits)
 
+    def _motion_settings(self, limits: ServoLimits) -> list[tuple[ObjectAddress, int]]:
+        settings = self._motion.settings(limits)
+        return [(at, value) for at, value in settings if self._channel.describes(*at)]
+
     def readings(self) -> ServoReadings:
-        """Read each value of the drive by SDO; a value that the drive does not have is NaN."""
-        return read_once(self._channel, self._scales, self._sent)
+        scales = self._scales
+        speed, supply, temperature = (
+            self._read_or_nan(address)
+            for address in (objects.SPEED_ACTUAL, scales.supply_object, scales.temperature_object)
+        )
+        return self.glance()._replace(
+            velocity_rad_s=speed * scales.joint_speed_unit_rad_s * scales.sign,
+            supply_voltage_V=supply * scales.supply_unit_V,
+            temperature_C=temperature * scales.temperature_unit_C,
+        )
 
     def glance(self) -> ServoReadings:
-        """Read position and current, by request."""
-        return glance(self._channel, self._scales, self._sent)
+        scales, sent = self._scales, self._sent
+        counts = self._read_or_nan(objects.POSITION)
+        current = self._read_or_nan(sent.current)
+        return ServoReadings(
+            counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+            current_A=scales.current_A(current, sent.current_unit_A),
+        )
+
+    def _read_or_nan(self, address: ObjectAddress | None) -> float:
+        if address is None:
+            return math.nan
+        try:
+            return self._channel.read(*address)
+        except (ConfigurationError, ObjectAccessError):
+            return math.nan
 
     def measuring(self) -> Measuring:
-        """Return the units of position and current, and the rated current."""
         scales, sent = self._scales, self._sent
         step_A = math.nan if sent.current is None else sent.current_unit_A
         step_rad = abs(scales.joint_rad_per_count)
         return Measuring(step_rad, scales.gear_ratio, step_A, scales.rated_current_A)
 
     def motion(self) -> ServoMotion:
-        """Read position and, if the drive has it, speed by SDO."""
         scales, speed = self._scales, math.nan
         angle = scales.joint_angle_rad(self._channel.read(*objects.POSITION))
         if self._channel.describes(*objects.SPEED_ACTUAL):
@@ -421,14 +367,12 @@ class Cia402Servo(HomingServo):
         return ServoMotion(angle, speed)
 
     def promised_deceleration(self) -> float:
-        """Return the deceleration of the quick stop (6085h) as last written, else as read."""
         if math.isnan(self._deceleration) and servo_limits.QUICK_STOP_DECELERATION in self._held:
             units = self._channel.read(*servo_limits.QUICK_STOP_DECELERATION)
             self._deceleration = units * self._scales.joint_acceleration_unit_rad_s2
         return self._deceleration
 
     def fault(self) -> DriveFault:
-        """Read the cause of the drive's fault (603Fh)."""
         code, label = optional(self._channel.read, *objects.ERROR_CODE), self._channel.label
         if code is None:
             return DriveFault(
@@ -438,32 +382,105 @@ class Cia402Servo(HomingServo):
             )
         return DriveFault(code, f"{label} is in fault: {explain(code)}")
 
-    def description_refusals(self) -> Iterator[DeviceError]:
+    def description_problems(self) -> Iterator[DeviceError]:
         """Yield an error for each object that this profile needs and the EDS lacks, without sending
         anything.
         """
-        yield from description_refusals(self._channel, self._scales, self._sent, self._motion)
-        if self._motion.needs_watch and self.watch_s is None:
+        channel, motion = self._channel, self._motion
+        yield from problem_of(channel.require_fit, *VENDOR, 0)
+        lacking = [
+            ConfigurationError(f"{error}; every run needs this object, because {purpose}")
+            for address, purpose in {**objects.NEEDED, **motion.needed}.items()
+            for error in problem_of(channel.require_fit, *address, 0)
+        ]
+        lacking += [
+            ConfigurationError(
+                f"{error}, although the bench file names this object: correct the bench file"
+            )
+            for address in self._scales.named_objects
+            for error in problem_of(channel.require_fit, *address, 0)
+        ]
+        if self._sent.current is None:
+            lacking.append(
+                ConfigurationError(
+                    "the device's EDS has neither the current 6078h nor the torque 6077h as "
+                    "process data; one of the two is needed to check the limits of current and "
+                    "torque: state the maker's own object of the current in servo.current_object "
+                    "and its unit in servo.current_unit_A"
+                )
+            )
+        yield from lacking
+        if not lacking:
+            settings = (address for address, _ in objects.settings(channel, 0.0))
+            for address in (*self._held, *settings):
+                yield from problem_of(channel.require_fit, *address, 0)
+            yield from problem_of(channel.require_mappable, self._outputs, self._inputs)
+        if motion.needs_watch and self.watch_s is None:
             yield ConfigurationError(
-                f"mode {self._motion.words} needs a drive that takes the power off when the "
-                "messages of this program end, because the drive would continue to execute the "
-                "last command; this drive lacks the objects for this (6007h, and 1016h or 100Ch "
-                "with 100Dh): if its manual states that it takes the power off, set "
-                "servo.stops_alone: true"
+                f"mode {motion.words} needs a drive that takes the power off when the messages of "
+                "this program end, because the drive would continue to execute the last command; "
+                "this drive lacks the objects for this (6007h, and 1016h or 100Ch with 100Dh): if "
+                "its manual states that it takes the power off, set servo.stops_alone: true"
             )
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield an error for each unit that differs from the bench file, a cycle time that cannot
-        be set, and each object that the drive refuses to read.
-        """
-        yield from refusals(
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        if (error := self._not_offered()) is not None:
+            yield error
+        yield from self._unit_problems(cycle_s)
+        needed = (*objects.NEEDED, *self._motion.needed, *self._held)
+        settings = (address for address, _ in objects.settings(self._channel, cycle_s))
+        yield from access_problems(
             self._channel,
-            self._scales,
-            self._sent,
-            self._motion,
-            cycle_s,
+            self._outputs,
+            self._inputs,
             self.watch_s is not None,
+            (*needed, *settings),
         )
+
+    def _not_offered(self) -> StateError | None:
+        """Return an error if the drive, by object 6502h, does not support its mode."""
+        offered, bit = self._modes(), self._motion.mode - 1
+        if offered is None or offered & 1 << bit:
+            return None
+        return StateError(
+            f"the drive does not support mode {self._motion.mode}, {self._motion.words} (6502h "
+            f"reads {offered:08X}h, in which bit {bit} is 0): set servo.mode to a mode that the "
+            "drive supports"
+        )
+
+    def _modes(self) -> int | None:
+        """Return the supported modes (6502h), or None if the drive does not state them."""
+        if not self._channel.describes(*objects.MODES):
+            return None
+        return optional(self._channel.read, *objects.MODES)
+
+    def _unit_problems(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield those errors of units, vendor and cycle time that the mapping of process data does
+        not detect.
+        """
+        channel, scales = self._channel, self._scales
+        if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
+            yield ConfigurationError(
+                f"vendor 1018h:01h: the drive reports {channel.read(*VENDOR):X}h, but the units "
+                f"are those of the vendor {scales.vendor_id:X}h in its EDS file: use the EDS file "
+                "of this drive"
+            )
+        yield from scales.mismatches(channel)
+        yield from stated_unit_problems(channel, scales)
+        milliseconds = round(cycle_s * 1e3)
+        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
+            yield ConfigurationError(
+                f"the cycle time is {cycle_s * 1e3:g} ms; it must be a whole number of "
+                "milliseconds (60C2h)"
+            )
+        if self._motion.takes_offset:
+            for error in problem_of(channel.read, *TORQUE_OFFSET):
+                words = (
+                    f"{channel.label}: no torque offset 60B2h ({error}): run without feed-forward"
+                )
+                offset_error = ConfigurationError(words)
+                offset_error.__cause__ = error
+                yield offset_error
 
     def prepare(self, cycle_s: float) -> None:
         """Check units, map process data, set the cycle time, and verify that the heartbeat time-out
@@ -471,11 +488,6 @@ class Cia402Servo(HomingServo):
 
         The heartbeat time-out is active only from :meth:`enable` to :meth:`disable`, so that the
         control loop may pause at all other times.
-
-        Raises:
-            ConfigurationError: A scale or a unit differs from the bench file, or the drive did not
-                store a setting.
-            StateError: The drive is energised.
         """
         state = self.state()
         if state.energised:
@@ -486,14 +498,13 @@ class Cia402Servo(HomingServo):
         self._cycle_ns = 0
         self.prepared = False
         channel = self._channel
-        for error in unit_refusals(channel, self._scales, self._motion, cycle_s):
+        for error in self._unit_problems(cycle_s):
             raise error
         for address, value in objects.settings(channel, cycle_s):
             servo_limits.store(channel, address, value)
         self._motion.offset = 0
-        outputs = objects.outputs(self._motion)
         watched = self.watch_s is not None
-        channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s, watched=watched)
+        channel.map_process_data(self._outputs, self._inputs, cycle_s=cycle_s, watched=watched)
         self._cycle_ns = round(cycle_s * NS)
         self.prepared = True
         self._values.begin(self._cycle_ns)
@@ -504,18 +515,10 @@ class Cia402Servo(HomingServo):
         self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
-        """Energise the drive and hold the present position; process data are exchanged during all
-        transitions.
-
-        Raises:
-            StateError: The drive is not prepared, the command is not allowed in the present state,
-                or the drive does not reach the state in time; the drive is then de-energised.
-            DriveFault: The drive is in fault.
-        """
         if not self._cycle_ns:
             raise StateError("the drive is not prepared: call prepare() first")
         state = self.state()
-        if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+        if state in _FAULTS:
             raise self.fault()
         controlword(state, Command.ENABLE)
         self._motion.reset()
@@ -531,13 +534,6 @@ class Cia402Servo(HomingServo):
             raise
 
     def disable(self) -> None:
-        """Switch the power off, verify by reading 6041h that it is off, and end the heartbeat
-        time-out.
-
-        Raises:
-            StateError: The drive still reports an energised state.
-            LinkError: The drive cannot be reached; it stops by itself after its heartbeat time-out.
-        """
         channel = self._channel
         with channel.kept_alive(_UNANSWERED_SHARE * self._watch_s):
             self._command(Command.DISABLE)
@@ -550,19 +546,9 @@ class Cia402Servo(HomingServo):
                 self._release()
 
     def quick_stop(self, *, at_once: bool = True) -> None:
-        """Order the drive to brake with its own ramp (605Ah, 6085h).
-
-        All further exchanges contain the order. With ``at_once``, or if an exchange may not reach
-        the drive, a request gives the order too.
-        """
         self._command(Command.QUICK_STOP, at_once)
 
     def reset_fault(self) -> None:
-        """Reset a fault. Afterwards the drive is in the state SWITCH ON DISABLED and does not move.
-
-        Raises:
-            StateError: There is no fault to reset, or the fault occurs again.
-        """
         word = controlword(self.state(), Command.RESET_FAULT)
         self._command(Command.DISABLE)
         if word == cia402.FAULT_RESET:
@@ -571,11 +557,6 @@ class Cia402Servo(HomingServo):
         self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled")
 
     def set_target(self, angle_rad: float) -> None:
-        """Set the joint angle that the next exchange sends.
-
-        Raises:
-            ConfigurationError: The angle is beyond the range of 607Ah.
-        """
         counts = self._scales.counts(angle_rad)
         if counts not in _INT32:
             raise ConfigurationError(
@@ -585,14 +566,8 @@ class Cia402Servo(HomingServo):
         self._stage(counts)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Set a joint torque that the drive adds to the torque of its controller (60B2h), to the
-        nearest per mille of the rated torque.
-
-        Unless the controlword commands operation, a torque offset of zero is sent.
-
-        Raises:
-            ConfigurationError: The drive was not prepared for a torque offset, or the torque is
-                beyond the range of 60B2h.
+        """Set the torque offset (60B2h) to the nearest per mille of the rated torque. Unless the
+        controlword commands operation, a torque offset of zero is sent.
         """
         if not self._motion.takes_offset:
             super().set_torque_offset(torque_N_m)
@@ -606,7 +581,6 @@ class Cia402Servo(HomingServo):
         self._stage(self._target)
 
     def sample(self) -> ServoSample:
-        """Return the sample of the last exchange."""
         statusword, position = self._values.motion()
         following = 0
         if statusword & 0x6F == 0x27 and self._motion.follows:
@@ -614,6 +588,10 @@ class Cia402Servo(HomingServo):
             demand = self._previous if self._channel.cycle <= self._staged_in + 1 else self._target
             following = demand - position
         return self._values.sample(following)
+
+    @property
+    def _outputs(self) -> list[PdoLayout]:
+        return objects.outputs(self._motion)
 
     def _stage(self, counts: int) -> None:
         if self._channel.cycle != self._staged_in:
@@ -639,7 +617,7 @@ class Cia402Servo(HomingServo):
         watchdog may refuse this.
         """
         self._armed = True
-        for refused in refusal(self._channel.watch, self._watch_s):
+        for refused in problem_of(self._channel.watch, self._watch_s):
             if self.watch_s is not None:
                 raise refused
 
@@ -659,11 +637,17 @@ class Cia402Servo(HomingServo):
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
+    def _in_mode(self) -> bool:
+        """Return whether the mode of operation is active, that is, shown in object 6061h."""
+        return self._channel.read(*objects.MODE_DISPLAY) == self._motion.mode
+
     def _select_mode(self) -> bool:
-        """Select the mode of operation and wait; return whether the drive activated the mode."""
-        cia402_objects.select(self._channel, self._motion)
+        """Select the mode of operation (6060h) and wait; return whether the drive activated it."""
+        if (error := self._not_offered()) is not None:
+            raise error
+        self._channel.write(*objects.MODE, self._motion.mode)
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
-            if cia402_objects.in_force(self._channel, self._motion):
+            if self._in_mode():
                 return True
             if not in_time:
                 break
@@ -673,13 +657,16 @@ class Cia402Servo(HomingServo):
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             statusword, position = self._values.motion()
             state = decode_state(statusword)
-            if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+            if state in _FAULTS:
                 raise self.fault()
-            if state in cia402_objects.NEEDED_IN and not in_mode:
-                in_mode = cia402_objects.in_force(self._channel, self._motion)
+            if state in objects.NEEDED_IN and not in_mode:
+                in_mode = self._in_mode()
                 if not in_mode and not in_time:
-                    raise cia402_objects.not_shown(
-                        self._channel, self._motion, state, self._timeout_s
+                    raise StateError(
+                        f"in state '{state.value}' the active mode 6061h still reads "
+                        f"{self._channel.read(*objects.MODE_DISPLAY)}, {self._timeout_s:g} s after "
+                        f"mode {self._motion.mode} ({self._motion.words}) was written to 6060h: "
+                        "check in the drive's manual how this mode is selected"
                     )
                 if not in_mode:
                     continue
@@ -693,3 +680,114 @@ class Cia402Servo(HomingServo):
             if self._channel.fresh:
                 self._word = controlword(state, Command.ENABLE)
                 self._stage(position)
+
+    def homing_offer(self) -> HomingOffer:
+        channel = self._channel
+        try:
+            why = self._missing(METHOD, HOME_OFFSET)
+            modes = None if why else self._modes()
+            if modes is not None and not modes >> HOMING - 1 & 1:
+                why = f"6502h reads {modes:08X}h: bit {HOMING - 1}, homing mode, is 0"
+            if why:
+                return HomingOffer(why_not=why)
+            listed = self._listed_methods()
+            methods = STANDARD if listed is None else listed
+            fit = tuple(m for m in methods if not [*problem_of(channel.require_fit, *METHOD, m)])
+            still = self._missing(SEARCH_SPEED, ZERO_SPEED)
+        except (ObjectAccessError, ConfigurationError) as refused:
+            return HomingOffer(why_not=str(refused))
+        if still:
+            fit = tuple(m for m in fit if m in IN_PLACE)
+        why = still or ("" if fit else "60E3h lists no method that fits into 6098h")
+        return HomingOffer(fit, why, listed is not None)
+
+    def _missing(self, *addresses: ObjectAddress) -> str:
+        """Return the object for homing that the drive lacks; empty if none is missing."""
+        for address in addresses:
+            if not self._channel.describes(*address):
+                return f"object {short_name(address)} is not in the device's EDS"
+            if optional(self._channel.read, *address) is None:
+                return f"object {short_name(address)} is in the device's EDS, but not in the device"
+        return ""
+
+    def _listed_methods(self) -> tuple[int, ...] | None:
+        """Return the methods that object 60E3h lists, or None for a drive without this object."""
+        read = self._channel.read
+        if not self._channel.describes(SUPPORTED_METHODS, 0):
+            return None
+        count = optional(read, SUPPORTED_METHODS, 0)
+        if count is None:
+            return None
+        found = (optional(read, SUPPORTED_METHODS, at) for at in range(1, min(count, 254) + 1))
+        # 60E3h may be unsigned, whereas in 6098h the maker's own methods are negative numbers.
+        return tuple(sorted({m - 256 if m > 127 else m for m in found if m}))
+
+    def begin_homing(self, order: HomingOrder) -> Mapping[str, int]:
+        state = self.state()
+        if state.energised or isinstance(self._motion, Homing):
+            raise StateError(f"the drive is in state '{state.value}': disable it before homing")
+        held: dict[str, int] = {}
+        for address, value in homing_settings(self._channel, self._scales, order):
+            self._channel.require_fit(*address, value)
+            servo_limits.store(self._channel, address, value)
+            held[short_name(address)] = value
+        self._motion = Homing(self._motion)
+        try:
+            self.enable()
+        except DeviceError:
+            with suppress(DeviceError):
+                self.end_homing()
+            raise
+        return held
+
+    def start_homing(self) -> None:
+        if isinstance(self._motion, Homing):
+            self._motion.started = True
+            self._stage(self._target)
+
+    def homing_state(self) -> HomingState:
+        word, _ = self._values.motion()
+        if word & _ERROR:
+            return HomingState.FAILED
+        if not word & _REACHED or not self._channel.fresh:
+            return HomingState.RUNNING
+        return HomingState.ATTAINED if word & _ATTAINED else HomingState.INTERRUPTED
+
+    def end_homing(self) -> tuple[int, int]:
+        state = self.state()
+        if state.energised:
+            raise StateError(
+                f"the drive is in state '{state.value}', in which its mode of operation cannot be "
+                "changed from homing: disable it first"
+            )
+        if isinstance(self._motion, Homing):
+            self._motion = self._motion.usual
+        mode = self._motion.mode
+        self._channel.write(*objects.MODE, mode)
+        return self._channel.read(*objects.MODE_DISPLAY), mode
+
+
+def homing_settings(
+    channel: ProcessChannel, scales: ServoScales, order: HomingOrder
+) -> Iterator[tuple[ObjectAddress, int]]:
+    """Yield the objects that are written before a homing, and their values; speeds are rounded
+    down.
+
+    Raises:
+        ConfigurationError: A speed is less than the unit of its object.
+    """
+    unit = scales.joint_speed_unit_rad_s
+    if order.method not in IN_PLACE:
+        for address, speed in ((SEARCH_SPEED, order.search_rad_s), (ZERO_SPEED, order.zero_rad_s)):
+            value = math.floor(speed / unit + 1e-6)
+            if value < 1:
+                raise ConfigurationError(
+                    f"the homing speed, {speed:g} rad/s at the joint, is less than one unit of "
+                    f"object 6099h, {unit:g} rad/s: raise --speed-limit"
+                )
+            yield address, value
+        if channel.describes(*HOMING_ACCELERATION):
+            units = order.acceleration_rad_s2 / scales.joint_acceleration_unit_rad_s2
+            yield HOMING_ACCELERATION, max(1, round(units))
+    yield HOME_OFFSET, scales.counts(order.home_rad)
+    yield METHOD, order.method

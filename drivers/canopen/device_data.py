@@ -7,11 +7,10 @@ maker publishes them. Values in the bench file have priority over these data.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 import yaml
 from canopen.objectdictionary import ObjectDictionary
@@ -142,43 +141,14 @@ def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else f"{value}"
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML loader that refuses keys that appear twice, and reads numbers by the rules of YAML
-    1.2.
-    """
-
-    yaml_implicit_resolvers: dict[str, Any] = {  # noqa: RUF012 - the base class owns this attribute
-        first: list(found) for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Return a mapping; a key that appears twice is an error.
-
-        Raises:
-            ValueError: A key appears twice.
-        """
-        found = super().construct_mapping(node, deep)
-        if len(found) != len(node.value):
-            raise ValueError(f"a key appears twice in the mapping at {node.start_mark}")
-        return found
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    [*"-+0123456789"],
-)
-
-
 def parse(text: str) -> DeviceData:
     """Return the data of one file.
 
     Raises:
-        ValueError: The file is no valid YAML, has a key twice, or has a key or value that is not
-            allowed.
+        ValueError: The file is no valid YAML, or has a key or value that is not allowed.
     """
     try:
-        return DeviceData.model_validate(yaml.load(text, _Loader))  # noqa: S506 - a safe loader
+        return DeviceData.model_validate(yaml.safe_load(text))
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error
 

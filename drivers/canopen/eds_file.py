@@ -7,20 +7,228 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
+from xml.parsers import expat
 
-from canopen.objectdictionary import (
-    ObjectDictionary,
-    ODArray,
-    ODRecord,
-    ODVariable,
-    datatypes,
-)
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes
 
-from drivers.canopen import xdd_text
-from drivers.canopen.eds_text import Section, decode, integer, sections
-from drivers.errors import ConfigurationError, require_plain
+from drivers.errors import ConfigurationError
+
+
+@dataclass
+class Section:
+    """One section of the file.
+
+    Attributes:
+        name: Name of the section as in the file.
+        line: Line of the section's head, counted from 1.
+        values: Key in lower case to its value and line.
+    """
+
+    name: str
+    line: int
+    values: dict[str, tuple[str, int]] = field(default_factory=dict)
+
+    def text(self, key: str, default: str = "") -> str:
+        """Return the value of a key; the default if the key is absent or its value is blank."""
+        return self.values.get(key.lower(), (default, 0))[0] or default
+
+    def place(self, key: str) -> int:
+        """Return the line of a key; the line of the section if the key is absent."""
+        return self.values.get(key.lower(), ("", self.line))[1]
+
+
+def decode(content: bytes) -> str:
+    """Return the text of a file. CiA 306 allows only ASCII, and the program uses only the ASCII
+    text; names and comments may contain other bytes, in local encodings.
+    """
+    for encoding in ("utf-8-sig", "utf-16" if content[:2] in _WIDE else "latin-1"):
+        try:
+            return content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return content.decode("latin-1")
+
+
+_WIDE = (b"\xff\xfe", b"\xfe\xff")
+
+
+@lru_cache(maxsize=4)
+def sections(text: str) -> Mapping[str, Section]:
+    """Return the sections by their names in upper case; lines that belong to no section are
+    skipped.
+
+    The results are cached, because a program that connects repeatedly reads the same few files each
+    time.
+    """
+    found: dict[str, Section] = {}
+    current: Section | None = None
+    for number, raw in enumerate(text.split("\n"), start=1):
+        line = raw.strip()
+        if line.startswith("["):
+            name = line[1:].partition("]")[0].strip()
+            current = found.setdefault(name.upper(), Section(name, number))
+        elif current is not None and not line.startswith((";", "#")) and "=" in line:
+            key, _, value = line.partition("=")
+            value = value.partition(" ;")[0].partition("\t;")[0].strip()
+            current.values.setdefault(key.strip().lower(), (value, number))
+    return found
+
+
+def integer(text: str) -> int:
+    """Return the number of a text: decimal, also with leading zeros, or hexadecimal with 0x.
+
+    Raises:
+        ValueError: The text is not a number.
+    """
+    # CiA 306 allows octal numbers, with a leading zero, but no value that is read here is octal;
+    # some are decimal numbers with leading zeros.
+    text = text.replace(" ", "")
+    return int(text, 16 if text.lower().startswith("0x") else 10)
+
+
+MOST_BYTES: Final = 16 << 20
+"""Greatest size of a file; the largest files of makers have a tenth of this."""
+_HEX: Final = frozenset("0123456789ABCDEFabcdef")
+_KEYS: Final[Mapping[str, str]] = {
+    "name": "parametername",
+    "objectType": "objecttype",
+    "dataType": "datatype",
+    "accessType": "accesstype",
+    "defaultValue": "defaultvalue",
+    "lowLimit": "lowlimit",
+    "highLimit": "highlimit",
+}
+"""Attribute of an object to the key of an EDS file."""
+_TYPES: Final[Mapping[str, int]] = {
+    **{"BOOL": 0x01, "SINT": 0x02, "INT": 0x03, "DINT": 0x04, "USINT": 0x05, "BYTE": 0x05},
+    **{"UINT": 0x06, "WORD": 0x06, "UDINT": 0x07, "DWORD": 0x07, "REAL": 0x08, "STRING": 0x09},
+    **{"LREAL": 0x11, "LINT": 0x15, "ULINT": 0x1B, "LWORD": 0x1B},
+}
+"""Element for the type of a parameter (IEC 61131-3) to the data type of CiA 301."""
+_ACCESS: Final[Mapping[str, str]] = {
+    **{"const": "const", "read": "ro", "write": "wo", "readWrite": "rw"},
+    **{"readWriteInput": "rw", "readWriteOutput": "rw"},
+}
+_IDENTITY: Final[Mapping[str, str]] = {"vendorID": "vendornumber", "productID": "productnumber"}
+
+
+def is_xml(content: bytes) -> bool:
+    """Return whether a file is an XML document and not an EDS file."""
+    return content.lstrip(b"\xef\xbb\xbf\xff\xfe\0 \t\r\n")[:1] == b"<"
+
+
+@lru_cache(maxsize=4)
+def xml_sections(content: bytes) -> Mapping[str, Section]:
+    """Return the objects by the names that their sections would have in an EDS file.
+
+    Raises:
+        ValueError: The file is too large, no XML document, has a document type declaration (whose
+            entities could have any size, or be read from other files), or describes an object
+            without a valid index. The arguments are the line and the reason.
+    """
+    if len(content) > MOST_BYTES:
+        raise ValueError(1, f"the file has {len(content)} bytes, limit {MOST_BYTES}")
+    return _XmlReader().read(content)
+
+
+class _XmlReader:
+    """Collects the objects while the parser goes through the document."""
+
+    def __init__(self) -> None:
+        self._parser: Any = expat.ParserCreate(namespace_separator=" ")
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.CharacterDataHandler = self._text
+        self._parser.StartDoctypeDeclHandler = self._refuse
+        self._sections: dict[str, Section] = {}
+        self._header = Section("DeviceInfo", 1)
+        self._references: dict[str, str] = {}
+        self._parameters: dict[str, dict[str, str]] = {}
+        self._parameter: dict[str, str] | None = None
+        self._index = ""
+        self._named = ""
+        self._lists = 0
+
+    def read(self, content: bytes) -> Mapping[str, Section]:
+        """Return the sections of a document."""
+        try:
+            self._parser.Parse(content, True)
+        except expat.ExpatError as error:
+            reason = expat.ErrorString(error.code)
+            raise ValueError(
+                error.lineno, f"the file is no valid XML document: {reason}"
+            ) from error
+        for name, reference in self._references.items():
+            section = self._sections[name]
+            for key, value in self._parameters.get(reference, {}).items():
+                section.values.setdefault(key, (value, section.line))
+        return {"DEVICEINFO": self._header, **self._sections}
+
+    def _refuse(self, *_arguments: object) -> None:
+        raise ValueError(
+            self._parser.CurrentLineNumber,
+            "the file has a document type declaration (<!DOCTYPE), which is not read: remove it",
+        )
+
+    def _start(self, element: str, attributes: dict[str, str]) -> None:
+        kind = element.rpartition(" ")[2]
+        if kind == "CANopenObjectList":
+            self._lists += 1
+        elif kind == "CANopenObject" and self._lists == 1:
+            self._index = self._number(attributes, "index", 4)
+            self._object(self._index, attributes)
+        elif kind == "CANopenSubObject" and self._lists == 1:
+            sub = self._number(attributes, "subIndex", 2)
+            self._object(f"{self._index}sub{int(sub, 16):X}", attributes)
+        elif kind in _IDENTITY:
+            self._named = _IDENTITY[kind]
+        elif kind == "parameter":
+            access = _ACCESS.get(attributes.get("access", ""), "rw")
+            self._parameter = {"accesstype": access}
+            self._parameters[attributes.get("uniqueID", "")] = self._parameter
+        elif self._parameter is not None and kind in _TYPES:
+            self._parameter.setdefault("datatype", f"0x{_TYPES[kind]:04X}")
+        elif self._parameter is not None and kind == "defaultValue":
+            self._parameter.setdefault("defaultvalue", attributes.get("value", ""))
+
+    def _end(self, element: str) -> None:
+        self._named = ""
+        if element.rpartition(" ")[2] == "parameter":
+            self._parameter = None
+
+    def _text(self, text: str) -> None:
+        if self._named and text.strip():
+            line = self._parser.CurrentLineNumber
+            self._header.values.setdefault(self._named, (text.strip(), line))
+
+    def _number(self, attributes: dict[str, str], name: str, digits: int) -> str:
+        text = attributes.get(name, "").strip().upper().removeprefix("0X")
+        if not 1 <= len(text) <= digits or not set(text) <= _HEX:
+            raise ValueError(
+                self._parser.CurrentLineNumber,
+                f"{name} is {attributes.get(name)!r}; it must be a hexadecimal number of at most "
+                f"{digits} digits",
+            )
+        return text.zfill(digits)
+
+    def _object(self, name: str, attributes: dict[str, str]) -> None:
+        line = self._parser.CurrentLineNumber
+        section = Section(name, line)
+        for attribute, key in _KEYS.items():
+            if text := attributes.get(attribute, "").strip():
+                if attribute == "dataType" and not text.lower().startswith("0x"):
+                    text = f"0x{text}"
+                section.values[key] = (text, line)
+        mapping = attributes.get("PDOmapping", "no").strip()
+        section.values["pdomapping"] = ("0" if mapping in ("no", "") else "1", line)
+        if reference := attributes.get("uniqueIDRef", ""):
+            self._references[name.upper()] = reference
+        self._sections.setdefault(name.upper(), section)
+
 
 _OBJECT: Final = re.compile(r"([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?")
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
@@ -63,7 +271,8 @@ def read_eds(eds: Path, node_id: int) -> Described:
         ConfigurationError: The file cannot be read, or describes no object.
     """
     try:
-        require_plain(eds)
+        if eds.exists() and not eds.is_file():
+            raise OSError("the path leads to a pipe or a device; state the path of a file")
         content = eds.read_bytes()
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -71,9 +280,9 @@ def read_eds(eds: Path, node_id: int) -> Described:
             f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the EDS file of this "
             "device"
         ) from error
-    xml = xdd_text.is_xml(content)
+    xml = is_xml(content)
     try:
-        found = xdd_text.sections(content) if xml else sections(decode(content))
+        found = xml_sections(content) if xml else sections(decode(content))
     except ValueError as error:
         line, reason = error.args
         raise ConfigurationError(f"{eds}:{line}: {reason}; use the file of this device") from error
@@ -103,7 +312,7 @@ class _Reader:
     Args:
         eds: The file, for messages.
         node_id: Node identifier.
-        found: Sections of the file, from :func:`~drivers.canopen.eds_text.sections`.
+        found: Sections of the file, from :func:`~drivers.canopen.eds_file.sections`.
     """
 
     def __init__(self, eds: Path, node_id: int, found: Mapping[str, Section]) -> None:

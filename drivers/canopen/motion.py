@@ -8,13 +8,13 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Literal, NamedTuple
 
 from drivers import servo_limits
 from drivers.canopen import cia402
 from drivers.errors import ConfigurationError, StateError
-from drivers.interfaces import KNOWN_SPREAD, MEASURED_SPREAD, ServoLimits
+from drivers.interfaces import KNOWN_SPREAD, MEASURED_SPREAD, ServoLimits, SpeedRemedies
 from drivers.objects import ObjectAddress, ProcessChannel, optional
 from drivers.units import ServoScales
 
@@ -46,25 +46,6 @@ class LoopGains:
     position_1_s: float
     speed_N_m_s_rad: float = 0.0
     reset_1_s: float = 0.0
-
-
-@dataclass(frozen=True)
-class LoopLimits:
-    """Limits of the command that the loop computes.
-
-    Attributes:
-        angle_min_rad: Lower end of the range of the joint angle.
-        angle_max_rad: Upper end of this range.
-        speed_rad_s: Greatest speed.
-        torque_N_m: Greatest torque.
-        deceleration_rad_s2: Deceleration with which the joint stops before an end of the range.
-    """
-
-    angle_min_rad: float
-    angle_max_rad: float
-    speed_rad_s: float
-    torque_N_m: float
-    deceleration_rad_s2: float
 
 
 class LoopState(NamedTuple):
@@ -103,7 +84,7 @@ def derived(
 def step(
     state: LoopState,
     gains: LoopGains,
-    limits: LoopLimits,
+    limits: ServoLimits,
     cycle_s: float,
     target_rad: float,
     angle_rad: float,
@@ -118,7 +99,8 @@ def step(
     Args:
         state: State after the last cycle.
         gains: Gains; without a speed gain the torque command is 0.
-        limits: Limits of the commands.
+        limits: Limits of the commands; the joint stops before an end of the angle range with the
+            deceleration of the quick stop.
         cycle_s: Control cycle, s.
         target_rad: Joint angle to follow.
         angle_rad: Joint angle as last measured.
@@ -151,15 +133,22 @@ def step(
     return LoopState(target_rad, integral), speed, torque
 
 
-def _stopping(distance_rad: float, limits: LoopLimits) -> float:
+def _stopping(distance_rad: float, limits: ServoLimits) -> float:
     """Return the greatest speed toward an end of the angle range at this distance from it,
     rad/s.
     """
     if distance_rad <= 0.0:
         return 0.0
-    return min(limits.speed_rad_s, math.sqrt(2.0 * limits.deceleration_rad_s2 * distance_rad))
+    return min(
+        limits.speed_rad_s, math.sqrt(2.0 * limits.quick_stop_deceleration_rad_s2 * distance_rad)
+    )
 
 
+_ENFORCED: Final = (
+    *("angle_min_rad", "angle_max_rad", "speed_rad_s", "torque_N_m"),
+    "quick_stop_deceleration_rad_s2",
+)
+"""Fields of the limits that the position loop enforces."""
 ModeName = Literal["csp", "csv", "cst", "pp"]
 OUTPUT_PDO: Final = 1
 TARGET_POSITION: Final = (0x607A, 0)
@@ -284,13 +273,11 @@ class CyclicPosition(Motion):
 
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
-        """Objects that are sent with the controlword."""
         return (self.target, TORQUE_OFFSET) if self.takes_offset else (self.target,)
 
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put controlword, position and torque offset into the PDO of the next exchange."""
         if self.takes_offset:
             channel.stage(OUTPUT_PDO, word, counts, self.offset)
         else:
@@ -327,7 +314,7 @@ class _HostLoop(Motion):
         self._stated = gains
         self._inertia = inertia_kg_m2
         self._gains = gains
-        self._limits: LoopLimits | None = None
+        self._limits: ServoLimits | None = None
         self._state: LoopState = AT_REST
         self._before: LoopState = AT_REST
         self._stepped_in = -1
@@ -335,31 +322,17 @@ class _HostLoop(Motion):
         self._passed: deque[tuple[int, float]] = deque(maxlen=SPEED_OVER + 1)
 
     def begin(self, cycle_s: float) -> None:
-        """Derive the gains of the loop from the cycle time."""
         self._cycle_s = cycle_s
         self._gains = derived(cycle_s, self._inertia, self._stated)
 
     def take_limits(self, limits: ServoLimits) -> None:
-        """Store the limits, which the position loop in this program enforces."""
-        held = self._limits
-        fields = {
-            "angle_min_rad": limits.angle_min_rad,
-            "angle_max_rad": limits.angle_max_rad,
-            "speed_rad_s": limits.speed_rad_s,
-            "torque_N_m": limits.torque_N_m,
-            "deceleration_rad_s2": limits.quick_stop_deceleration_rad_s2,
-        }
-        found = {
-            name: getattr(held, name, math.nan) if math.isnan(value) else value
-            for name, value in fields.items()
-        }
-        if not any(map(math.isnan, found.values())):
-            self._limits = LoopLimits(**found)
+        stated = {name: getattr(limits, name) for name in _ENFORCED}
+        known = {name: value for name, value in stated.items() if not math.isnan(value)}
+        found = replace(self._limits or limits, **known)
+        if not any(math.isnan(getattr(found, name)) for name in _ENFORCED):
+            self._limits = found
 
     def reset(self) -> None:
-        """Clear the state of the motion; raise :class:`StateError` if the limits have not been
-        set.
-        """
         if self._limits is None:
             raise StateError(
                 f"in mode {self.words} this program, and not the drive, enforces the limits, and "
@@ -491,14 +464,12 @@ class ProfilePosition(Motion):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        """Objects that the mode needs, each with its purpose."""
         return {
             **super().needed,
             servo_limits.PROFILE_SPEED: "it limits the speed of the profile",
         }
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
-        """Yield speed, acceleration and deceleration of the profile."""
         unit = self._scales.joint_speed_unit_rad_s
         if not math.isnan(limits.speed_rad_s):
             yield servo_limits.PROFILE_SPEED, math.floor(limits.speed_rad_s / unit + 1e-6)
@@ -507,7 +478,6 @@ class ProfilePosition(Motion):
                 yield address, max(1, round(units))
 
     def reset(self) -> None:
-        """Clear the state of the motion; the next set-point has no bit "new set-point"."""
         self._raised = False
         self._staged_in = -1
 
@@ -554,7 +524,6 @@ _UNUSUAL: Final = 3.0
 """A decimal multiple is chosen in place of a named unit only if, on a logarithmic scale, the
 distance to the named unit is more than so many times the distance to the multiple.
 """
-_Stated = tuple[ObjectAddress, int, float | None]
 _WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per second"}
 
 
@@ -582,109 +551,139 @@ def decode_acceleration(word: int) -> float | None:
     return None
 
 
-def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
-    """Yield an error for each unit of the drive that differs from the unit in the bench file."""
-    yield from _unlike(
-        "speed",
-        "rad/s",
-        scales.motor_speed_unit_rad_s,
-        _stated(channel, UNIT, decode),
-        lambda told: _words(told, scales, exact=True),
-    )
-    yield from _unlike(
-        "acceleration",
-        "rad/s^2",
-        scales.motor_acceleration_unit_rad_s2,
-        _stated(channel, ACCELERATION_UNIT, decode_acceleration),
-        lambda told: f"set servo.acceleration_unit_rad_s2: {told:.6g}",
-    )
-
-
-def _unlike(
-    name: str, symbol: str, unit: float, stated: _Stated, setting: Callable[[float], str]
+def stated_unit_problems(
+    channel: ProcessChannel, scales: ServoScales
 ) -> Iterator[ConfigurationError]:
-    (index, _), word, told = stated
-    if told is not None and abs(told - unit) > _SAME * told:
+    """Yield an error for each unit that the drive states (60A9h, 60AAh) and that differs from the
+    unit in the bench file; a drive without these objects, or with a unit that is none of SI, states
+    no unit.
+    """
+    for name, symbol, unit, address, meaning in (
+        ("speed", "rad/s", scales.motor_speed_unit_rad_s, UNIT, decode),
+        (
+            "acceleration",
+            "rad/s^2",
+            scales.motor_acceleration_unit_rad_s2,
+            ACCELERATION_UNIT,
+            decode_acceleration,
+        ),
+    ):
+        word = optional(channel.read, *address) if channel.describes(*address) else None
+        told = None if word is None else meaning(word & 0xFFFFFFFF)
+        if word is None or told is None or abs(told - unit) <= _SAME * told:
+            continue
+        setting = f"set servo.acceleration_unit_rad_s2: {told:.6g}"
+        if address == UNIT:
+            setting = SpeedUnit(scales).words(told, exact=True)
         yield ConfigurationError(
-            f"unit of the {name}, {index:04X}h: {told:.6g} {symbol} ({word:08X}h) in the drive, "
-            f"but {unit:.6g} {symbol} in the bench file: {setting(told)}"
+            f"unit of the {name}, {address[0]:04X}h: {told:.6g} {symbol} "
+            f"({word & 0xFFFFFFFF:08X}h) in the drive, but {unit:.6g} {symbol} in the bench file: "
+            f"{setting}"
         )
 
 
-def _stated(
-    channel: ProcessChannel, address: ObjectAddress, meaning: Callable[[int], float | None]
-) -> _Stated:
-    """Return the address and the value of an object that states a unit, and the unit in SI, or None
-    if the drive has no such object or the object states no SI unit.
-    """
-    word = optional(channel.read, *address) if channel.describes(*address) else None
-    if word is None:
-        return address, 0, None
-    return address, word & 0xFFFFFFFF, meaning(word & 0xFFFFFFFF)
+class SpeedUnit(SpeedRemedies):
+    """The unit of the drive's speed (606Ch) beside those that drives have.
 
-
-def remedy(scales: ServoScales, factor: float) -> str:
-    """Return a text that states the setting to change if the reported speed is ``factor`` times the
-    true speed.
+    Args:
+        scales: Units of the drive, from the bench file.
     """
-    if factor == 0.0:
+
+    def __init__(self, scales: ServoScales) -> None:
+        self._scales = scales
+
+    def speed_remedy(self, factor: float) -> str:
+        if factor == 0.0:
+            return (
+                "the speed 606Ch reads 0 while the position 6064h changes: the drive does not "
+                "measure the speed, or its unit of the speed is too coarse for this motion; set a "
+                "finer unit with the maker's tool, and state this unit in "
+                "servo.velocity_unit_rad_s"
+            )
+        if factor < 0.0:
+            return (
+                "the speed 606Ch has the opposite sign of the change of the position 6064h; "
+                "correct the sign with the maker's tool"
+            )
+        return self.words(self._own / factor)
+
+    def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
+        if factor <= 0.0:
+            return ()
+        name, unit = self._recognised(self._own / factor)
+        if name in self._named:
+            return (("velocity_unit_rad_s", None), ("velocity_unit", name))
+        return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.4g}")))
+
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        """Return the factor of the nearest named unit if its ratio to the rough ``factor`` is
+        within ``spread``, else the power of ten nearest to the rough factor; the present unit is
+        excluded.
+        """
+        if factor <= 0.0:
+            return factor
+        named = _nearest(self._own / factor, self._others, spread)
+        if named is not None:
+            return self._own / named[1]
+        return 10.0 ** (round(math.log10(factor)) or math.copysign(1.0, math.log10(factor)))
+
+    def words(self, found: float, exact: bool = False) -> str:
+        """Return a text that states the setting for a unit of ``found``, rad/s; ``exact`` is false
+        for a unit that is computed from a motion.
+        """
+        name, unit = self._recognised(found, exact)
+        if name is not None and name in self._named:
+            return f"the unit of 606Ch is {_WORDS[name]}: set servo.velocity_unit: {name}"
+        setting = f"set servo.velocity_unit_rad_s: {unit:.4g}"
+        if exact:
+            return f"the unit of 606Ch is {name}: {setting}" if name is not None else setting
+        if name is not None:
+            return f"the unit of 606Ch is probably {name}; check the drive's manual, then {setting}"
         return (
-            "the speed 606Ch reads 0 while the position 6064h changes: the drive does not measure "
-            "the speed, or its unit of the speed is too coarse for this motion; set a finer unit "
-            "with the maker's tool, and state this unit in servo.velocity_unit_rad_s"
+            f"one unit of 606Ch is about {unit:.4g} rad/s; look up the exact unit in the drive's "
+            f"manual, or {setting}"
         )
-    if factor < 0.0:
-        return (
-            "the speed 606Ch has the opposite sign of the change of the position 6064h; correct "
-            "the sign with the maker's tool"
-        )
-    return _words(scales.motor_speed_unit_rad_s / factor, scales)
 
+    @property
+    def _own(self) -> float:
+        return self._scales.motor_speed_unit_rad_s
 
-def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float | None], ...]:
-    """Return the keys in the bench file that correct the unit of the drive's speed, and their
-    values; none if no key corrects it.
-    """
-    if factor <= 0.0:
-        return ()
-    name, unit = _recognised(scales.motor_speed_unit_rad_s / factor, scales)
-    if name is not None and name in _units(scales):
-        return (("velocity_unit_rad_s", None), ("velocity_unit", name))
-    return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.4g}")))
+    @property
+    def _named(self) -> dict[str, float]:
+        """Units that have a name in the bench file."""
+        return {"rpm": RPM, "counts_per_s": self._scales.count_rad}
 
+    @property
+    def _others(self) -> dict[str, float]:
+        """Named units that differ from the unit in the bench file."""
+        return {name: unit for name, unit in self._named.items() if not self._is_own(unit)}
 
-def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
-    """Return the factor of the nearest named unit if its ratio to the rough ``factor`` is within
-    ``spread``, else the power of ten nearest to the rough factor; the present unit is excluded.
-    """
-    if factor <= 0.0:
-        return factor
-    own = scales.motor_speed_unit_rad_s
-    named = _nearest(own / factor, _others(scales), spread)
-    if named is not None:
-        return own / named[1]
-    return 10.0 ** (round(math.log10(factor)) or math.copysign(1.0, math.log10(factor)))
+    def _is_own(self, unit: float) -> bool:
+        return abs(unit - self._own) <= _SAME * self._own
 
+    def _recognised(self, unit: float, exact: bool = False) -> tuple[str | None, float]:
+        """Return name and value of the known unit that a value belongs to; the name is None if
+        there is no such unit. Known are the named units, and decimal multiples of the unit in the
+        bench file, because in many drives a power of ten of the unit can be set.
 
-def _units(scales: ServoScales) -> dict[str, float]:
-    """Return the units that have a name in the bench file."""
-    return {"rpm": RPM, "counts_per_s": scales.count_rad}
-
-
-def _others(scales: ServoScales) -> dict[str, float]:
-    """Return the named units that differ from the unit in the bench file."""
-    own = scales.motor_speed_unit_rad_s
-    return {name: unit for name, unit in _units(scales).items() if abs(unit - own) > _SAME * own}
-
-
-def _decimal(scales: ServoScales) -> dict[str, float]:
-    """Return decimal multiples of the unit in the bench file by name; in many drives a power of ten
-    of the unit can be set.
-    """
-    own = scales.motor_speed_unit_rad_s
-    name = next((n for n, unit in _units(scales).items() if abs(unit - own) <= _SAME * own), None)
-    words = "times the stated unit" if name is None else _WORDS[name]
-    return {f"{10.0**power:g} {words}": own * 10.0**power for power in _POWERS}
+        A measured value may differ from the true unit by rounding, and by peaks of the speed
+        between samples. A decimal multiple is less likely than a named unit. A decimal multiple is
+        therefore chosen only if the nearest named unit is farther from the value than the error of
+        a measured motion, and if the multiple is much nearer.
+        """
+        own = next((_WORDS[n] for n, u in self._named.items() if self._is_own(u)), None)
+        multiples = {
+            f"{10.0**power:g} {own or 'times the stated unit'}": self._own * 10.0**power
+            for power in _POWERS
+        }
+        one = 1.0 + _SAME
+        named = _nearest(unit, self._others, one if exact else KNOWN_SPREAD)
+        decimal = _nearest(unit, multiples, one if exact else MEASURED_SPREAD)
+        if named is None or decimal is None:
+            return named or decimal or (None, unit)
+        apart = _apart(unit, named[1])
+        usual = apart <= math.log(MEASURED_SPREAD) or apart <= _UNUSUAL * _apart(unit, decimal[1])
+        return named if usual else decimal
 
 
 def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[str, float] | None:
@@ -699,37 +698,3 @@ def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[st
 
 def _apart(first: float, second: float) -> float:
     return abs(math.log(first / second))
-
-
-def _recognised(unit: float, scales: ServoScales, exact: bool = False) -> tuple[str | None, float]:
-    """Return name and value of the known unit that a value belongs to; the name is None if there is
-    no such unit.
-
-    A measured value may differ from the true unit by rounding, and by peaks of the speed between
-    samples. A decimal multiple is less likely than a named unit. A decimal multiple is therefore
-    chosen only if the nearest named unit is farther from the value than the error of a measured
-    motion, and if the multiple is much nearer.
-    """
-    one = 1.0 + _SAME
-    named = _nearest(unit, _others(scales), one if exact else KNOWN_SPREAD)
-    decimal = _nearest(unit, _decimal(scales), one if exact else MEASURED_SPREAD)
-    if named is None or decimal is None:
-        return named or decimal or (None, unit)
-    apart = _apart(unit, named[1])
-    usual = apart <= math.log(MEASURED_SPREAD) or apart <= _UNUSUAL * _apart(unit, decimal[1])
-    return named if usual else decimal
-
-
-def _words(found: float, scales: ServoScales, exact: bool = False) -> str:
-    name, unit = _recognised(found, scales, exact)
-    if name is not None and name in _units(scales):
-        return f"the unit of 606Ch is {_WORDS[name]}: set servo.velocity_unit: {name}"
-    setting = f"set servo.velocity_unit_rad_s: {unit:.4g}"
-    if exact:
-        return f"the unit of 606Ch is {name}: {setting}" if name is not None else setting
-    if name is not None:
-        return f"the unit of 606Ch is probably {name}; check the drive's manual, then {setting}"
-    return (
-        f"one unit of 606Ch is about {unit:.4g} rad/s; look up the exact unit in the drive's "
-        f"manual, or {setting}"
-    )

@@ -7,14 +7,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary, datatypes
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.sdo import ONE_AXIS, Axis, variable
 from drivers.errors import ConfigurationError, ObjectAccessError
-from drivers.objects import ObjectAddress, PdoLayout, optional
+from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel, optional
 
 _MAX_BYTES: Final = 8
 PDO_BITS: Final = 8 * _MAX_BYTES
@@ -26,25 +26,6 @@ _CODES: Final[Mapping[int, str]] = {
     datatypes.UNSIGNED16: "H",
     datatypes.UNSIGNED32: "I",
 }
-
-
-class Node(Protocol):
-    """Interface of a device whose PDOs are configured."""
-
-    node_id: int
-
-    @property
-    def label(self) -> str:
-        """Name of the device in messages."""
-        ...
-
-    def read(self, index: int, subindex: int = 0) -> int:
-        """Read an integer object."""
-        ...
-
-    def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object."""
-        ...
 
 
 class Input:
@@ -171,7 +152,7 @@ def accessed(direction: Direction, layouts: Sequence[PdoLayout]) -> Iterator[Obj
 
 
 def configure(
-    device: Node,
+    device: ProcessChannel,
     dictionary: ObjectDictionary,
     direction: Direction,
     layouts: Sequence[PdoLayout],
@@ -217,7 +198,7 @@ def configure(
 
 
 def _map(
-    device: Node, dictionary: ObjectDictionary, direction: Direction, layout: PdoLayout
+    device: ProcessChannel, dictionary: ObjectDictionary, direction: Direction, layout: PdoLayout
 ) -> int:
     """Configure one PDO and return its CAN identifier."""
     index = direction.communication + layout.number - 1
@@ -239,7 +220,7 @@ def _map(
     return own
 
 
-def _switch_off(device: Node, index: int, cob_id: int) -> bool:
+def _switch_off(device: ProcessChannel, index: int, cob_id: int) -> bool:
     """Disable a PDO before it is changed; return False if the COB-ID is read-only and the PDO is
     enabled.
     """
@@ -254,7 +235,7 @@ def _switch_off(device: Node, index: int, cob_id: int) -> bool:
     return True
 
 
-def _write_cob_id(device: Node, index: int, cob_id: int) -> None:
+def _write_cob_id(device: ProcessChannel, index: int, cob_id: int) -> None:
     """Write a COB-ID; if the device refuses it, write it with the flag "no remote frames"."""
     try:
         device.write(index, 1, cob_id)
@@ -265,7 +246,7 @@ def _write_cob_id(device: Node, index: int, cob_id: int) -> None:
 
 
 def _store_mapping(
-    device: Node, dictionary: ObjectDictionary, index: int, layout: PdoLayout
+    device: ProcessChannel, dictionary: ObjectDictionary, index: int, layout: PdoLayout
 ) -> None:
     entries = [
         address[0] << 16 | address[1] << 8 | len(variable(dictionary, *address))
@@ -290,6 +271,6 @@ def _store_mapping(
     _store(device, index, 0, len(entries))
 
 
-def _store(device: Node, index: int, subindex: int, value: int) -> None:
+def _store(device: ProcessChannel, index: int, subindex: int, value: int) -> None:
     if device.read(index, subindex) != value:
         device.write(index, subindex, value)

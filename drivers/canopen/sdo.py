@@ -8,13 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
-import canopen
 from canopen.objectdictionary import ObjectDictionary, datatypes
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from drivers.canopen.cia402 import STATUSWORD
-from drivers.clock import Clock
 from drivers.errors import (
     ConfigurationError,
     LinkError,
@@ -24,6 +22,7 @@ from drivers.errors import (
 )
 from drivers.objects import ObjectAddress
 
+_REQUEST, _ANSWER = 0x600, 0x580
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
 """Object address in an abort message of a server that does not state the object."""
@@ -38,15 +37,10 @@ _INITIATE = (1, 2)
 
 
 class Wire(Protocol):
-    """Interface of the link that a node uses."""
+    """Interface of the link that an SDO client uses."""
 
-    clock: Clock
     sdo_timeout_s: float
     alive_until_ns: int
-    cycle: int
-    master_id: int
-    sync_ns: int
-    exchanged: bool
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame."""
@@ -58,20 +52,8 @@ class Wire(Protocol):
         """
         ...
 
-    def heartbeat(self) -> None:
-        """Send the master's heartbeat."""
-        ...
-
     def keep_alive(self) -> None:
         """Send the signs of the control loop that are due, until ``alive_until_ns``."""
-        ...
-
-    def forget(self, node_id: int) -> None:
-        """Drop the errors of a device that no exchange has raised yet."""
-        ...
-
-    def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, which must be the same for all devices."""
         ...
 
 
@@ -85,15 +67,15 @@ class PumpedSdoClient(SdoClient):
 
     limit_s: float | None = None
 
-    def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
-        super().__init__(rx_cobid, tx_cobid, od)  # type: ignore[no-untyped-call]
+    def __init__(self, node_id: int, od: ObjectDictionary, wire: Wire) -> None:
+        super().__init__(_REQUEST + node_id, _ANSWER + node_id, od)  # type: ignore[no-untyped-call]
         self._wire = wire
         self._asked: bytes | None = None
 
     def send_request(self, request: bytes) -> None:
         """Send a request and store the address of its object."""
         self._asked = bytes(request[1:4]) if request[0] >> 5 in _INITIATE else None
-        super().send_request(request)  # type: ignore[no-untyped-call]
+        self._wire.send(self.rx_cobid, bytes(request))
 
     def read_response(self) -> bytes:
         """Return the next response; a late response to an earlier request is skipped.
@@ -134,30 +116,6 @@ class PumpedSdoClient(SdoClient):
             wait_s -= _STEP_S
             wire.keep_alive()
         return wire.pump(lambda: not self.responses.empty(), wait_s)
-
-
-class PumpedNode(canopen.RemoteNode):
-    """Remote node of the library canopen, with :class:`PumpedSdoClient` as its SDO client."""
-
-    def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
-        self._wire = wire
-        self._described = dictionary
-        # The library canopen looks up all PDO records in the dictionary, and fails if the EDS
-        # contains only some of them.
-        super().__init__(node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
-
-    def add_sdo(self, rx_cobid: int, tx_cobid: int) -> PumpedSdoClient:
-        """Add an SDO channel."""
-        client = PumpedSdoClient(rx_cobid, tx_cobid, self._described, self._wire)
-        self.sdo_channels.append(client)
-        if self.has_network():
-            self.network.subscribe(client.tx_cobid, client.on_response)
-        return client
-
-    def limit_wait(self, limit_s: float | None) -> None:
-        """Set the time-out of an SDO answer, s; None for the time-out of the link."""
-        for client in self.sdo_channels:
-            client.limit_s = limit_s
 
 
 @contextmanager

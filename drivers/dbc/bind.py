@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 from drivers.dbc.codec import (
@@ -26,226 +25,10 @@ from drivers.dbc.map import STATES, Assignments, DbcMap, LimitSignals, Protectio
 from drivers.interfaces import ServoState
 
 _KEEPS_RUNNING: Final[Place] = ("orders", "enable", "running")
-
-
-@dataclass(frozen=True)
-class BoundOrders:
-    """The orders of a map.
-
-    Attributes:
-        orders: Orders that do not lead toward power, by their name in the map.
-        enable: Orders that lead toward power, by state of the drive.
-        cyclic: Messages that are sent periodically.
-        once: Messages that are sent only with an order that contains them.
-    """
-
-    orders: Mapping[str, Order]
-    enable: Mapping[ServoState, Order]
-    cyclic: frozenset[str]
-    once: frozenset[str]
-
-
-def bind_orders(spec: DbcMap, names: Names, written: Iterable[str]) -> BoundOrders:
-    """Build all orders; ``names`` collects the problems.
-
-    Args:
-        spec: The map.
-        names: The DBC.
-        written: Signals ``Message.Signal`` that the program writes in every cycle, the target
-            first.
-    """
-    places = order_places(spec)
-    named = {
-        found[0].name
-        for place, values in places
-        for name in values
-        if (found := names.signal((*place, name), name)) is not None
-    }
-    filled = [found for name in written if (found := _quiet(names.layouts, name)) is not None]
-    cyclic = frozenset(layout.name for layout, _ in filled) | {
-        name
-        for name in named
-        if name in spec.messages and spec.messages[name].period_ms is not None
-    }
-    bound = [_order(spec, names, place, values, cyclic, filled) for place, values in places]
-    return BoundOrders(
-        dict(zip(("disable", "stop", "reset"), bound, strict=False)),
-        {STATES[name]: order for name, order in zip(spec.orders.enable, bound[3:], strict=True)},
-        cyclic,
-        frozenset(named - cyclic),
-    )
-
-
-def order_places(spec: DbcMap) -> list[tuple[Place, Assignments]]:
-    """Return the place in the map and the values of each order: disable, stop, reset, then the
-    orders that lead toward power.
-    """
-    orders = spec.orders
-    return [
-        (("orders", "disable"), orders.disable),
-        (("orders", "stop"), orders.stop),
-        (("orders", "reset"), orders.reset),
-        *((("orders", "enable", state), values) for state, values in orders.enable.items()),
-    ]
-
-
-def _order(
-    spec: DbcMap,
-    names: Names,
-    place: Place,
-    values: Assignments,
-    cyclic: frozenset[str],
-    filled: list[tuple[Layout, Signal]],
-) -> Order:
-    """Return the frames of an order with its values, and whether the order replaces the target of
-    the program.
-    """
-    images = _Images(names)
-    for name in cyclic:
-        images.begin(names.layouts[name])
-    for name, value in values.items():
-        found = _quiet(names.layouts, name)
-        if found is None:
-            continue
-        layout, signal = found
-        _require_free(spec, names, (*place, name), layout, signal)
-        images.put((*place, name), layout, signal, value)
-    for message, selector, reason in images.wrong_pages():
-        names.report((*place, f"{message}.{selector}"), reason)
-    own_target = False
-    for number, (layout, signal) in enumerate(filled):
-        shared = images.covered(layout) & signal.covers
-        if number == 0 and (shared or images.other_page(layout, signal)):
-            own_target = True
-            if place == _KEEPS_RUNNING:
-                names.report(
-                    place,
-                    f"sets the target {layout.name}.{signal.name} or another page of its message, "
-                    "so that a running drive would never receive a target: remove this value",
-                )
-        elif number and shared and not own_target:
-            names.report(
-                place,
-                f"sets {layout.name}.{signal.name}, which the program writes in every cycle: "
-                "remove this value",
-            )
-    return Order(images.frames, own_target)
-
-
-def _require_free(spec: DbcMap, names: Names, place: Place, layout: Layout, signal: Signal) -> None:
-    """Report an order that sets a counter or a checksum, because the program computes both."""
-    guard = spec.messages.get(layout.name)
-    for role in ("counter", "checksum"):
-        if guard is None or (filled := getattr(guard, role)) is None:
-            continue
-        other = layout.signals.get(filled)
-        if other is not None and other.covers & signal.covers:
-            names.report(
-                place,
-                f"overlaps the {role} of message {layout.name!r}, which the program computes: "
-                "remove this value",
-            )
-
-
-class _Images:
-    """Frames under construction, with the bits that have been set.
-
-    Attributes:
-        frames: Frame of each message.
-    """
-
-    def __init__(self, names: Names) -> None:
-        self.frames: dict[str, bytes] = {}
-        self._names = names
-        self._covered: dict[str, int] = {}
-        self._page: dict[str, Signal] = {}
-
-    def begin(self, layout: Layout) -> None:
-        """Start a frame in which all bits are zero."""
-        self.frames.setdefault(layout.name, bytes(layout.size))
-
-    def covered(self, layout: Layout) -> int:
-        """Return the bits of a message that have been set, read as one big-endian number."""
-        return self._covered.get(layout.name, 0)
-
-    def other_page(self, layout: Layout, signal: Signal) -> bool:
-        """Return whether the order has selected a page that does not contain this signal."""
-        selector = signal.selector
-        if selector is None or not self.covered(layout) & selector.covers:
-            return False
-        return selector.bits(self.frames[layout.name]) not in signal.pages
-
-    def put(self, place: Place, layout: Layout, signal: Signal, value: str | int | float) -> None:
-        """Set a signal and the selector of its page."""
-        bits = self._names.bits(place, signal, value)
-        if bits is None:
-            return
-        self.begin(layout)
-        if self.other_page(layout, signal):
-            self._names.report(
-                place, f"is on another page of {layout.name!r} than other signals of this order"
-            )
-        frame = signal.insert(self.frames[layout.name], bits)
-        covers = signal.covers
-        selector = signal.selector
-        if selector is not None and layout.name not in self._page:
-            self._page[layout.name] = signal
-            if not self.covered(layout) & selector.covers:
-                frame = selector.insert(frame, signal.pages[0])
-                covers |= selector.covers
-        self.frames[layout.name] = frame
-        self._covered[layout.name] = self.covered(layout) | covers
-
-    def wrong_pages(self) -> Iterator[tuple[str, str, str]]:
-        """Yield message, selector and reason where an order sets a selector to a page other than
-        that of its signals.
-        """
-        for message, signal in self._page.items():
-            selector = signal.selector
-            if selector is None:
-                continue
-            shown = selector.bits(self.frames[message])
-            if shown not in signal.pages:
-                yield (
-                    message,
-                    selector.name,
-                    f"is {shown}, but signal {signal.name!r} is on page "
-                    f"{' or '.join(map(str, signal.pages))}",
-                )
-
-
-def _quiet(layouts: Mapping[str, Layout], name: str) -> tuple[Layout, Signal] | None:
-    """Look up ``Message.Signal`` without a report, because an unknown name has been reported
-    before.
-    """
-    message, _, part = name.partition(".")
-    layout = layouts.get(message)
-    if layout is None or layout.obstacle or part not in layout.signals:
-        return None
-    return layout, layout.signals[part]
-
-
-def stop_image(spec: DbcMap, names: Names) -> tuple[Layout, bytes] | None:
-    """Return message and data of the stop frame; ``names`` collects the problems."""
-    stop = spec.stop_frame
-    layout = names.layout(("stop_frame", "message"), stop.message)
-    if layout is None:
-        return None
-    images = _Images(names)
-    images.begin(layout)
-    for name, value in stop.signals.items():
-        place: Place = ("stop_frame", "signals", name)
-        signal = names.part(place, layout, name)
-        if signal is not None:
-            _require_free(spec, names, place, layout, signal)
-            images.put(place, layout, signal, value)
-    for _, selector, reason in images.wrong_pages():
-        names.report(("stop_frame", "signals", selector), reason)
-    return layout, images.frames[layout.name]
-
-
-_Find = Callable[[Place, str], tuple[str, Signal] | None]
 _NOT_SAMPLED: Final = frozenset({"fault_code", "serial_number", "revision"})
+_Find = Callable[[Place, str], tuple[str, Signal] | None]
+_Value = tuple[Place, Layout, Signal, str | int | float]
+"""Value of an order: its place in the map, message, signal, and label or number."""
 
 
 def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
@@ -259,9 +42,7 @@ def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
 
 
 class _Binder:
-    """Binds a map part by part, and collects the problems, so that all problems are reported
-    together.
-    """
+    """Binds a map part by part; ``names`` collects the problems."""
 
     def __init__(self, spec: DbcMap, layouts: Mapping[str, Layout]) -> None:
         self._spec = spec
@@ -270,30 +51,37 @@ class _Binder:
         self._received: set[str] = set()
         self._pages: dict[str, BoundPage] = {}
         self._settings: set[str] = set()
+        self._filled: list[tuple[Layout, Signal]] = []  # signals written in every cycle
 
     def bind(self) -> Wiring:
         spec, names = self._spec, self._names
         inputs = self._inputs()
         status = self._heard(("status", "signal"), spec.status.signal)
         states = self._states(status[1]) if status else {}
-        written = [quantity for quantity in (spec.target, spec.torque_offset) if quantity]
-        targets = [
-            self._quantity((key,), quantity, self._written)
-            for key, quantity in zip(("target", "torque_offset"), written, strict=False)
-        ]
-        self._check_offset(targets)
-        orders = bind_orders(spec, names, [quantity.signal for quantity in written])
-        stop = stop_image(spec, names)
+        written = {"target": spec.target, "torque_offset": spec.torque_offset}
+        targets = {
+            key: None if quantity is None else self._quantity((key,), quantity, self._written)
+            for key, quantity in written.items()
+        }
+        target, offset = targets["target"], targets["torque_offset"]
+        self._check_offset(target, offset)
+        values = {place: list(self._values(place, found)) for place, found in self._order_places()}
+        named = {layout.name for found in values.values() for _, layout, _, _ in found}
+        cyclic = {layout.name for layout, _ in self._filled} | {
+            name
+            for name in named
+            if name in spec.messages and spec.messages[name].period_ms is not None
+        }
+        orders = {place: self._order(place, found, cyclic) for place, found in values.items()}
+        stop = names.layout(("stop_frame", "message"), spec.stop_frame.message)
+        stop_image = b"" if stop is None else self._stop_image(stop)
         limits = self._limits()
-        cyclic, once = orders.cyclic, orders.once
-        received, sent, alone, settings, stops = (
-            self._messages(some)
-            for some in (
-                self._received, cyclic, once, self._settings, {stop[0].name} if stop else ()
-            )
-        )  # fmt: skip
-        self._check_whole(cyclic | once, {stop[0].name} if stop else set())
-        target = targets[0]
+        once, stops = named - cyclic, {stop.name} if stop else set()
+        received, sent, alone, settings, stop_messages = (
+            {name: self._message(self._layouts[name]) for name in sorted(some)}
+            for some in (self._received, cyclic, once, self._settings, stops)
+        )
+        self._check_whole(named | cyclic, stops)
         if names.problems or target is None or status is None or stop is None:
             raise DbcMapError(dict.fromkeys(names.problems))
         return Wiring(
@@ -311,18 +99,121 @@ class _Binder:
             states=states,
             asked=spec.status.asked,
             target=target,
-            torque_offset=targets[1] if len(targets) > 1 else None,
-            **orders.orders,
-            enable=orders.enable,
-            stop_message=stops[stop[0].name],
-            stop_image=stop[1],
+            torque_offset=offset,
+            disable=orders["orders", "disable"],
+            stop=orders["orders", "stop"],
+            reset=orders["orders", "reset"],
+            enable={STATES[n]: orders["orders", "enable", n] for n in spec.orders.enable},
+            stop_message=stop_messages[stop.name],
+            stop_image=stop_image,
         )
 
-    def _check_offset(self, targets: Sequence[BoundQuantity | None]) -> None:
+    def _order_places(self) -> list[tuple[Place, Assignments]]:
+        """Return the place in the map and the values of each order."""
+        orders = self._spec.orders
+        return [
+            (("orders", "disable"), orders.disable),
+            (("orders", "stop"), orders.stop),
+            (("orders", "reset"), orders.reset),
+            *((("orders", "enable", state), values) for state, values in orders.enable.items()),
+        ]
+
+    def _values(self, place: Place, values: Assignments) -> Iterator[_Value]:
+        for name, value in values.items():
+            if (found := self._names.signal((*place, name), name)) is not None:
+                yield (*place, name), *found, value
+
+    def _order(self, place: Place, values: Sequence[_Value], cyclic: Iterable[str]) -> Order:
+        """Return the frames of an order with its values, and whether the order replaces the target
+        of the program.
+        """
+        report = self._names.report
+        frames = {name: bytes(self._layouts[name].size) for name in cyclic}
+        covered = self._fill(place, values, frames)
+        own_target = False
+        for number, (layout, signal) in enumerate(self._filled):
+            set_bits = covered.get(layout.name, 0)
+            shared = set_bits & signal.covers
+            if number == 0 and (shared or _other_page(signal, frames[layout.name], set_bits)):
+                own_target = True
+                if place == _KEEPS_RUNNING:
+                    report(
+                        place,
+                        f"sets the target {layout.name}.{signal.name} or another page of its "
+                        "message, so that a running drive would never receive a target: remove "
+                        "this value",
+                    )
+            elif number and shared and not own_target:
+                report(
+                    place,
+                    f"sets {layout.name}.{signal.name}, which the program writes in every cycle: "
+                    "remove this value",
+                )
+        return Order(frames, own_target)
+
+    def _stop_image(self, layout: Layout) -> bytes:
+        """Return the data of the stop frame."""
+        place: Place = ("stop_frame", "signals")
+        values: list[_Value] = [
+            ((*place, name), layout, signal, value)
+            for name, value in self._spec.stop_frame.signals.items()
+            if (signal := self._names.part((*place, name), layout, name)) is not None
+        ]
+        frames = {layout.name: bytes(layout.size)}
+        self._fill(place, values, frames)
+        return frames[layout.name]
+
+    def _fill(
+        self, place: Place, values: Sequence[_Value], frames: dict[str, bytes]
+    ) -> Mapping[str, int]:
+        """Put values into frames, with the selectors of their pages; return the bits of each
+        message that were set, read as one big-endian number.
+        """
+        names, covered, paged = self._names, dict.fromkeys(frames, 0), dict[str, Signal]()
+        for at, layout, signal, value in values:
+            self._require_free(at, layout, signal)
+            bits = names.bits(at, signal, value)
+            if bits is None:
+                continue
+            name, selector = layout.name, signal.selector
+            frame, before = frames.setdefault(name, bytes(layout.size)), covered.get(name, 0)
+            if _other_page(signal, frame, before):
+                names.report(at, f"is on another page of {name!r} than other signals of this order")
+            frame, covers = signal.insert(frame, bits), signal.covers
+            if selector is not None and name not in paged:
+                paged[name] = signal
+                if not before & selector.covers:
+                    frame = selector.insert(frame, signal.pages[0])
+                    covers |= selector.covers
+            frames[name], covered[name] = frame, before | covers
+        for name, signal in paged.items():
+            selector = signal.selector
+            assert selector is not None
+            shown = selector.bits(frames[name])
+            if shown not in signal.pages:
+                names.report(
+                    (*place, f"{name}.{selector.name}"),
+                    f"is {shown}, but signal {signal.name!r} is on page "
+                    f"{' or '.join(map(str, signal.pages))}",
+                )
+        return covered
+
+    def _require_free(self, place: Place, layout: Layout, signal: Signal) -> None:
+        """Report an order that sets a counter or a checksum, because the program computes both."""
+        guard = self._spec.messages.get(layout.name, Protection())
+        for role, filled in (("counter", guard.counter), ("checksum", guard.checksum)):
+            other = layout.signals.get(filled or "")
+            if other is not None and other.covers & signal.covers:
+                self._names.report(
+                    place,
+                    f"overlaps the {role} of message {layout.name!r}, which the program computes: "
+                    "remove this value",
+                )
+
+    def _check_offset(self, target: BoundQuantity | None, offset: BoundQuantity | None) -> None:
         """Report a torque offset whose signal cannot be zero, overlaps the target, or is on another
         page.
         """
-        target, offset, *_ = (*targets, None)
         if offset is None:
             return
         try:
@@ -331,10 +222,9 @@ class _Binder:
             self._names.report(("torque_offset",), f"cannot be zero: {error}")
         if target is None or target.message != offset.message:
             return
-        pages = set(target.signal.pages) & set(offset.signal.pages)
-        if target.signal.covers & offset.signal.covers or (
-            target.signal.pages and offset.signal.pages and not pages
-        ):
+        one, other = target.signal, offset.signal
+        apart = one.pages and other.pages and not set(one.pages) & set(other.pages)
+        if one.covers & other.covers or apart:
             self._names.report(
                 ("torque_offset", "signal"),
                 "its signal has bits in common with the target, or is on another page than the "
@@ -345,13 +235,12 @@ class _Binder:
         bound: dict[str, BoundQuantity] = {}
         for item in dataclasses.fields(self._spec.inputs):
             quantity: Quantity | None = getattr(self._spec.inputs, item.name)
-            if quantity is None:
+            place: Place = ("inputs", item.name)
+            if quantity is None or (found := self._quantity(place, quantity, self._heard)) is None:
                 continue
-            found = self._quantity(("inputs", item.name), quantity, self._heard)
-            if found is not None:
-                bound[item.name] = found
-                if item.name in _NOT_SAMPLED:
-                    self._names.require_whole(("inputs", item.name, "signal"), found.signal)
+            bound[item.name] = found
+            if item.name in _NOT_SAMPLED:
+                self._names.require_whole((*place, "signal"), found.signal)
         return bound
 
     def _limits(self) -> dict[str, BoundLimit]:
@@ -360,35 +249,24 @@ class _Binder:
             signals: LimitSignals | None = getattr(self._spec.limits, item.name)
             if signals is None:
                 continue
-            written = self._quantity(("limits", item.name, "set"), signals.set, self._set)
+            place: Place = ("limits", item.name)
+            written = self._quantity((*place, "set"), signals.set, self._set)
             held = None
             if signals.held is not None:
-                held = self._quantity(("limits", item.name, "held"), signals.held, self._heard)
+                held = self._quantity((*place, "held"), signals.held, self._heard)
             if written is not None and (held is not None or signals.held is None):
                 bound[item.name] = BoundLimit(written, held)
         return bound
 
     def _quantity(self, place: Place, quantity: Quantity, find: _Find) -> BoundQuantity | None:
-        if not (math.isfinite(quantity.scale) and quantity.scale > 0):
-            self._names.report(
-                (*place, "scale"),
-                f"is {quantity.scale:g}, but must be more than zero; to reverse the direction, "
-                "set sign: -1",
-            )
-            return None
         found = find((*place, "signal"), quantity.signal)
         if found is None:
             return None
         key, signal = found
-        if (after := quantity.wraps_after) is not None:
-            if place not in (("inputs", "position"), ("target",)):
-                self._names.report(
-                    (*place, "wraps_after"), "is allowed for position and target only; remove it"
-                )
-            elif not (math.isfinite(after) and after > 0):
-                self._names.report(
-                    (*place, "wraps_after"), f"is {after:g}, but must be more than zero"
-                )
+        if quantity.wraps_after is not None and place not in (("inputs", "position"), ("target",)):
+            self._names.report(
+                (*place, "wraps_after"), "is allowed for position and target only; remove it"
+            )
         gain = quantity.sign * quantity.scale * signal.factor
         bias = quantity.sign * (quantity.scale * signal.offset + quantity.offset)
         if not (gain and math.isfinite(gain) and math.isfinite(1.0 / gain) and math.isfinite(bias)):
@@ -419,7 +297,10 @@ class _Binder:
     def _written(self, place: Place, name: str) -> tuple[str, Signal] | None:
         """Find a signal that the program writes in every cycle."""
         found = self._names.signal(place, name)
-        return None if found is None else (found[0].name, found[1])
+        if found is None:
+            return None
+        self._filled.append(found)
+        return found[0].name, found[1]
 
     def _set(self, place: Place, name: str) -> tuple[str, Signal] | None:
         """Find a signal with which a limit is written."""
@@ -447,79 +328,54 @@ class _Binder:
                     names.report(
                         place, f"value {value!r} is stated for two states; remove it from one state"
                     )
-        for needed in self._needed_states():
-            if needed not in states.values():
-                word = next(word for word, state in STATES.items() if state is needed)
+        needed = [ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED]
+        if not self._spec.inputs.fault_code:  # a fault may be reported by the fault code alone
+            needed.append(ServoState.FAULT)
+        for word, state in STATES.items():
+            if state in needed and state not in states.values():
                 names.report(("status", "states"), f"no value is stated for {word!r}; state one")
         return states
 
-    def _needed_states(self) -> list[ServoState]:
-        """Return the states for which the status signal must have a value; a fault may be reported
-        by the fault code alone.
-        """
-        needed = [ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED]
-        return needed if self._spec.inputs.fault_code else [*needed, ServoState.FAULT]
-
-    def _messages(self, names: Iterable[str]) -> dict[str, BoundMessage]:
-        bound: dict[str, BoundMessage] = {}
-        for name in sorted(names):
-            layout = self._layouts[name]
-            guard = self._spec.messages.get(name, Protection())
-            period_ms = guard.period_ms
-            bound[name] = BoundMessage(
-                name=name,
-                identifier=layout.identifier,
-                size=layout.size,
-                counter=(counter := self._guard(layout, "counter", guard.counter)),
-                turn=self._turn(name, guard, counter),
-                checksum=(checksum := self._guard(layout, "checksum", guard.checksum)),
-                algorithm=self._algorithm(name, guard, checksum),
-                period_s=(layout.period_s or 0.0) if period_ms is None else period_ms * 1e-3,
-                remote=guard.remote,
-            )
-        return bound
-
-    def _turn(self, name: str, guard: Protection, signal: Signal | None) -> int:
-        """Return the number of values of a life counter, from 0 to its last value; report a last
-        value that is without a counter or out of range.
-        """
-        last = guard.counter_last
-        if signal is None:
-            if last is not None:
-                self._names.report(
-                    ("messages", name, "counter_last"),
-                    "states the last value of a counter, but the message has no counter",
-                )
-            return 0
-        if last is None:
-            return signal.mask + 1
-        if not 1 <= last <= signal.mask:
+    def _message(self, layout: Layout) -> BoundMessage:
+        name = layout.name
+        guard = self._spec.messages.get(name, Protection())
+        counter = self._guard(layout, "counter", guard.counter)
+        checksum = self._guard(layout, "checksum", guard.checksum)
+        period_ms, last, place = guard.period_ms, guard.counter_last, ("messages", name)
+        if last is not None and counter is None:
             self._names.report(
-                ("messages", name, "counter_last"),
-                f"{last} is outside 1 to {signal.mask}, the range of {signal.name!r}",
+                (*place, "counter_last"),
+                "states the last value of a counter, but the message has no counter",
             )
-        return last + 1
-
-    def _algorithm(
-        self, name: str, guard: Protection, signal: Signal | None
-    ) -> Callable[[bytes], int]:
-        """Return how the checksum of a message is computed."""
-        place: Place = ("messages", name, "prefix")
-        if signal is None:
-            if guard.prefix or guard.own_byte != "zero":
-                self._names.report(
-                    place[:2], "states how a checksum is computed, but the message has no checksum"
-                )
-            return sum
-        if not all(0 <= byte <= 0xFF for byte in guard.prefix):
-            self._names.report(place, f"{list(guard.prefix)} must be numbers from 0 to 255")
-            return sum
+        elif last is not None and counter is not None and not 1 <= last <= counter.mask:
+            self._names.report(
+                (*place, "counter_last"),
+                f"{last} is outside 1 to {counter.mask}, the range of {counter.name!r}",
+            )
         left_out = guard.own_byte == "left out"
-        if left_out and signal.covers not in {0xFF << 8 * at for at in range(signal.size)}:
+        if checksum is None and (guard.prefix or left_out):
             self._names.report(
-                (*place[:2], "own_byte"), f"signal {signal.name!r} is not a whole byte"
+                place, "states how a checksum is computed, but the message has no checksum"
             )
-        return checksum_of(guard.algorithm, signal, bytes(guard.prefix), left_out=left_out)
+        if checksum is not None and left_out:
+            whole = {0xFF << 8 * at for at in range(checksum.size)}
+            if checksum.covers not in whole:
+                self._names.report(
+                    (*place, "own_byte"), f"signal {checksum.name!r} is not a whole byte"
+                )
+        return BoundMessage(
+            name=name,
+            identifier=layout.identifier,
+            size=layout.size,
+            counter=counter,
+            turn=0 if counter is None else (counter.mask if last is None else last) + 1,
+            checksum=checksum,
+            algorithm=sum
+            if checksum is None
+            else checksum_of(guard.algorithm, checksum, bytes(guard.prefix), left_out=left_out),
+            period_s=(layout.period_s or 0.0) if period_ms is None else period_ms * 1e-3,
+            remote=guard.remote,
+        )
 
     def _guard(self, layout: Layout, role: str, name: str | None) -> Signal | None:
         if name is None:
@@ -538,7 +394,7 @@ class _Binder:
                 self._names.report(place, f"signal {name!r} is the {key} of this map")
         return signal
 
-    def _check_whole(self, sent: Set[str], stop: Set[str]) -> None:
+    def _check_whole(self, sent: set[str], stop: set[str]) -> None:
         spec, report = self._spec, self._names.report
         if (spec.inputs.current is None) == (spec.inputs.torque is None):
             report(("inputs",), "state either current or torque")
@@ -553,8 +409,6 @@ class _Binder:
             place: Place = ("messages", name)
             if self._names.layout(place, name) is not None and name not in used:
                 report(place, f"message {name!r} contains no signal of this map; remove it")
-            if guard.period_ms is not None and guard.period_ms < 0:
-                report((*place, "period_ms"), "must be zero or more")
             if guard.remote and name not in self._received:
                 report(
                     (*place, "remote"),
@@ -574,3 +428,17 @@ class _Binder:
                 f"message {min(both)!r} has two uses (input, command or setting), but may have one "
                 "only",
             )
+
+
+def _other_page(signal: Signal, frame: bytes, set_bits: int) -> bool:
+    """Return whether an order has selected a page of its message that does not contain a signal.
+
+    Args:
+        signal: The signal.
+        frame: Frame of the message so far.
+        set_bits: Its bits that have been set.
+    """
+    selector = signal.selector
+    if selector is None or not set_bits & selector.covers:
+        return False
+    return selector.bits(frame) not in signal.pages

@@ -24,7 +24,7 @@ from cantools.database.errors import Error as DbcError
 
 from drivers.can.port import EXTENDED_FLAG
 from drivers.dbc.codec import Signal, motorola_shift
-from drivers.errors import ConfigurationError, require_plain
+from drivers.errors import ConfigurationError
 
 _MARKS: Final = (
     (codecs.BOM_UTF8, ("utf-8",)),
@@ -115,12 +115,13 @@ def read_dbc(path: Path) -> dict[str, Layout]:
 
 def _content(path: Path) -> bytes:
     try:
-        require_plain(path)
+        if path.exists() and not path.is_file():
+            raise OSError("the path leads to a folder, a pipe or a device")
         return path.read_bytes()
-    except OSError as error:
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise ConfigurationError(
-            f"{path}: the file cannot be read: {error.strerror}; state the path of the drive's DBC "
-            "file"
+            f"{path}: the file cannot be read: {reason}; state the path of the drive's DBC file"
         ) from error
 
 

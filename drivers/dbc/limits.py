@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -77,9 +77,8 @@ def places(wiring: Wiring) -> dict[str, str]:
     found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
     for name, limit in wiring.limits.items():
         quantity = limit.held or limit.set
-        signal = f"{quantity.message}.{quantity.signal.name}"
-        if limit.held is None:
-            signal += ", written but not reported"
+        note = ", written but not reported" if limit.held is None else ""
+        signal = f"{quantity.message}.{quantity.signal.name}{note}"
         found |= dict.fromkeys(FIELDS[name], signal)
     return found
 
@@ -88,8 +87,7 @@ def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
     """Return limits in the quantities of the map: angles, speed and following error at the motor,
     and the torque limit as a current.
     """
-    gear = drive.gear_ratio
-    window = limits.following_error_rad
+    gear, window = drive.gear_ratio, limits.following_error_rad
     return {
         "angle_min": (limits.angle_min_rad - drive.offset_rad) * gear,
         "angle_max": (limits.angle_max_rad - drive.offset_rad) * gear,
@@ -103,39 +101,32 @@ def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
     """Return the limits of the drive at the joint: the reported value, or the value in the bench
     file for a limit that the drive does not report.
     """
-    gear, limits = drive.gear_ratio, drive.held
-    if "angle_min" in told:
-        limits = replace(limits, angle_min_rad=told["angle_min"] / gear + drive.offset_rad)
-    if "angle_max" in told:
-        limits = replace(limits, angle_max_rad=told["angle_max"] / gear + drive.offset_rad)
-    if "speed" in told:
-        limits = replace(limits, speed_rad_s=told["speed"] / gear)
-    if "current" in told:
-        torque = told["current"] * drive.torque_constant_N_m_A * gear
-        limits = replace(limits, current_A=told["current"], torque_N_m=torque)
-    if "following_error" in told:
-        limits = replace(limits, following_error_rad=told["following_error"] / gear)
-    return limits
+    gear, found = drive.gear_ratio, dict[str, Any]()
+    for name, value in told.items():
+        if name == "current":
+            found |= {"current_A": value, "torque_N_m": value * drive.torque_constant_N_m_A * gear}
+        else:
+            offset = drive.offset_rad if name.startswith("angle") else 0.0
+            found[FIELDS[name][0]] = value / gear + offset
+    return replace(drive.held, **found)
 
 
 def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
-    """Return the resolution at the joint of each signal that reports a limit.
-
-    The resolution is zero for limits that the drive does not report, and for floating-point
-    signals.
+    """Return the resolution at the joint of each signal that reports a limit; zero for limits that
+    the drive does not report, and for floating-point signals.
     """
-    units = {
-        name: 0.0 if quantity.signal.real else abs(quantity.gain)
-        for name, quantity in wiring.reported.items()
-    }
-    gear = drive.gear_ratio
-    current = units.get("current", 0.0)
+    gear, reported = drive.gear_ratio, wiring.reported
+
+    def unit(name: str) -> float:
+        real = name not in reported or reported[name].signal.real
+        return 0.0 if real else abs(reported[name].gain)
+
     return LimitSteps(
-        angle_rad=max(units.get("angle_min", 0.0), units.get("angle_max", 0.0)) / gear,
-        speed_rad_s=units.get("speed", 0.0) / gear,
-        torque_N_m=current * drive.torque_constant_N_m_A * gear,
-        current_A=current,
-        following_error_rad=units.get("following_error", 0.0) / gear,
+        angle_rad=max(unit("angle_min"), unit("angle_max")) / gear,
+        speed_rad_s=unit("speed") / gear,
+        torque_N_m=unit("current") * drive.torque_constant_N_m_A * gear,
+        current_A=unit("current"),
+        following_error_rad=unit("following_error") / gear,
         quick_stop_deceleration_rad_s2=0.0,
     )
 
@@ -153,24 +144,18 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
         try:
             bits = quantity.signal.pack(_tighter(name, quantity, wanted[name]))
         except (ValueError, OverflowError) as error:
-            keys = _keys(name)
             raise LimitError(
-                keys,
-                f"limit {name}: {error}; change {_either(keys[:-1])}, or correct {keys[-1]}",
+                (*_keys(name), "machine.gear_ratio"),
+                f"limit {name}: {error}; change {' or '.join(_keys(name))}, or correct "
+                "machine.gear_ratio",
             ) from error
         frames[quantity.message] = quantity.signal.insert(frames[quantity.message], bits)
     return frames
 
 
 def _keys(name: str) -> tuple[str, ...]:
-    """Return the keys of the bench file from which a limit of the map is computed: the limits
-    first, then the gear ratio.
-    """
-    return (*(f"limits.{_HELD[field]}" for field in FIELDS[name]), "machine.gear_ratio")
-
-
-def _either(keys: tuple[str, ...]) -> str:
-    return " or ".join(keys)
+    """Return the keys of the limits in the bench file from which a limit of the map is computed."""
+    return tuple(f"limits.{_HELD[field]}" for field in FIELDS[name])
 
 
 def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
@@ -210,8 +195,8 @@ def verify(
         unit = abs(limits[name].set.gain)
         room = found - wanted[name] if name in _LOWER else wanted[name] - found
         if not -_ROUNDING * max(1.0, abs(wanted[name])) <= room <= 2 * unit:
-            key = _either(_keys(name)[:-1])
-            wrong.append(f"{name} ({key}) reads {found:g} after {wanted[name]:g} was written")
+            keys = " or ".join(_keys(name))
+            wrong.append(f"{name} ({keys}) reads {found:g} after {wanted[name]:g} was written")
     if wrong:
         raise ConfigurationError(
             f"{who} does not accept these limits (at the motor, SI units): {'; '.join(wrong)}; "
@@ -223,21 +208,19 @@ def require_room(
     limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str
 ) -> None:
     """Check that the limits that only the maker's tool can set are not tighter than those of the
-    bench file.
+    bench file, so that the drive would stop first.
 
     Raises:
-        ConfigurationError: A limit of the drive is tighter than that of the bench file, so that the
-            drive would stop first; the message states each such limit.
+        ConfigurationError: The message states each limit that is tighter.
     """
-    rows = (
-        ("angle_min", -limits.angle_min_rad, -held.angle_min_rad, "rad below zero"),
-        ("angle_max", limits.angle_max_rad, held.angle_max_rad, "rad"),
-        ("speed", limits.speed_rad_s, held.speed_rad_s, "rad/s"),
-        ("current", limits.current_A, held.current_A, "A"),
-    )
     tight = [
-        f"{name} ({_either(_keys(name)[:-1])}) {wanted:g} {unit} (drive: {own:g} {unit})"
-        for name, wanted, own, unit in rows
+        f"{name} ({' or '.join(_keys(name))}) {wanted:g} {unit} (drive: {own:g} {unit})"
+        for name, wanted, own, unit in (
+            ("angle_min", -limits.angle_min_rad, -held.angle_min_rad, "rad below zero"),
+            ("angle_max", limits.angle_max_rad, held.angle_max_rad, "rad"),
+            ("speed", limits.speed_rad_s, held.speed_rad_s, "rad/s"),
+            ("current", limits.current_A, held.current_A, "A"),
+        )
         if name not in settable and not wanted <= own * (1 + _ROUNDING)
     ]
     if tight:

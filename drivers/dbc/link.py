@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Final
@@ -19,7 +19,7 @@ from drivers.port_errors import close_all
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
 _ASK_S: Final = 0.02
-"""Time after which a remote frame is repeated if no answer has arrived, s."""
+"""Time after which a drive is asked again if no answer has arrived, s."""
 
 
 class DbcLink(CanopenLink):
@@ -39,13 +39,7 @@ class DbcLink(CanopenLink):
         return channel
 
     def open(self) -> None:
-        """Open the bus. Nothing is sent.
-
-        Raises:
-            LinkError: The bus cannot be opened.
-            ConfigurationError: Two devices use the same CAN identifier.
-        """
-        for conflict in self.conflicts():
+        for conflict in self.problems():
             raise ConfigurationError(conflict)
         routes = {
             identifier: (channel, slot)
@@ -55,7 +49,7 @@ class DbcLink(CanopenLink):
         self._routes = routes
         super().open()
 
-    def conflicts(self) -> Iterator[str]:
+    def problems(self) -> Iterator[str]:
         """Yield a text for each CAN identifier of a drive that is used twice on this bus."""
         taken: set[int] = set()
         for channel in self._channels:
@@ -93,13 +87,7 @@ class DbcLink(CanopenLink):
         close_all(*stops, super().close)
 
     def exchange(self) -> None:
-        """Send every command, then SYNC, and collect the answers, for at most 80 % of the cycle.
-
-        Raises:
-            LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.
-            DriveFault: A device sent an emergency message, or a drive went into fault while it was
-                running.
-        """
+        """Send every command, then SYNC, and collect the answers, for at most 80 % of the cycle."""
         self.exchanged = False
         self._receive(0.0)
         now = self.clock.now_ns()
@@ -157,21 +145,32 @@ class DbcLink(CanopenLink):
         if slot.message.remote:
             self.send(slot.message.identifier | REMOTE_FLAG, b"")
 
-    def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
+    def await_frame(
+        self,
+        channel: DbcChannel,
+        slot: Slot,
+        timeout_s: float,
+        ask: Callable[[], object] | None = None,
+    ) -> bool:
         """Wait for a valid frame that arrives after this call; return False after the time-out.
 
-        A message that the drive sends in answer to remote frames is requested repeatedly.
+        Args:
+            channel: The drive.
+            slot: The message.
+            timeout_s: Time-out, s.
+            ask: Function that asks for the message, called until the message arrives; None for a
+                message that the drive sends by itself.
 
         Raises:
             LinkError: The bus failed.
         """
         self.drain(channel)
         count = slot.count
-        if not slot.message.remote:
+        if ask is None:
             return self.pump(lambda: slot.count != count, timeout_s)
         deadline = self.clock.now_ns() + round(timeout_s * NS)
         while (left := deadline - self.clock.now_ns()) > 0:
-            self.request(slot)
+            ask()
             if self.pump(lambda: slot.count != count, min(_ASK_S, left / NS)):
                 return True
         return False

@@ -4,14 +4,17 @@ The bench file contains the map.
 
 Signals are named ``Message.Signal`` as in the DBC. The units are those of the DBC, after its factor
 and offset were applied; ``scale`` and ``sign`` convert the values to SI units. After this
-conversion position, velocity, torque and target are those of the motor.
+conversion position, velocity, torque and target are those of the motor. The ranges of the numbers
+are checked where the bench file is read.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
 
 from drivers.dbc.codec import ChecksumKind
 from drivers.interfaces import ServoState
@@ -52,10 +55,10 @@ class Quantity:
     """
 
     signal: str
-    scale: float = 1.0
+    scale: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
     sign: Literal[1, -1] = 1
     offset: float = 0.0
-    wraps_after: float | None = None
+    wraps_after: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
 @dataclass(frozen=True)
@@ -205,9 +208,9 @@ class Protection:
     counter: str | None = None
     checksum: str | None = None
     algorithm: ChecksumKind = "crc8_j1850"
-    prefix: tuple[int, ...] = ()
+    prefix: tuple[Annotated[int, Field(ge=0, le=0xFF)], ...] = ()
     own_byte: Literal["zero", "left out"] = "zero"
-    period_ms: float | None = None
+    period_ms: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     remote: bool = False
     counter_last: int | None = None
 

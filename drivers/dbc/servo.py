@@ -27,14 +27,13 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
-from drivers.objects import refusal
+from drivers.objects import problem_of
 from drivers.transitions import await_state, exchanges
 from drivers.units import Unwrapper
 
 _ANSWER_S: Final = 0.3
 _BRAKING_S: Final = 0.04
 """Time-out of an answer while the drive brakes, s; no cycle is sent meanwhile."""
-_RETRY_S: Final = 0.02
 
 
 class Feedback:
@@ -149,50 +148,29 @@ class Feedback:
         self.await_frame(quantity.message)
         return round(self.value(name))
 
-    def await_frame(self, name: str) -> None:
-        """Wait for the next valid frame of a message.
+    def await_frame(self, name: str, *, ask: bool = False) -> None:
+        """Wait for the next valid frame of a message; with ``ask``, send the current order until it
+        arrives, because a drive may send a message only as an answer.
 
         Raises:
-            LinkError: The drive sends no frames.
+            LinkError: The message is not received, or never without error.
         """
         slot = self._channel.slot(name)
         refused = slot.refused
-        if not self._await(slot):
+        if not self._await(slot, ask):
             raise self._silent(slot, refused)
 
-    def _await(self, slot: Slot) -> bool:
-        """Wait for the next valid frame of a slot; if the drive sends frames only in answer to a
-        command, repeat the current order.
-        """
+    def _await(self, slot: Slot, ask: bool = False) -> bool:
         link, channel, message = self._link, self._channel, slot.message
-        patience_s = self._patience_s(slot)
-        if not channel.wiring.asked or message.remote or message.period_s:
-            return link.await_frame(channel, slot, patience_s)
-        deadline = self._clock.now_ns() + round(patience_s * NS)
-        link.drain(channel)
-        count = slot.count
-        while (left := deadline - self._clock.now_ns()) > 0:
-            link.command(channel)
-            if link.pump(lambda: slot.count != count, min(_RETRY_S, left / NS)):
-                return True
-        return False
 
-    def hear(self, name: str) -> None:
-        """Send the current order until a message is received; a drive may send a message only as an
-        answer.
+        def prompt() -> None:
+            if ask or not message.remote:
+                link.command(channel)
+            link.request(slot)
 
-        Raises:
-            LinkError: The message is not received, or is never complete.
-        """
-        slot = self._channel.slot(name)
-        count, refused = slot.count, slot.refused
-        deadline = self._clock.now_ns() + self._patience_s(slot) * NS
-        while slot.count == count:
-            if self._clock.now_ns() >= deadline:
-                raise self._silent(slot, refused)
-            self._link.command(self._channel)
-            self._link.request(slot)
-            self._link.pump(lambda: slot.count != count, _RETRY_S)
+        alone = message.period_s or not channel.wiring.asked
+        asked = ask or message.remote or not alone
+        return link.await_frame(channel, slot, self._patience_s(slot), prompt if asked else None)
 
     def _silent(self, slot: Slot, refused: int) -> LinkError:
         bad = slot.refused - refused
@@ -251,11 +229,6 @@ class DbcServo(Servo):
         self._stopped_ns = 0
 
     def identity(self) -> Identity:
-        """Return the identity from the bench file and from the frames of the drive.
-
-        Raises:
-            LinkError: The drive sends no frames.
-        """
         told = self._drive.identity
         return Identity(
             name=told.name,
@@ -266,12 +239,7 @@ class DbcServo(Servo):
         )
 
     def state(self) -> ServoState:
-        """Wait for the drive's next status frame and return its state.
-
-        Raises:
-            LinkError: The drive sends no frames.
-            StateError: The map does not contain the status value that the drive reports.
-        """
+        """Wait for the drive's next status frame and return its state."""
         self._feedback.fault_code()
         self._feedback.await_frame(self._wiring.status_message)
         state = self._channel.state
@@ -295,36 +263,19 @@ class DbcServo(Servo):
         return self.state()
 
     def read_limits(self) -> ServoLimits:
-        """Return the limits of the drive: the reported value, or the value in the bench file for a
-        limit that the drive does not report.
-
-        Raises:
-            LinkError: The drive sends no frames.
-        """
         return dbc_limits.decode(self._feedback.limits(), self._drive)
 
     def limit_steps(self) -> LimitSteps:
-        """Return the resolution at the joint of each signal that reports a limit."""
         return dbc_limits.steps(self._wiring, self._drive)
 
-    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield an error for each limit that does not fit into its signal, or that exceeds the
-        limit set with the maker's tool.
-        """
+    def limit_problems(self, limits: ServoLimits) -> Iterator[DeviceError]:
         wiring, drive = self._wiring, self._drive
-        yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
-        yield from refusal(
+        yield from problem_of(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
+        yield from problem_of(
             dbc_limits.require_room, limits, drive.held, wiring.limits, self._channel.label
         )
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write the limits that can be written over the bus, and verify all limits of the drive.
-
-        Raises:
-            ConfigurationError: The drive reports another value than the written value, or a limit
-                that was set with the maker's tool is tighter than that of the bench file.
-            LinkError: The drive sends no frames.
-        """
         wanted = dbc_limits.encode(limits, self._drive)
         settable = self._wiring.limits
         self._channel.pin({})
@@ -350,7 +301,6 @@ class DbcServo(Servo):
         )
 
     def glance(self) -> ServoReadings:
-        """Wait for the next frames with position and current."""
         position, effort = self._feedback.unasked("position", self._effort)
         angle = position + self._drive.offset_rad * self._drive.gear_ratio
         return ServoReadings(angle, current_A=effort / self._effort_per_A)
@@ -372,39 +322,30 @@ class DbcServo(Servo):
         return Measuring(step_rad / gear, gear, effort / self._effort_per_A, limit_A)
 
     def motion(self) -> ServoMotion:
-        """Wait for the next frames that contain position and speed."""
         position, velocity = self._feedback.unasked("position", "velocity")
         gear = self._drive.gear_ratio
         return ServoMotion(position / gear + self._drive.offset_rad, velocity / gear)
 
     def promised_deceleration(self) -> float:
-        """Return the deceleration of the drive's ramp that the bench file states."""
         return self._drive.held.quick_stop_deceleration_rad_s2
 
     def fault(self) -> DriveFault:
-        """Return the fault that the drive reports."""
         return self._channel.fault()
 
-    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+    def problems(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield an error for a cycle time that is too long for the drive's watchdog, and for a
         position that does not fit into the target signal.
 
         The method does not wait for a message that the drive sends only in answer to a command.
         """
-        yield from refusal(self._require_watchdog, cycle_s)
+        yield from problem_of(self._require_watchdog, cycle_s)
         (position,) = self._feedback.unasked("position")
         if not math.isnan(position):
-            yield from refusal(self._target_bits, position)
+            yield from problem_of(self._target_bits, position)
 
     def prepare(self, cycle_s: float) -> None:
         """Set the cycle time, and wait until every message of the drive has been received without
         error. The drive is not energised.
-
-        Raises:
-            ConfigurationError: The cycle time is too long for the drive's watchdog or differs from
-                that of another device, or the drive's position does not fit into the target signal.
-            StateError: The drive is energised.
-            LinkError: A message is not received, or never without error.
         """
         state = self.state()
         if state.energised:
@@ -417,20 +358,13 @@ class DbcServo(Servo):
         channel.set_cycle(cycle_s)
         channel.order(self._wiring.disable)
         for name in (*self._wiring.received, *self._wiring.pages):
-            self._feedback.hear(name)
+            self._feedback.await_frame(name, ask=True)
         self._cycle_ns = round(cycle_s * NS)
         self.prepared = True
         self._feedback.restart_time()
         self._stage(self._feedback.value("position"))
 
     def enable(self) -> None:
-        """Energise and hold the present position; process data are exchanged meanwhile.
-
-        Raises:
-            StateError: The drive is not prepared, the command is not allowed in the present state,
-                or the drive does not reach the state in time; the drive is then de-energised.
-            DriveFault: The drive is in fault.
-        """
         if not self._cycle_ns:
             raise StateError("the drive is not prepared: call prepare() first")
         state = self.state()
@@ -446,20 +380,11 @@ class DbcServo(Servo):
             raise
 
     def disable(self) -> None:
-        """Switch the power off, send the stop frame, and verify by the drive's status that the
-        power is off.
-
-        Raises:
-            StateError: The drive still reports an energised state.
-            LinkError: The drive cannot be reached; it stops by itself after the time of its
-                watchdog.
-        """
         self._command(self._wiring.disable)
         self._link.stop(self._channel)
         self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
 
     def quick_stop(self, *, at_once: bool = True) -> None:
-        """Order the drive to brake with its own ramp, at once and in all further exchanges."""
         del at_once  # no answer is waited for
         # The periodic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
@@ -468,11 +393,6 @@ class DbcServo(Servo):
         self._command(self._wiring.stop)
 
     def reset_fault(self) -> None:
-        """Reset a fault. Afterwards the drive is de-energised and does not move.
-
-        Raises:
-            StateError: There is no fault to reset, or the fault occurs again.
-        """
         # The table of CiA 402 determines the states in which a fault can be reset.
         word = cia402.controlword(self.state(), cia402.Command.RESET_FAULT)
         disable, reset = self._wiring.disable, self._wiring.reset
@@ -490,22 +410,9 @@ class DbcServo(Servo):
         )
 
     def set_target(self, angle_rad: float) -> None:
-        """Set the joint angle that the next exchange sends.
-
-        Raises:
-            ConfigurationError: The angle is beyond the range of the target signal.
-        """
         self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Set a joint torque that the drive adds to the torque of its controller; the map must have
-        a signal for it.
-
-        Unless the drive is ordered to run, a torque offset of zero is sent.
-
-        Raises:
-            ConfigurationError: The map has no torque offset, or its signal is too small.
-        """
         quantity = self._wiring.torque_offset
         if quantity is None:
             raise ConfigurationError(
@@ -521,9 +428,6 @@ class DbcServo(Servo):
         self._channel.push(bits)
 
     def sample(self) -> ServoSample:
-        """Return the sample of the last exchange; ``statusword`` is that of a CiA 402 drive in the
-        same state.
-        """
         channel, drive = self._channel, self._drive
         state = channel.state
         position = self._feedback.value("position")

@@ -14,7 +14,7 @@ method identifies the parameters.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +42,7 @@ from identification.design.simulated import (
 from identification.estimate.covariance import covariances, rise_to_static
 from identification.estimate.default import identify
 from identification.model.parameters import SYSTEM_PARAMETERS
+from identification.numerics.arrays import Progress, silent
 from identification.numerics.spread import Spread
 from identification.recording import Dataset, RecordingError
 
@@ -136,7 +137,6 @@ WHOLE_SEED = 100
 """First seed of the noise series with which whole designs are simulated; the seeds for different
 drives start at 0.
 """
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def propose(
         weakest: The target parameter; if None, or if these stages do not depend on it, the
             parameter with the widest relative interval.
     """
-    report = progress or (lambda _label, _share: None)
+    report = progress or silent
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
     nominals = with_drives(nominal)
     now, _ = expected(_stages(frames, present), nominals)
@@ -218,12 +218,7 @@ def propose(
 def _best_confirmed(
     designs: Iterable[Design], search: Search, now: Intervals, report: Progress
 ) -> tuple[Intervals, Design | None, int]:
-    """Return the intervals of the best design by simulation and identification, the design, and the
-    number of designs simulated.
-
-    The best is the first design whose simulated trials confirm the expected intervals; if no design
-    is confirmed, it is the design with the best attained intervals.
-    """
+    """Return intervals and design of the first confirmed or best trial, and their number."""
     frames, nominals = search.frames, search.nominals
     judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
     # If the likelihood is steep at the simulated values, the estimate ends far from these values;
@@ -246,9 +241,7 @@ def _best_confirmed(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Intervals:
-    """Return the intervals of the worst of a few simulated trials; no trial follows a trial that
-    fails.
-    """
+    """Return the intervals of the worst simulated trial; none follows one that fails."""
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):
         found.append(attained(stages, search.nominals[0], np.random.default_rng(seed)))

@@ -205,9 +205,7 @@ class Draws:
         return Part(number, self._tried(number, replace(found, weight=weight if loaded else 0.0)))
 
     def _sine(self, number: int) -> Excitation:
-        """Return a sine of any speed and frequency, or a sine near the falling branch of
-        friction.
-        """
+        """Return a sine of any speed, or one near the falling branch of friction."""
         near = self.rng.random() < _NEAR
         frequency, speed = self._near(self.frames[number].loaded) if near else self._any()
         pace = 2.0 * math.pi * frequency
@@ -216,17 +214,13 @@ class Draws:
         )
 
     def _ramps(self, number: int) -> Excitation:
-        """Return ramps near the least speed at which the drive can hold the joint on the falling
-        branch of friction.
-        """
+        """Return ramps near the least speed that the drive can hold on the falling branch."""
         speed = self.stribeck[self.frames[number].loaded] * _log_uniform(self.rng, *_RAMP_SPEEDS)
         speed = min(speed, MARGIN * self.bounds.speed)
         return self._away(number, speed, _log_uniform(self.rng, *_RAMP_TIMES))
 
     def _away(self, number: int, speed: float, seconds: float) -> Excitation:
-        """Return ramps at this speed; ``seconds`` is the duration of a ramp, which the range of the
-        angle and the time of the stage may shorten.
-        """
+        """Return ramps of this speed; range and time of the stage may shorten ``seconds``."""
         slot = self.slot - self.frames[number].pause
         longest = min(
             _RAMP_TIMES[1], self._reach / speed, 0.25 * slot
@@ -274,9 +268,7 @@ class Draws:
         return frequency, max(speed, _LEAST_ACCELERATION / (2.0 * math.pi * frequency))
 
     def _near(self, loaded: bool) -> tuple[float, float]:
-        """Return frequency and centre speed of a sine whose centre speed is a few times the
-        Stribeck speed.
-        """
+        """Return frequency and centre speed of a sine at a few Stribeck speeds."""
         speed = self.stribeck[loaded] * _log_uniform(self.rng, *_NEAR_SPEEDS)
         speed = min(speed, MARGIN * self.bounds.speed)
         acceleration = _log_uniform(self.rng, *_NEAR_ACCELERATIONS)
@@ -284,9 +276,7 @@ class Draws:
         return min(max(frequency, _SLOWEST_HZ), self.bounds.highest_Hz), speed
 
     def _tried(self, number: int, e: Excitation) -> Excitation:
-        """Return the excitation with the duration of the short stage on which excitations are
-        judged.
-        """
+        """Return the excitation with the duration on which excitations are judged."""
         period = e.step if e.ramps else 2.0 * e.step
         return e.lasting(
             min(max(TRIAL_S, TRIAL_PERIODS * period), self.frames[number].present.seconds)
@@ -525,11 +515,7 @@ class Search:
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool, and its excitations, or None if there is no
-        excitation for unloaded or for loaded stages.
-
-        An excitation on whose whole stage the filter diverges is removed from the pool permanently.
-        """
+        """Return the best design from a pool and its excitations, or None without one."""
         while self._complete(pool):
             designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
             design, chosen = min(designs, key=lambda d: self.merit(d[0].predicted))
@@ -544,9 +530,7 @@ class Search:
         return None
 
     def _followed(self, candidate: Candidate, part: Part) -> bool:
-        """Return whether the filter does not diverge over the whole duration of an excitation, with
-        other noise series than those with which the excitation was judged.
-        """
+        """Return whether the filter follows the whole duration, with other noise series."""
         seconds = part.excitation.seconds
         if seconds > _LONGER * candidate.followed_s:
             frame = self.frames[part.frame]
@@ -570,12 +554,9 @@ class Search:
         )
 
     def _starts(self, candidate: Candidate) -> bool:
-        """Return whether an identification can start from this unloaded stage: its motion has
-        enough acceleration, and a speed above the falling branch of friction.
-
-        On the falling branch of friction the equation error does not distinguish inertia torque
-        from friction, and at small accelerations it does not determine the inertia.
-        """
+        """Return whether an identification can start from this unloaded stage."""
+        # On the falling branch of friction the equation error does not distinguish inertia torque
+        # from friction, and at small accelerations it does not determine the inertia.
         if not candidate.part.excitation.tones:
             return False
         ((amplitude, frequency),) = candidate.part.excitation.tones
@@ -596,12 +577,7 @@ class Search:
         return self._shared(pool)[0]
 
     def _fewer(self, pool: Sequence[Candidate]) -> list[list[Candidate]]:
-        """Return successively smaller selections of a pool; each step removes the excitation whose
-        removal worsens the merit least.
-
-        The first selection has the greatest possible number of stages, the last the least possible
-        number. Each excitation gets at least its shortest duration.
-        """
+        """Return ever smaller selections of a pool, each without the least useful one."""
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
         kinds = {f.loaded for f in self.frames}
@@ -623,26 +599,20 @@ class Search:
         return self.frames[candidate.part.frame].loaded
 
     def _reached(self, chosen: Sequence[Candidate]) -> float:
-        """Return the merit of the best design that shares the whole time, without pauses, among
-        these candidates.
-        """
+        """Return the merit of the best design of these candidates in the whole time."""
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
         parts = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
         return self.merit(intervals_of(parts, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
-        """Return the least share of the time of each candidate, the pause of its stage included,
-        shape (n,).
-        """
+        """Return the least share of the time of each candidate, pauses included, (n,)."""
         shortest = [c.part.excitation.shortest + self.frames[c.part.frame].pause for c in chosen]
         least = np.maximum(min(LEAST_S, self._total / len(chosen)), shortest)
         return np.asarray(least / max(self._total, float(np.sum(least))))
 
     def _timed(self, chosen: Sequence[Candidate]) -> Design:
-        """Return the design that shares the whole time among a few excitations, each rounded down
-        to half periods.
-        """
+        """Return the design that shares the whole time, each part of whole half periods."""
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
         spans = total * shares
@@ -665,9 +635,7 @@ class Search:
         )
 
     def _rate(self, part: Part) -> Information | None:
-        """Return the information per second of an excitation, or None if the excitation violates a
-        limit or has no information.
-        """
+        """Return the information per second, or None outside the limits or without any."""
         b, period = self.bounds, self.nominals[0].sensors.period
         stage = planned(self.frames[part.frame], part.excitation)
         middle = 0.5 * (b.angle_max + b.angle_min)
@@ -682,9 +650,7 @@ class Search:
         return None if found is NOTHING else found.times(1.0 / (len(stage.command) * period))
 
     def _within_limits(self, stage: PlannedStage, nominal: PlannedModel) -> bool:
-        """Return whether the simulated response of a drive stays within the limits, less a
-        margin.
-        """
+        """Return whether the simulated response stays within the limits, less a margin."""
         b, response = self.bounds, stage_response(stage, nominal)
         return (
             response.peak_speed < MARGIN * b.speed

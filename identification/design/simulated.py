@@ -11,10 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.estimate.covariance import matching_means, replicate_information
+from identification.estimate.covariance import replicate_information
 from identification.estimate.inertia import Replicate, inflation_by, instruments
-from identification.filter.likelihood import Point, optimise_breakaway_times
-from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
+from identification.filter.likelihood import (
+    HUBER_THRESHOLD,
+    Point,
+    likeliest_noise,
+    optimise_breakaway_times,
+    torque_noise,
+)
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import (
     INDEX,
@@ -309,19 +314,16 @@ def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> 
 
 
 def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array:
-    """Return the information of a run from products with its replicates, with variance inflation,
-    shape (p, p).
-    """
+    """Return a run's information from products with its replicates, (p, p)."""
     point, jacobian = run.point, run.sensitivities
-    alike = matching_means(jacobian, instruments(point, jacobian), point.experiment.matching_count)
+    share = 1.0 / point.experiment.matching_count
+    alike = jacobian.mixed(share, instruments(point, jacobian))
     by_segment = replicate_information(point, alike, others)
     return np.asarray(np.sum(by_segment / point.inflation[:, None, None] ** 2, axis=0))
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return two covariances of the scores of a stage, with breakaway times eliminated: by the
-    noise model, and as observed over the motion segments; shape (p, p) each.
-    """
+    """Return covariances of a stage's scores, by noise model and observed, (p, p) each."""
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
     segments, owners = jacobian.blocks, jacobian.owners
@@ -344,12 +346,8 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
 
 
 def _bounded(information: Array, power: Array) -> Array:
-    """Return the information from replicates, limited in every direction to between zero and
-    ``power``, the information from products of each run with itself.
-
-    Products of two different runs are not bounded: with few matching half cycles they can by chance
-    be negative, or far greater than ``power``.
-    """
+    """Return the information, between zero and ``power`` in every direction."""
+    # Products of two different runs can by chance be negative, or far greater than ``power``.
     scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
     values, vectors = np.linalg.eigh(power / np.outer(scale, scale))
     clear = values > _CLEAR * np.max(values)
@@ -388,9 +386,7 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
 
 
 def _turn(names: Sequence[str], nominal: PlannedModel) -> Array:
-    """Return the matrix that transforms relative changes of named parameters to changes of the
-    coordinates of a search (logarithms, rises).
-    """
+    """Return d coordinates of a search / d relative changes of named parameters."""
     turn = np.eye(len(names))
     for k, name in enumerate(names):
         if INDEX[name] not in LOGARITHMIC:

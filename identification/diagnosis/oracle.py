@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate, Stack
+from identification.diagnosis.held_out import validation_rms
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import trial_candidates
-from identification.diagnosis.selection.held_out import validation_rms
+from identification.diagnosis.significance import trial_candidates
+from identification.diagnosis.stack import Candidate, Stack
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Context, Effect, Shape
 from identification.prepare import torque_unit
@@ -66,10 +66,9 @@ def oracle(
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not held:
         return None
-    unit = torque_unit(fitted[0])
     gives = any(EFFECTS[name].flexible for name in names)
     here = views(fitted, bandwidth_Hz, gives, dataset.recordings)
-    baseline = fit(here, unit, first.nominal)
+    baseline = fit(here, torque_unit(fitted[0]), first.nominal)
     left = {
         t.name: t for t in (e.on_the_joint() if gives else e for e in MOTION) if t.name in names
     }
@@ -79,9 +78,9 @@ def oracle(
         if best is None:
             return None
         added = Added(left.pop(best.name), best.shape, tuple(float(c) for c in best.coefficients))
-        joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
+        joint = baseline.again(joint.nominal, (*joint.effects, added))
     aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
-    before, after = validation_rms(baseline, aside, unit), validation_rms(joint, aside, unit)
+    before, after = validation_rms(baseline, aside), validation_rms(joint, aside)
     noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.judges}
     if not noise:
         return None
@@ -89,7 +88,7 @@ def oracle(
     remaining_strength = {}
     for effect in joint.effects:
         rest = tuple(e for e in joint.effects if e is not effect)
-        without = fit(here, unit, joint.nominal, rest, baseline) if rest else baseline
+        without = baseline.again(joint.nominal, rest) if rest else baseline
         remaining_strength[effect.term.name] = _remaining_strength(without, joint, list(noise))
     return HeldOut(where, before[where], after[where], noise[where], remaining_strength)
 
@@ -109,7 +108,7 @@ def _best_candidate(joint: Joint, terms: Sequence[Effect]) -> Candidate | None:
     """Return the effect, at one set of trial parameters, that explains most of the remaining
     mismatch.
     """
-    context = Context(joint.equations[0].views, joint.nominal)
+    context = Context(joint.views, joint.nominal)
     return max(trial_candidates(joint.stack, context, terms), key=lambda c: c.score, default=None)
 
 
@@ -169,7 +168,7 @@ def library(joint: Joint, terms: Sequence[Effect]) -> Library:
         terms: Effects.
     """
     stack = joint.stack
-    context = Context(joint.equations[0].views, joint.nominal)
+    context = Context(joint.views, joint.nominal)
     groups: list[Group] = []
     found: list[dict[str, Array]] = []
     width = 0

@@ -16,8 +16,7 @@ from identification.estimate.inertia import (
     instruments,
     replicated_segments,
 )
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.likelihood import HUBER_THRESHOLD, Point
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, STRIBECK_TERMS
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import each
@@ -31,23 +30,12 @@ _SILENT = 1e-12
 """Information that is assumed for an unknown that affects no residual."""
 
 
-def matching_means(jacobian: BlockArrow, others: BlockArrow, counts: Array) -> BlockArrow:
-    """Return the mean of sensitivities over matching half cycles.
-
-    Args:
-        jacobian: Sensitivities of each segment, r rows.
-        others: Mean over the other matching half cycles.
-        counts: Number of matching half cycles of the segment of each row, including the segment
-            itself, shape (r,).
-    """
-    return jacobian.mixed(1.0 / counts, others)
-
-
 def bound(matching: BlockArrow) -> Array:
     """Return the Cramer-Rao bound from matching half cycles, shape (p, p).
 
     Args:
-        matching: d residuals / d unknowns, of r rows and p columns, from :func:`matching_means`.
+        matching: d residuals / d unknowns, of r rows and p columns, the mean over matching
+            half cycles (``own.mixed(1 / count, mean over the others)``).
 
     Returns:
         Shape (p, p).
@@ -107,12 +95,7 @@ def replicate_bound(information: Array) -> Array | None:
 
 
 def _products(segment: ReplicatedSegment, matching: Array) -> Array:
-    """Return the sum over a segment's samples of the expected products of its sensitivities, shape
-    (p + 1, p + 1).
-
-    The expectation is the mean over all pairs of different noise realisations (Hoeffding, Annals of
-    Mathematical Statistics 19 (1948) 293).
-    """
+    """Return the sum over a segment of expected products of sensitivities, (p + 1, p + 1)."""
     noises = {curve.noise for curve in segment.curves}
     total, squares, seen = (
         np.zeros_like(matching),
@@ -179,7 +162,8 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
     jacobian = held.jacobian(x, residual)
     z = instruments(point, jacobian)
     count = len(point.free)
-    least = bound(matching_means(jacobian, z, point.experiment.matching_count))[:count, :count]
+    share = 1.0 / point.experiment.matching_count
+    least = bound(jacobian.mixed(share, z))[:count, :count]
     reached, floor = _replicate_bounds(point, jacobian, replicates) or (least, least)
     units = np.array([point.vector[k] if k in LOGARITHMIC else 1.0 for k in point.free])
     scale = np.outer(units, units)
@@ -210,17 +194,12 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 def _replicate_bounds(
     point: Point, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
-    """Return the Cramer-Rao bound with and without variance inflation, shape (p, p) each, or None
-    if the information from the replicates is singular.
-
-    The floor (M38) is the bound without variance inflation, which is a choice of the estimator.
-    """
+    """Return the Cramer-Rao bound with and without variance inflation, or None if singular."""
     if not replicates:
         return None
     uninflated = jacobian.scaled(point.inflation[point.owners])
-    matching = matching_means(
-        uninflated, instruments(point, uninflated), point.experiment.matching_count
-    )
+    share = 1.0 / point.experiment.matching_count
+    matching = uninflated.mixed(share, instruments(point, uninflated))
     information = replicate_information(point, matching, replicates)
     inflated, plain = (
         replicate_bound(information / f[:, None, None] ** 2)
@@ -230,9 +209,7 @@ def _replicate_bounds(
 
 
 def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
-    """Return the least-squares covariance with the given variance of the ``j``-th parameter, the
-    inertia (M39).
-    """
+    """Return the least-squares covariance with this variance of the inertia ``j`` (M39)."""
     others = [k for k in range(len(floor)) if k != j]
     known = np.ix_(others, others)
     follow = floor[others, j] / floor[j, j]
@@ -246,18 +223,9 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
 def _spread(
     jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]
 ) -> Array:
-    """Return the ratio of the standard deviation of the scores between segments to the standard
-    deviation by the noise model, shape (p,) (M41).
-
-    A recording has few segments; therefore the ratio is combined with its mean over replicates, or
-    with one if there are no replicates. The ratio may be below one, because the drive's loop
-    compensates part of the current noise within a segment.
-
-    Args:
-        jacobian: Jacobian of the residuals.
-        residual: Residuals, shape (r,).
-        replicates: Jacobian and residuals of each replicate.
-    """
+    """Return observed over modelled standard deviations of scores between segments (M41)."""
+    # A recording has few segments; therefore the ratio is combined with its mean over replicates.
+    # It may be below one, because the drive's loop compensates part of the noise in a segment.
     ratio, segments = _scatter(jacobian, residual)
     prior, worth = np.ones_like(ratio), _PRIOR
     if replicates:
@@ -267,13 +235,7 @@ def _spread(
 
 
 def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
-    """Return for each parameter the ratio of the variance of its estimate from the scatter of the
-    segments' scores to the variance by the noise model, and the effective number of segments, shape
-    (p,) each (M40).
-
-    The mean of the scores is subtracted, so that a distance of the point from the least-squares
-    estimate does not count as scatter.
-    """
+    """Return variance ratio and effective number of segments by parameter (M40), (p,) each."""
     weight = huber_weight(residual, HUBER_THRESHOLD)
     normal, scale = equilibrated(jacobian.product(weight))
     # The information of a segment on its breakaway time may be zero.
@@ -282,6 +244,7 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
     plain = jacobian.by_block(np.ones(len(residual)), influence**2)
     sums = jacobian.by_block(residual * weight, influence)
     total = np.maximum(np.sum(plain, axis=0), 1e-300)
+    # A distance of the point from the least-squares estimate must not count as scatter.
     sums -= plain / total * np.sum(sums, axis=0)
     segments = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
     ratio = np.sum(sums**2, axis=0) / total * segments / np.maximum(segments - 1.0, 1.0)
@@ -383,9 +346,7 @@ def with_constants(spread: Spread, constants: Sequence[KnownConstant]) -> Spread
 
 
 def _moved(recording: Recording, constant: Constant, side: float) -> Recording:
-    """Return the recording with a constant changed by its standard deviation; unchanged if the
-    recording does not contain the constant.
-    """
+    """Return the recording with a constant that it contains changed by its standard deviation."""
     place, value, uncertainty = constant
     if recording.uncertainties.get(place) != uncertainty or _read(recording, place) != value:
         return recording
@@ -467,9 +428,7 @@ def with_priors(
 
 
 def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarray:
-    """Return the covariance with a large variance of parameters that the recordings do not
-    determine, and without correlation of these parameters with others.
-    """
+    """Return the covariance with a large variance of parameters that are not determined."""
     made = np.array(covariance, dtype=np.float64)
     for k in np.flatnonzero(~np.isfinite(np.diag(covariance))):
         made[k, :] = made[:, k] = 0.0
@@ -478,9 +437,7 @@ def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarr
 
 
 def _within(values: dict[str, float], names: Sequence[str]) -> tuple[dict[str, float], list[str]]:
-    """Return the values, each moved to its limit if a prior led beyond the limit, and warnings
-    about these values.
-    """
+    """Return the values, moved to limits that the priors exceed, and warnings about these."""
     found = {n: max(v, 0.0) if n in names and n != "offset" else v for n, v in values.items()}
     for coulomb, static, _ in STRIBECK_TERMS:
         if static in names and found[static] < found.get(coulomb, 0.0):

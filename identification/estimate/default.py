@@ -14,8 +14,6 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import equation_error as varpro
-from identification.estimate import refinement
-from identification.estimate.bootstrap import bootstrap
 from identification.estimate.covariance import (
     shifts_of_constants,
     with_constants,
@@ -23,7 +21,6 @@ from identification.estimate.covariance import (
 )
 from identification.estimate.equation_error import (
     Stage,
-    block_sandwich,
     common_bandwidth,
     loaded_stage,
     require_motion,
@@ -35,20 +32,17 @@ from identification.estimate.parameter_table import (
     parameter_table,
     trace_of,
     tradeoffs,
-    typical_error,
     units_of,
 )
-from identification.estimate.profile import profiles
 from identification.estimate.refinement import (
     Found,
-    floors_of,
-    joint_convergence,
+    corrected,
     noise_of,
-    partly_used,
     refine,
     refine_pieces,
-    spread_of,
+    refine_recordings,
 )
+from identification.estimate.uncertainty import bootstrap, profiles
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Progress, silent
 from identification.prepare import (
@@ -113,7 +107,15 @@ def identify(
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
     tell("joint", 0.0)
-    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance, settings, tell)
+    found = refine(
+        lambda correlated: refine_recordings(fitted, values, names, model, correlated, tell),
+        active,
+        values,
+        names,
+        model.alpha,
+        settings.acceptance,
+    )
+    found = corrected(found, chance, settings.replicates, tell)
     curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
     whole = replace(
@@ -197,9 +199,7 @@ def _asked(
     rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
-    """Return the requested profiles and bootstrap results, or a warning if they cannot be
-    computed.
-    """
+    """Return the requested profiles and bootstrap results, or why they cannot be computed."""
     if found.taken is None:
         what = " and ".join(
             w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
@@ -377,32 +377,23 @@ def identify_long(
     names = free_names(values, model)
     tell("joint", 0.0)
     every = [part for r, parts in cut if r.role == "fit" for part in parts]
-    refined, fault = refinement.try_refinements(
+    found = refine(
         lambda correlated: refine_pieces(
             heads, every, values, names, model, lambda share: tell("joint", share), correlated
         ),
-        lambda v: typical_error(fit, v, model.alpha),
+        fit,
         values,
+        names,
+        model.alpha,
     )
-    if refined is None or fault:
-        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
-        found = Found(values, block_sandwich(fit, values, names, model.alpha), warnings=(kept,))
-    else:
-        floors = floors_of(refined.names, refined.floor)
-        partly = partly_used(refined.left_out)
-        found = Found(dict(refined.values), spread_of(refined), floors, refined, warnings=partly)
-    if refined is not None:
-        stages = [*stages, joint_convergence(refined)]
-        found = replace(found, starts=refined.starts)
     tell("joint", 1.0)
-    result = identification(dataset, prepared, replace(found, stages=tuple(stages)))
+    whole = replace(found, stages=(*stages, *found.stages))
+    result = identification(dataset, prepared, whole)
     return replace(result, seconds=perf_counter() - started)
 
 
 def _cut(recording: Recording, near: int) -> int:
-    """Return the sample at which a recording is cut: the middle of the last rest shortly before the
-    sample ``near``, or ``near`` if there is no rest.
-    """
+    """Return the sample of the middle of the last rest shortly before ``near``, else ``near``."""
     window = slice(near - _SEARCH_SAMPLES, near)
     angle = joint_angle(
         replace(recording, channels={c: v[window] for c, v in recording.channels.items()})

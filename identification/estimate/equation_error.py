@@ -11,7 +11,7 @@ import numpy as np
 from scipy import optimize
 
 from identification.model.friction import stribeck_shape, system_friction
-from identification.model.ladder import LADDER, bears_load, rises
+from identification.model.parameters import LADDER, bears_load, rises
 from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import Spread, correlation_samples
@@ -561,9 +561,7 @@ def command_period(recording: Recording) -> float | None:
 
 
 def _sharpened(series: Array, lag: int) -> int:
-    """Return the lag near ``lag`` at which the greatest part of the series repeats; the lag of the
-    greatest autocorrelation would be biased if the series fades in and out.
-    """
+    """Return the lag near ``lag`` at which the greatest part of the series repeats."""
     reach = max(round(NEAR * lag), 1)
     lags = np.arange(max(lag - reach, 1), min(lag + reach, len(series) - 2) + 1)
     rows = np.arange(0, len(series) - int(lags[-1]), max(len(series) // ROWS, 1))
@@ -588,9 +586,7 @@ def _same_rig(one: Recording, other: Recording) -> bool:
 def _difference(
     p: Prepared, q: Prepared, shift: float, residuals: Mapping[int, Array], span: float
 ) -> tuple[float, int]:
-    """Return the sum of (e_p(t) - e_q(t + shift))^2, with the residuals e_p and e_q of two
-    recordings, over the moving samples with equal inputs, and the number of these samples.
-    """
+    """Return sum and number of squared residual differences where the inputs are equal."""
     later = p.time + shift
     inside = (later >= q.time[0]) & (later <= q.time[-1])
     moving = p.used & (np.interp(later, q.time, q.used.astype(np.float64)) > 0.999)
@@ -737,9 +733,7 @@ def _speeds(points: Sequence[UniformPoint]) -> Array:
 def _fit(
     speed: Array, friction: Array, scale: Array, alpha: float
 ) -> tuple[float, float, float, float]:
-    """Return Coulomb level, static level, Stribeck speed and viscous coefficient of the curve
-    fitted to points; ``scale`` is 1 or the contact moment.
-    """
+    """Return Mc, Ms, Stribeck speed and viscous coefficient (or mu) fitted to points."""
     low = np.zeros(3)
     high = np.array([np.inf, 2.0 * float(np.max(np.abs(friction / scale))), np.inf])
 

@@ -13,8 +13,7 @@ from scipy import fft
 
 from identification.filter.experiment import Experiment
 from identification.filter.kalman import DIRECTION, FIRST, LAST
-from identification.filter.likelihood import Point, Searched
-from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise
+from identification.filter.likelihood import HUBER_THRESHOLD, Point, Searched, likeliest_noise
 from identification.filter.segments import Motion
 from identification.model.parameters import INERTIA, LOGARITHMIC, OFFSET
 from identification.numerics.arrays import Array
@@ -119,9 +118,7 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment that has the given direction and most samples in common with
-    the segment of these ``bounds``, or None if no segment has half of the samples in common.
-    """
+    """Return the curve that shares most samples with ``bounds``, at least half, or None."""
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:
         common = min(other[LAST], bounds[LAST]) - max(other[FIRST], bounds[FIRST])
@@ -245,11 +242,7 @@ def replicate_instruments(
 
 
 def _smooth(curve: Array, onset: float) -> Array:
-    """Return a curve smoothed with a width that grows with the time since ``onset`` (samples),
-    shape (n, p).
-
-    Sensitivities change fast after a breakaway and slowly later.
-    """
+    """Return a curve smoothed with a width that grows with the samples since ``onset``, (n, p)."""
     width = np.clip(_WIDENING * (np.arange(len(curve)) - onset) - _SHARP, 2.0**-1, 2.0**_WIDEST)
     level = np.log2(width) + 1.0
     low = np.minimum(np.floor(level).astype(np.int64), _WIDEST)
@@ -259,12 +252,7 @@ def _smooth(curve: Array, onset: float) -> Array:
 
 
 def _smoothed(curve: Array) -> Array:
-    """Return the original curve and the curve smoothed by Gaussians of 2^0 to 2^7 samples, shape
-    (9, n, p).
-
-    All these curves are computed by Fourier transform, because the widest Gaussian has a thousand
-    taps.
-    """
+    """Return a curve, and smoothed by Gaussians of 2^0 to 2^7 samples by FFT, (9, n, p)."""
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)
     held = np.concatenate(
@@ -277,9 +265,7 @@ def _smoothed(curve: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _responses(length: int) -> NDArray[np.complex128]:
-    """Return the frequency responses of the Gaussians for a circular convolution of ``length``
-    samples, shape (8, length // 2 + 1).
-    """
+    """Return the frequency responses of the Gaussians, shape (8, length // 2 + 1)."""
     place = np.arange(length)
     distance = np.minimum(place, length - place)
     sigma = 2.0 ** np.arange(_WIDEST + 1)[:, None]
@@ -312,9 +298,7 @@ def influence_on_inertia(
 
 
 def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the weights of the combination of instruments whose estimating equation depends on the
-    inertia only, and has unit slope in the logarithm of the inertia, shape (p + m,).
-    """
+    """Return weights of instruments whose equation depends on log J alone, with unit slope."""
     j = point.free.index(INERTIA)
     power = z.product()
     others = np.delete(power, j, axis=0)
@@ -417,13 +401,7 @@ def inflation_factors(
 
 
 def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
-    """Return the ratio of each segment's information to the information of the median segment, for
-    the parameter with the greatest ratio, shape (m,).
-
-    Args:
-        information: Information of each segment on each parameter, shape (m, p).
-        lengths: Number of samples of each segment, shape (m,).
-    """
+    """Return each segment's information over the median's, for the worst parameter, (m,)."""
     order = np.argsort(information, axis=0)
     middle = np.argmax(2 * np.cumsum(lengths[order], axis=0) >= np.sum(lengths), axis=0)
     usual = np.take_along_axis(
@@ -473,9 +451,7 @@ def solve(point: Point) -> Point:
 
 
 def _round(point: Point) -> tuple[Point, Array]:
-    """Solve the equations with fixed instruments by chord steps; return the solution and the
-    standard deviations of the parameters.
-    """
+    """Solve the equations with fixed instruments by chord steps; return point and deviations."""
     held = point.weighted()
     x = point.origin()
     residual = held.residuals(x)
@@ -564,16 +540,12 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
 
 
 def _inflated(point: Point, others: tuple[int, ...]) -> Point:
-    """Return the point with the parameters ``others`` free, and with the variance inflation for
-    these parameters.
-    """
+    """Return the point with the parameters ``others`` free and inflation computed for them."""
     return replace(point.freeing(others), inflation=segment_inflation(point, others))
 
 
 def _inertia_step(point: Point) -> tuple[float, float]:
-    """Return the step in the logarithm of the inertia that solves the linearised estimating
-    equation, and the standard deviation of the step.
-    """
+    """Return the step in log J that solves the linearised equation, and its deviation."""
     held = point.weighted()
     x = point.origin()
     residual = held.residuals(x)

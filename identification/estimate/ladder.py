@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from identification.estimate.default import identify
 from identification.estimate.equation_error import (
@@ -24,8 +24,7 @@ from identification.estimate.equation_error import (
     unloaded_stage,
 )
 from identification.estimate.parameter_table import fit_of
-from identification.model.ladder import LADDER, bears_load
-from identification.model.parameters import LOAD_PARAMETERS
+from identification.model.parameters import LADDER, LOAD_PARAMETERS, bears_load
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.numerics.spread import CONFIDENCE
@@ -149,9 +148,7 @@ def _solved(triangles: Sequence[Array], low: Array, high: Array) -> tuple[Array,
 
 
 def _vertex(x: Array, y: Array) -> float:
-    """Return the x at which the parabola through three points has its minimum, within the range of
-    the points.
-    """
+    """Return the minimum of the parabola through three points, within their range."""
     first, second = (y[1] - y[0]) / (x[1] - x[0]), (y[2] - y[1]) / (x[2] - x[1])
     curvature = (second - first) / (x[2] - x[0])
     if not curvature > 0.0:
@@ -254,7 +251,7 @@ def climb(
         Rung(
             friction=name,
             result=result,
-            train=_interval(result.fit.train_rms, [s.train for s in scores]),
+            train=draw_interval(result.fit.train_rms, [s.train for s in scores]),
             scored=_scored(result, scores),
             angle=_angle(sums, lambda s: s.angle_rms, [s.angle for s in scores]),
             angle_mae=_angle(sums, lambda s: s.angle_mae, [s.angle_mae for s in scores]),
@@ -267,11 +264,7 @@ def climb(
 
 
 def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
-    """Return the recordings to fit.
-
-    Raises:
-        RecordingError: A recording is loaded, or none has role ``fit``.
-    """
+    """Return the recordings to fit; raise RecordingError if none, or if one is loaded."""
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
         raise RecordingError(
@@ -286,7 +279,7 @@ def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
 
 def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:
     value = result.fit.validate_rms
-    return None if value is None else _interval(value, [s.torque for s in scores])
+    return None if value is None else draw_interval(value, [s.torque for s in scores])
 
 
 def _angles(result: Identification, prepared: Sequence[Prepared]) -> Sums:
@@ -298,14 +291,15 @@ def _angle(
 ) -> Interval | None:
     if sums is None:
         return None
-    return _interval(measure(sums), [drawn for drawn in draws if drawn is not None])
+    return draw_interval(measure(sums), [drawn for drawn in draws if drawn is not None])
 
 
 def _draw(rng: np.random.Generator, count: int) -> Indices:
     return np.asarray(rng.integers(0, count, size=count), dtype=np.int64)
 
 
-def _interval(value: float, draws: Sequence[float]) -> Interval:
+def draw_interval(value: float, draws: ArrayLike) -> Interval:
+    """Return a value with the central 90 % of its bootstrap draws."""
     low, high = np.quantile(draws, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     return Interval(value, float(low), float(high))
 

@@ -13,9 +13,8 @@ from identification.estimate import equation_error as projection
 from identification.estimate.equation_error import require_motion
 from identification.estimate.parameter_table import fit_of, trace_of, units_of
 from identification.model.friction import stribeck_shape, system_friction
-from identification.model.ladder import NOMINAL
-from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.numerics.arrays import Array
+from identification.model.parameters import LOAD_PARAMETERS, PAPER_FRICTION, SYSTEM_PARAMETERS
+from identification.numerics.arrays import Array, Progress
 from identification.numerics.least_squares import Design
 from identification.numerics.optimisers import (
     GeneticAlgorithm,
@@ -100,8 +99,6 @@ STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded"
 coefficient, and J in the unloaded stage.
 """
 
-Progress = Callable[[str, float], None]
-
 
 @dataclass(frozen=True)
 class StageSamples:
@@ -175,14 +172,10 @@ def identify_paper(
 
 
 def _left_out(model: Model) -> tuple[str, ...]:
-    """Return a warning about declared terms that the paper's method does not contain.
-
-    Raises:
-        RecordingError: A friction model other than that of the paper is declared.
-    """
-    if model.friction != NOMINAL:
+    """Return a warning about declared terms; raise RecordingError for another friction model."""
+    if model.friction != PAPER_FRICTION:
         raise RecordingError(
-            f"the paper's method supports only the friction model {NOMINAL}; for the model "
+            f"the paper's method supports only the friction model {PAPER_FRICTION}; for the model "
             f"{model.friction} use the default method"
         )
     if not model.terms:
@@ -335,9 +328,7 @@ def _parameter(
     samples: StageSamples,
     cost: float,
 ) -> Parameter:
-    """Return one parameter; J is not identifiable if the torque of the inertia is smaller than the
-    torque error of the fit.
-    """
+    """Return one parameter; J is withheld if its torque is below the torque error."""
     inertial = value * float(np.linalg.norm(samples.acceleration))
     if name == "J" and inertial < cost:
         reason = (
@@ -503,7 +494,7 @@ def compare(
     *,
     seeds: Sequence[int] = (0,),
     truth: Mapping[str, float] | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Contender, ...]:
     """Run every optimiser on the recordings to which the default method was fitted.
 
@@ -599,9 +590,7 @@ def _contender(
 
 
 def _worst(values: Mapping[str, float], reference: Mapping[str, float]) -> tuple[float, str]:
-    """Return the greatest relative error over the common parameters, and the name of the parameter
-    with this error.
-    """
+    """Return the greatest relative error over the common parameters, and its parameter."""
     errors = [
         (abs(values[n] / v - 1.0), n) for n, v in reference.items() if n in values and v != 0.0
     ]

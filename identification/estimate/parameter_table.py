@@ -170,9 +170,7 @@ def _judge_rise(
     *,
     keep_speed: bool,
 ) -> None:
-    """If the rise is not significant, withhold the static level, and also the Stribeck speed unless
-    another rise determines it.
-    """
+    """Withhold a static level, and its Stribeck speed, if the rise is not significant."""
     coulomb, static, speed = names
     rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
     if not _rise_is_seen(names, values, spread):

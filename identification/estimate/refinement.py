@@ -22,6 +22,7 @@ from identification.estimate.parameter_table import typical_error
 from identification.estimate.replicates import Bias, likelihood_bias
 from identification.estimate.searches import Refined
 from identification.filter.likelihood import (
+    HUBER_THRESHOLD,
     ROUNDS,
     Point,
     Reduced,
@@ -29,10 +30,15 @@ from identification.filter.likelihood import (
     reduce,
     search_breakaway_times,
 )
-from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import Noise, motion
-from identification.model.ladder import NOMINAL
-from identification.model.parameters import INDEX, LOGARITHMIC, STRIBECK_TERMS, pack, unpack
+from identification.model.parameters import (
+    INDEX,
+    LOGARITHMIC,
+    PAPER_FRICTION,
+    STRIBECK_TERMS,
+    pack,
+    unpack,
+)
 from identification.numerics.arrays import Array, Progress, silent
 from identification.numerics.least_squares import equilibrated
 from identification.numerics.spread import Spread
@@ -42,59 +48,10 @@ from identification.result import (
     DEFAULT,
     AcceptanceLimits,
     Convergence,
-    EstimatorSettings,
     MeasuredNoise,
+    ReplicateSettings,
     Starts,
 )
-
-
-def try_refinements(
-    attempt: Callable[[bool], Refined | str],
-    error: Callable[[Mapping[str, float]], float],
-    values: Mapping[str, float],
-    limits: AcceptanceLimits = DEFAULT.acceptance,
-) -> tuple[Refined | None, str]:
-    """Refine the values with white torque noise, and with correlated noise if the innovations
-    contradict white noise.
-
-    Args:
-        attempt: Function that refines the values, with or without a correlated part of the noise;
-            it returns the reason as text if prediction errors do not apply.
-        error: Function of the values that returns the mean equation error over the recordings.
-        values: Start values.
-        limits: Limits of the tests.
-
-    Returns:
-        The refinement, or None if prediction errors do not apply, and the reason for the rejection,
-        which is empty if the refinement is accepted.
-    """
-    refined = attempt(False)
-    if isinstance(refined, str):
-        return None, refined
-    before = error(values)
-    fault = refusal(refined, before, error(refined.values), limits)
-    if fault and refined.stopped:
-        return refined, f"{fault}; the search stopped at its greatest number of filter runs"
-    if fault and _coloured(refined, limits):
-        # The cause of the correlation may be noise of the current sensor, and not unmodelled
-        # physics.
-        other = attempt(True)
-        if not isinstance(other, str):
-            also = refusal(other, before, error(other.values), limits)
-            return (
-                (refined, f"{fault}; with correlated torque noise: {also}") if also else (other, "")
-            )
-    return refined, fault
-
-
-def _coloured(refined: Refined, limits: AcceptanceLimits) -> bool:
-    """Return whether innovations are correlated, or imply a torque noise above the torque
-    scatter.
-    """
-    return (
-        abs(refined.whiteness) > limits.whiteness
-        or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
-    )
 
 
 def refusal(
@@ -188,64 +145,95 @@ class Found:
 
 
 def refine(
-    recordings: Sequence[Recording],
+    attempt: Callable[[bool], Refined | str],
     active: Sequence[Prepared],
     values: dict[str, float],
     names: Sequence[str],
-    model: Model,
-    bandwidth_Hz: float,
-    rng: np.random.Generator,
-    settings: EstimatorSettings = DEFAULT,
-    progress: Progress = silent,
+    alpha: float,
+    limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> Found:
-    """Refine equation-error values by prediction errors, apply the acceptance tests, and correct
-    the bias.
+    """Refine equation-error values by prediction errors, and apply the acceptance tests.
+
+    The torque noise is white, or correlated if the innovations contradict white noise.
 
     Args:
-        recordings: Recordings to fit.
-        active: The same recordings, prepared for the equation error.
+        attempt: Function that refines the values, with or without a correlated part of the noise;
+            it returns the reason as text if prediction errors do not apply.
+        active: The recordings, prepared for the equation error.
         values: Equation-error values of all parameters.
         names: Parameters to fit.
-        model: Declared terms and fixed values.
-        bandwidth_Hz: Bandwidth of the equation error.
-        rng: Random generator for the noise of the simulated replicates.
-        settings: Settings of the estimator.
-        progress: Called at the start of each fit, and with every pair of replicates.
+        alpha: Stribeck exponent.
+        limits: Limits of the tests.
     """
-    plain = Found(values, block_sandwich(active, values, names, model.alpha))
-    refined, fault = try_refinements(
-        lambda correlated: refine_recordings(
-            recordings, values, names, model, correlated, progress
-        ),
-        lambda v: typical_error(active, v, model.alpha),
-        values,
-        settings.acceptance,
-    )
+    before = typical_error(active, values, alpha)
+
+    def judged(correlated: bool) -> tuple[Refined | None, str]:
+        found = attempt(correlated)
+        if isinstance(found, str):
+            return None, found
+        return found, refusal(found, before, typical_error(active, found.values, alpha), limits)
+
+    refined, fault = judged(False)
+    if refined is not None and fault:
+        if refined.stopped:
+            fault += "; the search stopped at its greatest number of filter runs"
+        elif (
+            abs(refined.whiteness) > limits.whiteness
+            or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
+        ):
+            # The cause may be correlated noise of the current sensor, and not unmodelled physics.
+            other, also = judged(True)
+            if other is not None:
+                refined, fault = (
+                    (refined, f"{fault}; with correlated torque noise: {also}")
+                    if also
+                    else (other, "")
+                )
+    starts = () if refined is None else refined.starts
     stages = () if refined is None else (joint_convergence(refined),)
     if refined is None or fault:
-        starts = () if refined is None else refined.starts
-        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
-        return replace(plain, starts=starts, stages=stages, warnings=(kept,))
-    bias = likelihood_bias(refined.joint, refined.names, rng, settings.replicates, progress)
-    found = Found(
+        bandwidth = f"{active[0].bandwidth_Hz:.3g} Hz"
+        kept = f"values are those of the equation error at {bandwidth}: {fault}"
+        spread = block_sandwich(active, values, names, alpha)
+        return Found(values, spread, starts=starts, stages=stages, warnings=(kept,))
+    return Found(
         dict(refined.values),
-        spread_of(refined),
+        Spread(refined.names, refined.covariance, math.inf),
         floors_of(refined.names, refined.floor),
         refined,
-        refined.starts,
+        starts,
         stages,
         partly_used(refined.left_out),
     )
+
+
+def corrected(
+    found: Found,
+    rng: np.random.Generator,
+    settings: ReplicateSettings = DEFAULT.replicates,
+    progress: Progress = silent,
+) -> Found:
+    """Correct the bias of an accepted refinement (M33 to M36, M42) and solve the equation of the
+    inertia with replicates (M32).
+
+    Args:
+        found: The estimate; returned unchanged if its refinement was not accepted.
+        rng: Random generator for the noise of the simulated replicates.
+        settings: Settings of the bias correction.
+        progress: Called with every pair of replicates.
+    """
+    if found.taken is None:
+        return found
+    joint = found.taken.joint
+    bias = likelihood_bias(joint, found.taken.names, rng, settings, progress)
     if bias is None:
         return found
     found = _unbiased(found, bias)
-    return _with_instruments(found, refined.joint, bias) if bias.replicates else found
+    return _with_instruments(found, joint, bias) if bias.replicates else found
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Subtract the bias (M36) and add its variance (M42); a correction that would lead beyond the
-    range of its parameter is omitted.
-    """
+    """Subtract the bias (M36) and add its variance (M42), unless a value leaves its range."""
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
     rises = all(
         values[static] >= values[coulomb]
@@ -306,9 +294,9 @@ def refine_recordings(
     """
     if not names:
         return "every parameter is fixed"
-    if model.friction != NOMINAL:
+    if model.friction != PAPER_FRICTION:
         return (
-            f"prediction errors support only the friction model {NOMINAL}, but the model "
+            f"prediction errors support only the friction model {PAPER_FRICTION}, but the model "
             f"{model.friction} is declared"
         )
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
@@ -323,7 +311,8 @@ def refine_recordings(
     for condition, usable in (("unloaded", unloaded), ("loaded", loaded)):
         unusable = [r.name for r in recordings if r.stage == condition]
         if unusable and not usable:
-            return f"{NEEDED}; {', '.join(unusable)} {_lack(unusable)} one of these"
+            lack = "lacks" if len(unusable) == 1 else "lack"
+            return f"{NEEDED}; {', '.join(unusable)} {lack} one of these"
     if not unloaded:
         return "a refinement by prediction errors needs an unloaded recording"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
@@ -352,15 +341,6 @@ def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
         f"{'this recording' if len(left_out) == 1 else 'each of these recordings'} lacks one of "
         "these",
     )
-
-
-def _lack(names: Sequence[str]) -> str:
-    return "lacks" if len(names) == 1 else "lack"
-
-
-def spread_of(refined: Refined) -> Spread:
-    """Return the covariance and the degrees of freedom of refined values."""
-    return Spread(refined.names, refined.covariance, math.inf)
 
 
 def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
@@ -470,15 +450,7 @@ def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
 def _over_all(
     start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> Refined:
-    """Return the estimate of the heads, with values, covariance and innovations replaced by those
-    of all pieces.
-
-    Args:
-        start: The estimate of the heads.
-        found: Normal equations of the pieces.
-        names: Parameters that all pieces determine.
-        vector: Parameters.
-    """
+    """Return the estimate of the heads with values and statistics of all pieces."""
     achieved, floor = start.covariance.copy(), start.floor.copy()
     order = np.ix_(*2 * [[start.names.index(n) for n in names]])
     achieved[order], floor[order] = _covariances(found, names, vector)
@@ -502,17 +474,7 @@ def _settled(
     noise: Noise,
     begins: tuple[Array, ...] | None,
 ) -> Point | None:
-    """Return a piece with optimised breakaway times, or None if prediction errors do not apply to
-    the piece.
-
-    Args:
-        piece: The piece.
-        vector: Parameters.
-        free: Indices of the free parameters.
-        model: Declared terms and fixed values.
-        noise: Noise of torque and angle.
-        begins: Breakaway times of the previous pass, s; None in the first pass.
-    """
+    """Return a piece with optimised breakaway times, or None where the filter does not apply."""
     moving = motion(piece)
     if moving is None:
         return None
@@ -525,9 +487,7 @@ def _settled(
 def _covariances(
     found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters and its Cramer-Rao bound; the covariance is the
-    larger of the inverse information and the sandwich covariance.
-    """
+    """Return covariance (larger of information and sandwich) and Cramer-Rao bound."""
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])
     bread = np.linalg.pinv(normal, hermitian=True)

@@ -26,8 +26,12 @@ from itertools import islice
 import numpy as np
 
 from identification.estimate.inertia import Replicate, segment_inflation
-from identification.filter.likelihood import Point, search_breakaway_times
-from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
+from identification.filter.likelihood import (
+    HUBER_THRESHOLD,
+    Point,
+    search_breakaway_times,
+    torque_noise,
+)
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import (
     INERTIA,
@@ -182,15 +186,7 @@ _Pair = tuple[_Scored, _Scored]
 def _pairs(
     there: Point, loop: Loop, share: float, noises: Iterator[int], farthest: float
 ) -> Iterator[_Pair]:
-    """Yield pairs of replicates in which both replicates succeed, until the seeds are used up.
-
-    Args:
-        there: The experiment, at the simulated values.
-        loop: The drive loop.
-        share: Logged share of the noise variance.
-        noises: Seeds of the noise.
-        farthest: Step, in standard deviations, above which a replicate is dropped.
-    """
+    """Yield pairs of replicates that both succeed, until the seeds are used up."""
     for noise in noises:
         one, other = both(
             partial(_step, there, loop, share, noise, 1.0, farthest),
@@ -201,23 +197,17 @@ def _pairs(
 
 
 def _even(pairs: Sequence[_Pair]) -> Array:
-    """Return the mean scoring step of each pair, in which terms of odd order in the noise cancel,
-    shape (n, p).
-    """
+    """Return each pair's mean scoring step, in which odd orders of noise cancel, (n, p)."""
     return np.array([0.5 * (one.step + other.step) for one, other in pairs])
 
 
 def _deviation(pairs: Sequence[_Pair]) -> Array:
-    """Return the median, over the replicates, of the standard deviation of a scoring step, shape
-    (p,).
-    """
+    """Return the median over replicates of a scoring step's standard deviation, (p,)."""
     return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
 
 
 def _uncertain(pairs: Sequence[_Pair], most: float) -> bool:
-    """Return whether the standard error of some parameter's bias exceeds ``most`` standard errors
-    of the estimate.
-    """
+    """Return whether a bias has a standard error above ``most`` of the estimate's."""
     error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
     return bool(np.max(error / _deviation(pairs)) > most)
 
@@ -230,17 +220,13 @@ def _away(joint: Point, step: Array) -> Array:
 
 
 def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
-    """Return the change of the named parameters, in SI units, for a step of the free parameters
-    that ends at the point, shape (p,).
-    """
+    """Return the change of named parameters for a step that ends at the point, SI, (p,)."""
     before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.vector))
     return np.array([here[n] - before[n] for n in names])
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive loop, or None if the recordings do not determine the loop or their loads
-    cannot be simulated.
-    """
+    """Return the drive loop, or None if it is not determined or a load is not a weight."""
     recordings = [m.recording for m in motions]
     plain = all(not r.known_load and not r.hot_fire and "command" in r.channels for r in recordings)
     if not plain:
@@ -274,14 +260,7 @@ def _step(
 
 
 def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
-    """Return the step of the parameters in one iteration of Fisher scoring (M23) over parameters
-    and breakaway times, with the inertia fixed.
-
-    Args:
-        point: Point of the replicate.
-        noise: Seed of the noise of the replicate.
-        farthest: Step, in standard deviations, above which None is returned.
-    """
+    """Return the step of one Fisher scoring iteration (M23), J fixed; None if too far."""
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
     every, widening = point.derivatives(x, errors, deviations)
@@ -308,9 +287,7 @@ def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
 
 
 def _drawn(joint: Point, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
-    """Return simulated torque noise, N m, shape (2, n): the noise that moves the joint, and the
-    noise of the logged torque.
-    """
+    """Return noise that moves the joint, and noise of the logged torque, N m, (2, n)."""
     rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
     return rows * np.sqrt([[1.0 - share], [share]])
 

@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from identification.estimate.covariance import covariances, named_covariances
 from identification.estimate.inertia import SOLVED, equations_chi2, fit_beside_inertia, solve
 from identification.filter.experiment import Filter
-from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
-from identification.filter.noise_level import (
+from identification.filter.likelihood import (
     HUBER_THRESHOLD,
+    PARAMETER_STEP,
+    Point,
+    Searched,
     deviance,
     first_correlated_noise,
     likeliest_noise,
@@ -178,9 +181,7 @@ def basins(fit: LoadedFit) -> list[Point]:
 
 
 def _apart(one: Point, other: Point) -> bool:
-    """Return whether two ends are in different basins, that is, differ in the Stribeck speed or the
-    rise of the load friction.
-    """
+    """Return whether two ends differ in the Stribeck speed or rise of load friction."""
     places = [OMEGA_SL, LOAD_RISE]
     away = np.abs(one.vector[places] - other.vector[places])
     return bool(np.any(away > _APART * np.abs(other.vector[places])))
@@ -234,18 +235,9 @@ def _missed(end: End) -> bool:
 
 
 def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
-    """Search from the start points with finite differences over wide steps, until the residuals at
-    an end agree with the noise; return the best end.
-
-    Far from the true values the model in the filter may stick and slip in slow ramps. The
-    prediction errors then depend irregularly on the parameters: derivatives over small steps are a
-    hundred times as large as derivatives over wide steps, and give no useful search direction.
-
-    Args:
-        starts: Starts of the searches.
-        best: The best end so far.
-        ends: List to which the ends of the searches are appended.
-    """
+    """Search with wide finite differences until the residuals agree with the noise."""
+    # Far from the true values the model in the filter may stick and slip in slow ramps; derivatives
+    # over small steps then give no useful direction.
     before = best
     for start in starts:
         if spent(start):
@@ -258,21 +250,14 @@ def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
 
 
 def _neighbours(best: End, ends: list[End]) -> End:
-    """Search again from neighbours of an end, with breakaway times computed anew; return the
-    likeliest of all ends.
-
-    Parameters and breakaway times are coupled, so that a search may end where neither a change of
-    parameters alone nor a change of breakaway times alone lowers the cost.
-
-    Args:
-        best: The end whose neighbours are the start points.
-        ends: List to which the ends of the searches are appended.
-    """
+    """Search again from neighbours of an end; append to ``ends``, return the likeliest."""
+    # Parameters and breakaway times are coupled: a search may end where neither alone lowers the
+    # cost.
     for beside in _BESIDE:
         for _ in range(_ROUNDS):
             begun = best
             starts = [
-                _multiplied(begun.point, place, factor)
+                begun.point.at(_scaled(begun.point, place, factor))
                 for place, factor in beside
                 if place in best.point.free
             ]
@@ -284,17 +269,15 @@ def _neighbours(best: End, ends: list[End]) -> End:
     return best
 
 
-def _multiplied(begun: Point, place: int, factor: float) -> Point:
-    """Return the point with one parameter multiplied by a factor."""
-    vector = begun.vector.copy()
+def _scaled(point: Point, place: int, factor: float) -> Array:
+    """Return the parameters of a point with one of them multiplied by a factor."""
+    vector = point.vector.copy()
     vector[place] *= factor
-    return begun.at(vector)
+    return vector
 
 
 def _ended_each(starts: Sequence[Point], tempering: Sequence[float]) -> list[End]:
-    """Search from several points of one fit, two at a time; return the ends in the order of the
-    points. Points for which the earlier searches left no passes are omitted.
-    """
+    """Search from several points, two at a time, while passes are left; return the ends."""
 
     def alone(start: Point) -> tuple[End, int]:
         own = replace(start, filter=Filter(start.experiment))
@@ -322,10 +305,7 @@ def _deviance(point: Point) -> float:
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed
-    exceeds a share of the speed that the joint gains within one sample period because load friction
-    falls.
-    """
+    """Return whether samples resolve the load Stribeck speed: gain of speed in a period."""
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))
     period = max(m.recording.period for m in point.motions)
@@ -370,12 +350,7 @@ def _least_squares(point: Point, step: float) -> Searched:
 
 
 def _likelihood(point: Point, reach: float = math.inf) -> Searched:
-    """Search by likelihood, in alternation with a grid search of the breakaway times.
-
-    Args:
-        point: Start.
-        reach: Cost that another search reached; a search that would not reach this cost ends early.
-    """
+    """Search by likelihood, in turn with a grid search of the breakaway times."""
     iterations = 0
     for _ in range(_SEEKS):
         found = levenberg.minimise_deviance(
@@ -513,7 +488,9 @@ def solve_unloaded(
         again = replace(best.point, noise=begun.noise)
         best = _best_of([again], free, best, found)
     if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
-        best = _best_of(_far(at_system), free, best, found)
+        heavier = (_heavier(at_system, share) for share in _FAR)
+        far = (breakaway_starts(p, MC, SYSTEM_RISE, OMEGA_SF)[:1] for p in heavier)
+        best = _best_of(chain.from_iterable(far), free, best, found)
     if best is None:
         raise np.linalg.LinAlgError("no start of the search leads to a solution")
     return best, tuple(found)
@@ -521,31 +498,13 @@ def solve_unloaded(
 
 def _heavier(point: Point, share: float) -> Point:
     """Return the point with the inertia multiplied by the factor ``share``."""
-    vector = point.vector.copy()
-    vector[INERTIA] *= share
-    return replace(point, vector=vector)
-
-
-def _far(point: Point) -> Iterator[Point]:
-    """Yield start points at inertias far from that of the equation error, each with the likeliest
-    breakaway times.
-    """
-    for share in _FAR:
-        yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
+    return replace(point, vector=_scaled(point, INERTIA, share))
 
 
 def _best_of(
     starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
 ) -> Solved | None:
-    """Try one start point after another until the estimating equations are solved; return the best
-    end, which may be ``best``.
-
-    Args:
-        starts: Start points, tried in turn.
-        free: Free parameters.
-        best: The best end so far.
-        found: List to which the chi-square of every attempt is appended.
-    """
+    """Try start points until the equations are solved; return the best end so far."""
     for number, start in enumerate(starts):
         if (best is not None and best.chi2 < SOLVED) or (spent(start) and (best or number)):
             break
@@ -626,9 +585,7 @@ class Refined:
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Return the indices of the parameters that are not fixed: of the system load, of the working
-    load, and of the inertia.
-    """
+    """Return the indices of free parameters: of system load, working load, inertia."""
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [
         k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed
@@ -648,9 +605,7 @@ def _first_point(
     model: Model,
     correlated: bool,
 ) -> Point:
-    """Return the start point of the unloaded fit: the values of the equation error, with the
-    likeliest noise at these values.
-    """
+    """Return the start of the unloaded fit: equation error values, likeliest noise."""
     # Without load the equation error gives good start values. Under load the start values of the
     # grid are used, because load friction falls too steeply with speed to be resolved after
     # filtering.
@@ -691,10 +646,13 @@ def refine_stages(
     free, ends = [*system, *inertia], [first.point]
     if loaded:
         progress(f"loaded fit, recordings: {len(loaded)}", 0.0)
-        second, count = _loaded_fit(first.point, loaded, load, model)
-        evaluations, likelihood_drop = evaluations + count, second.drop
+        at_load = Point.of(loaded, first.point.vector, load, model, first.point.noise)
+        second = refine_from(at_load, breakaway_starts(at_load, MU_C, LOAD_RISE, OMEGA_SL))
+        evaluations, likelihood_drop = evaluations + at_load.filter.evaluations, second.drop
         stopped |= second.stopped
-        starts.append(_loaded_starts(second))
+        finite = tuple(end.deviance for end in second.ends if math.isfinite(end.deviance))
+        reached = min(finite, default=math.inf) + SAME_END
+        starts.append(Starts("loaded", "-2 log likelihood", finite, reached))
         free, ends = [*system, *load, *inertia], basins(second)
     progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
     fitted = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
@@ -724,22 +682,6 @@ def refine_stages(
     )
 
 
-def _loaded_fit(
-    first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
-) -> tuple[LoadedFit, int]:
-    """Return the fit of the load parameters, with the other parameters fixed at the end of the
-    unloaded fit, and the number of filter runs.
-    """
-    begun = Point.of(loaded, first.vector, load, model, first.noise)
-    found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
-    return found, begun.filter.evaluations
-
-
-def _loaded_starts(found: LoadedFit) -> Starts:
-    ends = tuple(end.deviance for end in found.ends if math.isfinite(end.deviance))
-    return Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END)
-
-
 def _joint_fit(
     first: Point,
     motions: Sequence[Motion],
@@ -747,16 +689,7 @@ def _joint_fit(
     ends: Sequence[Point],
     model: Model,
 ) -> Searched:
-    """Fit all recordings jointly; of several ends of the loaded fit, the likeliest is the start
-    point.
-
-    Args:
-        first: End of the unloaded fit.
-        motions: Unloaded recordings, then loaded recordings.
-        free: Free parameters.
-        ends: Ends of the loaded fit, or the end of the unloaded fit if no recording is loaded.
-        model: Declared terms and fixed values.
-    """
+    """Fit all recordings jointly, from the likeliest of the ends of the loaded fit."""
     joint = Point.of(motions, first.vector, free, model, first.noise)
     starts = [
         replace(

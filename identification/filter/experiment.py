@@ -306,9 +306,7 @@ class Filter:
 
 
 def _shared(lineup: Lineup, work: Callable[[Lineup], None], most: int) -> None:
-    """Call ``work`` on all segments; with more than ``most`` segments, and if the second thread is
-    free, this thread computes half of the segments.
-    """
+    """Call ``work`` on all segments; two threads share more than ``most`` segments."""
     if len(lineup.order) > most and idle():
         one, other = lineup.halves
         both(lambda: work(one), lambda: work(other))

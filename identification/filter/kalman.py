@@ -220,9 +220,7 @@ noise, N m.
 
 @inlined
 def _predicted(t: Array, wide: int, number: float, p: Law) -> None:
-    """Propagate the state of all lanes over integration step ``number`` (M16, M17), by the linearly
-    implicit trapezoidal rule for the speed.
-    """
+    """Propagate all lanes over integration step ``number`` (M16, M17), linearly implicit."""
     for lane in range(wide):
         omega, side, inverse = t[L_OMEGA + lane], t[L_SIDE + lane], t[L_INVERSE + lane]
         p11, p12, p22, now = t[L_P11 + lane], t[L_P12 + lane], t[L_P22 + lane], t[L_NOW + lane]
@@ -251,9 +249,7 @@ def _predicted(t: Array, wide: int, number: float, p: Law) -> None:
 
 @inlined
 def _predicted_hidden(t: Array, wide: int, number: float) -> None:
-    """Add the effect of the correlated torque noise to the covariances of all lanes, after
-    :func:`_predicted`.
-    """
+    """Add the correlated torque noise to the covariances, after :func:`_predicted`."""
     for lane in range(wide):
         h = t[L_LENGTH + lane] if number < t[L_STEPS + lane] else 0.0
         b, c, growth = t[L_B + lane], t[L_C + lane], t[L_GROWTH + lane]
@@ -325,9 +321,7 @@ def _corrected(t: Array, wide: int) -> None:
 
 @inlined
 def _corrected_hidden(t: Array, wide: int) -> None:
-    """Correct the correlated torque noise of all lanes by readings of the angle, before
-    :func:`_corrected`.
-    """
+    """Correct the correlated torque noise of all lanes, before :func:`_corrected`."""
     for lane in range(wide):
         variance, new = t[L_VARIANCE + lane], t[L_SHARE + lane]
         p12, p13 = t[L_P12 + lane], t[L_P13 + lane]
@@ -610,9 +604,7 @@ def _limited(tangent: float) -> float:
 
 @compiled
 def _started(tangents: Array, seeds: Array, lanes: Array) -> None:
-    """Set the derivatives of the state at the start of a segment, where the variance of the speed
-    depends on the inertia (M21).
-    """
+    """Set the derivatives of the state at the start of a segment (M21)."""
     tangents[:] = 0.0
     for j in range(len(seeds)):
         for lane in range(LANES):

@@ -216,13 +216,9 @@ def motion(recording: Recording) -> Motion | None:
 def _unsure(
     time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array
 ) -> Array:
-    """Return the variance that is added to the variance of the speed where a segment almost stops,
-    (rad/s)^2, shape (n,).
-
-    Whether the joint stops or moves on depends on the noise, which the falling branch of friction
-    amplifies. Without the added variance a filter that is linearised about its prediction would be
-    overconfident, and one segment that almost stops would outweigh all others.
-    """
+    """Return variance added to the speed's where a segment almost stops, (rad/s)^2, (n,)."""
+    # Whether the joint stops there depends on the noise; without the added variance one segment
+    # that almost stops would outweigh all others.
     period = float(np.median(np.diff(time)))
     fastest = float(np.quantile(np.abs(velocity), 0.99))
     width = max(3, math.ceil(step / (STALLED * fastest * period)))
@@ -235,9 +231,7 @@ def _unsure(
 
 
 def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
-    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite if
-    the median of these rates is not positive.
-    """
+    """Return the torque's rate of rise before each breakaway, N m/s, shape (m,)."""
     out = np.empty(len(table))
     for j, (side, last) in enumerate(zip(table[:, DIRECTION], seen.astype(np.int64), strict=True)):
         window = slice(max(last + 1 - RISING, 0), last + 1)
@@ -247,11 +241,7 @@ def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
 
 
 def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
-    """Return the table of segments that start from rest and have no gaps, and their first samples
-    of visible motion.
-
-    The rate of rise of the torque is set to one in this table.
-    """
+    """Return segments that start from rest without gaps, and their first visible motion."""
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
     rows: list[tuple[float, float, float, float]] = []
@@ -279,9 +269,7 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
 
 
 def _reverses(angle: Array, side: float, step: float) -> bool:
-    """Return whether the motion of a segment reverses, without coming to rest, by more than the
-    noise of the encoder.
-    """
+    """Return whether a segment reverses, without rest, by more than encoder noise."""
     forward = side * angle
     return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)
 

@@ -46,9 +46,7 @@ LEAST_OMEGA = 1e-100
 
 @inlined
 def _falling_part(height: float, speed: float, omega_s: float, alpha: float) -> tuple[float, float]:
-    """Return the falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope at
-    ``speed`` >= 0, which is zero at rest.
-    """
+    """Return ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope; zero slope at rest."""
     x = speed / omega_s
     x = x * x if alpha == 2.0 else x**alpha
     if x >= NEGLIGIBLE:
@@ -108,12 +106,7 @@ def law(p: Array, alpha: float) -> Law:
 def _falling(
     height: float, speed: float, omega_s: float, alpha: float, variance: float
 ) -> tuple[float, float]:
-    """Return the expected value of the falling part ``height`` exp(-(speed/omega_s)^alpha), N m,
-    and its slope at ``speed`` > 0.
-
-    The expectation is over a speed of this ``variance``, to second order (M15). A variance above
-    omega_s^2, where the expansion does not hold, counts as omega_s^2.
-    """
+    """Return the expectation of the falling part to second order (M15), and its slope."""
     omega_s = max(omega_s, LEAST_OMEGA)
     within = omega_s * omega_s
     rate = 1.0 / within
@@ -184,12 +177,7 @@ Slopes = tuple[float, ...]
 def _falling_slopes(
     speed: float, omega_s: float, alpha: float, variance: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return expected value and slope of exp(-(speed/omega_s)^alpha) (M15), and their derivatives.
-
-    Returns:
-        The value and the slope; the derivatives of the value with respect to speed, variance and
-        omega_s; the derivatives of the slope with respect to speed and omega_s.
-    """
+    """Return value and slope of the expected falling part, then their derivatives."""
     omega_s = max(omega_s, LEAST_OMEGA)
     within = omega_s * omega_s
     x = speed * speed / within

@@ -94,9 +94,7 @@ def impacted_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
 
 
 def _cap(radius: float, distance: Array) -> Array:
-    """Return the area of a disc beyond a line at a signed distance from its centre; 0 or the whole
-    disc if the line does not cut the disc.
-    """
+    """Return the area of a disc beyond a line at a signed distance from its centre."""
     x = np.clip(distance, -radius, radius)
     chord = np.sqrt(np.maximum(radius**2 - x**2, 0.0))
     return np.asarray(radius**2 * np.arctan2(chord, x) - x * chord)

@@ -126,14 +126,7 @@ def _patterns(count: int, starts: Array) -> Array:
 
 
 def _fitted(white: Array, unit: Array, mean: Array) -> tuple[Array, Array]:
-    """Return the ratio of amplitude to standard error, and the scatter of the residuals; shapes
-    (histories, patterns).
-
-    Args:
-        white: Values over their errors, shape (histories, count).
-        unit: Patterns, whitened and normalised.
-        mean: The constant, whitened and normalised.
-    """
+    """Return amplitudes over errors, and scatters of residuals, (histories, patterns) each."""
     sizes = white @ unit.T
     total = np.sum(white**2, axis=1) - (white @ mean) ** 2
     left = np.maximum(total[:, None] - sizes**2, 1e-300)
@@ -141,9 +134,7 @@ def _fitted(white: Array, unit: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _null(count: int, unit: Array, mean: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the sorted statistics of simulated histories without change: that of the line, and the
-    greatest of the steps; shapes (draws,).
-    """
+    """Return the sorted statistics of histories without change: of lines and of steps, (draws,)."""
     lines, steps = [], []
     block = max(1, 2_000_000 // count)
     for done in range(0, _DRAWS, block):

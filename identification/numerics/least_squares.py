@@ -521,9 +521,7 @@ class BlockArrow:
         return out
 
     def _products(self, weight: Array | None, other: BlockArrow) -> Array:
-        """Return for each block the weighted sum over its rows of the products of two elements of a
-        row, with the extra unknown last, shape (m, p + 1, p + 1).
-        """
+        """Return each block's weighted products, extra unknown last, (m, p + 1, p + 1)."""
         weight = np.ones(len(self.own)) if weight is None else weight
         size, width = self.parameters.shape[1] + 1, other.parameters.shape[1] + 1
         out = np.zeros((self.blocks, size, width))
@@ -535,9 +533,7 @@ class BlockArrow:
 
 @compiled
 def _add_by_block(columns: Array, factor: Array, owners: NDArray[np.int64], out: Array) -> None:
-    """Add each row of ``columns``, shape (r, k), times the factor of the row, to the row of its
-    block in ``out``.
-    """
+    """Add each row of ``columns`` times its factor to its block's row of ``out``."""
     for r in range(len(columns)):
         row, scale = out[owners[r]], factor[r]
         for j in range(columns.shape[1]):
@@ -554,18 +550,7 @@ def _add_products(
     owners: NDArray[np.int64],
     out: Array,
 ) -> None:
-    """Add the products of two elements of each row, with the extra unknown last, to the sums of the
-    row's block.
-
-    Args:
-        left: Shape (r, p).
-        left_own: Shape (r,).
-        right: Shape (r, q).
-        right_own: Shape (r,).
-        weight: Weight of each row, shape (r,).
-        owners: Block of each row, shape (r,).
-        out: Sums, shape (m, p + 1, q + 1).
-    """
+    """Add the products of each row, extra unknown last, to its block, (m, p + 1, q + 1)."""
     p, q = left.shape[1], right.shape[1]
     for r in range(len(left)):
         sums = out[owners[r]]

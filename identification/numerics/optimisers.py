@@ -137,9 +137,7 @@ class GeneticAlgorithm:
         self._genes = self._breed(self._genes[order])
 
     def _breed(self, ranked: Array) -> Array:
-        """Return the next generation from the present generation ``ranked``, whose best individual
-        comes first.
-        """
+        """Return the next generation from the individuals ``ranked``, best first."""
         parents = ranked[_select(len(ranked), 2 * self._crossed + self._mutants, self._rng)]
         mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
         inherit = self._rng.random(mothers.shape) < 0.5

@@ -53,9 +53,7 @@ class Spread:
 
 
 def _quantile(freedom: float) -> float:
-    """Return the half width of the central 90 % interval of Student's t distribution of unit
-    scale.
-    """
+    """Return the half width of the central 90 % of Student's t of unit scale."""
     level = 0.5 + 0.5 * CONFIDENCE
     return float(special.ndtri(level) if freedom == math.inf else special.stdtrit(freedom, level))
 

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from identification.estimate.uncertainty import LEVEL
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.parameters import torque_word, unit_on
 from identification.numerics.arrays import Array
@@ -16,6 +17,7 @@ from identification.plots.style import (
     BLACK,
     BLUE,
     CYCLE,
+    DOTS,
     GREY,
     VERMILION,
     broken,
@@ -23,9 +25,11 @@ from identification.plots.style import (
     legend_above,
     moving,
     plain_numbers,
+    stacked,
     thinned,
 )
-from identification.result import Convergence, Identification, Trace
+from identification.recording import Recording
+from identification.result import Convergence, Identification, Parameter, Profile, Starts, Trace
 
 _POINTS_PER_LOAD = 1500
 _LEAST_PERCENT = 1e-6  # deviations below this percentage are rounding errors
@@ -79,15 +83,8 @@ def draw_stribeck(
         speeds = np.concatenate([t.velocity[moving(t)] for t in traces])
         torques = np.concatenate([t.friction[moving(t)] for t in traces])
         few = thinned(len(speeds), _POINTS_PER_LOAD)
-        axis.plot(
-            speeds[few],
-            torques[few],
-            ".",
-            color=color,
-            markersize=5.0,
-            alpha=0.3,
-            label=f"measured, {name}",
-        )
+        dots = axis.plot(speeds[few], torques[few], color=color, markersize=5.0, **DOTS)
+        dots[0].set(alpha=0.3, label=f"measured, {name}")
         top = float(np.max(np.abs(speeds), initial=0.0))
         curve = None
         if top > 0.0 and moment != _VARYING:
@@ -97,8 +94,9 @@ def draw_stribeck(
         else:
             # Some friction parameters are not identifiable by themselves; the fitted friction at
             # the samples is drawn instead of a curve.
-            model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
-            axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
+            friction = (t.torque_model - (t.torque - t.friction) for t in traces)
+            model = np.concatenate([f[moving(t)] for f, t in zip(friction, traces, strict=True)])
+            axis.plot(speeds[few], model[few], color=BLACK, markersize=1.5, label=label, **DOTS)
         label = None
     axis.set_xlabel(f"velocity ({unit_on(result.motion, 'rad/s')})")
     axis.set_ylabel(f"friction {torque_word(result.motion)} ({unit})")
@@ -136,12 +134,8 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     legend_above(upper, 6)
     lower.plot(_generations(costs), costs, color=BLUE, label=f"best {cost}")
     if stage.target is not None:
-        lower.axhline(
-            stage.target,
-            color=VERMILION,
-            linestyle="--",
-            label=f"target {stage.target:g} {stage.cost_unit}",
-        )
+        label = f"target {stage.target:g} {stage.cost_unit}"
+        lower.axhline(stage.target, color=VERMILION, linestyle="--", label=label)
     floor = min(float(np.min(costs)), stage.target or math.inf)
     if 0.0 < _FEW_TIMES * floor < float(np.max(costs)):
         lower.set_yscale("log")
@@ -214,9 +208,7 @@ def _interval_row(
 def _curve(
     speed: Array, moment: float, values: Mapping[str, float], alpha: float
 ) -> tuple[Array, Array] | None:
-    """Return fitted friction at both signs of ``speed``, or None if the friction needs a parameter
-    that is not identifiable.
-    """
+    """Return fitted friction at both signs of ``speed``, or None if a parameter is missing."""
     needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | (
         {"mu_c", "mu_s", "omega_sL", "mu_2"} if moment else set()
     )
@@ -229,9 +221,171 @@ def _curve(
     return both, torque
 
 
-def _model_friction(trace: Trace) -> Array:
-    return np.asarray(trace.torque_model - (trace.torque - trace.friction))
-
-
 def _generations(history: Array) -> Array:
     return np.arange(1.0, len(history) + 1.0)
+
+
+_COLUMNS = 3
+_TOP = 3.0
+"""Greatest deviance shown, relative to the deviance at the ends of the 90 % range."""
+
+
+def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figure:
+    """Return a figure with a panel for each profile: deviance against the parameter, its 90 %
+    range, and the interval.
+
+    Args:
+        curves: One or more profile likelihoods.
+        parameters: The estimates with their intervals, in any order.
+    """
+    rows = math.ceil(len(curves) / _COLUMNS)
+    made, axes = figure(rows, _COLUMNS, width=9.5, height=0.6 + 2.5 * rows)
+    by_name = {p.name: p for p in parameters}
+    for axis, curve in zip(axes, curves, strict=False):
+        axis.plot(curve.values, curve.deviance, "o", color=BLUE, markersize=3.5)
+        axis.plot(*_smooth(curve), color=BLUE, linewidth=1.2)
+        axis.axhline(LEVEL, color=GREY, linewidth=0.9, linestyle="--")
+        for end in (curve.low, curve.high):
+            if end is not None:
+                axis.axvline(end, color=BLUE, linewidth=0.9, linestyle=":")
+        p = by_name[curve.name]
+        if p.low is not None and p.high is not None:
+            axis.hlines(0.0, p.low, p.high, color=VERMILION, linewidth=4.0)
+        axis.set_ylim(-0.3, _TOP * LEVEL)
+        axis.ticklabel_format(axis="x", useOffset=False)
+        axis.tick_params(labelsize=7)
+        axis.locator_params(axis="x", nbins=4)
+        unit = curve.unit.replace("^2", "$^2$")
+        axis.set_xlabel(f"{LABELS.get(curve.name, curve.name)} ({unit})", fontsize=9)
+        axis.set_ylabel("deviance (1)", fontsize=8)
+    for axis in axes[len(curves) :]:
+        axis.remove()
+    made.suptitle(
+        "Likelihood profiles (blue, 90 % range dotted) and 90 % intervals (red)", fontsize=11
+    )
+    return made
+
+
+def waterfall(starts: Sequence[Starts]) -> Figure:
+    """Return a figure of the search ends of each search, sorted from the best: the final cost less
+    the least final cost, on a logarithmic scale.
+    """
+    made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2, measured=False)
+    for axis, search in zip(axes, starts, strict=True):
+        ends = np.sort(np.array(search.ends))
+        solved = search.absolute
+        shown = ends if solved else ends - ends[0]
+        limit = search.reached if solved else search.reached - float(ends[0])
+        places = np.arange(1, len(ends) + 1)
+        axis.plot(places, np.maximum(shown, 0.01 * limit), "o-", color=BLACK, markersize=5)
+        axis.axhline(limit, color=GREY, linewidth=0.9, linestyle="--")
+        axis.set_yscale("log")
+        plain_numbers(axis.yaxis, (1.0,))
+        axis.set_xlim(0.5, len(ends) + 0.5)
+        axis.set_xticks(range(1, len(ends) + 1))
+        axis.set_xlabel("start, best first (1)")
+        axis.set_ylabel(f"{search.cost}{'' if solved else ' above the least'} (1)", fontsize=8)
+        axis.set_title(f"{search.stage}: {search.best} of {len(ends)}", fontsize=9)
+    made.suptitle("Where the starts ended", fontsize=11)
+    return made
+
+
+def _smooth(curve: Profile) -> tuple[Array, Array]:
+    """Return the curve between its points; the root of the deviance is linear."""
+    values = np.linspace(curve.values[0], curve.values[-1], 200)
+    side = np.sign(np.arange(len(curve.values)) - int(np.argmin(curve.deviance)))
+    root = np.interp(values, curve.values, side * np.sqrt(np.maximum(curve.deviance, 0.0)))
+    return values, np.asarray(root**2)
+
+
+_WIDTH = 4.4
+"""Width of the figure, inches: its text is legible on a screen of 390 pixels."""
+
+
+def result(
+    identified: Identification,
+    moments: Mapping[str, float | None],
+    recordings: Sequence[Recording],
+) -> Figure:
+    """Draw friction against speed. Below, draw tracking error, current (or torque) and temperature
+    of all recordings, one after the other in time, as far as these channels were recorded.
+
+    Args:
+        identified: The fit.
+        moments: Recording to its contact moment F_P L1, N m, or None if the contact moment varies.
+        recordings: The recordings that were identified.
+    """
+    rotary = recordings[0].bench.motion == "rotary"
+    scale, unit = (np.rad2deg(1.0), "deg") if rotary else (1e3, "mm")
+    rows = [
+        (f"tracking error ({unit})", [_tracking_error(each, scale) for each in recordings]),
+        ("current (A)", [each.channels.get("current") for each in recordings]),
+        ("temperature (C)", [each.channels.get("temperature") for each in recordings]),
+    ]
+    shown = [(label, traces) for label, traces in rows if any(t is not None for t in traces)]
+    heights = [3.2, *(1.2 for _ in shown)]
+    made, (top, *below) = stacked(heights, width=_WIDTH)
+    draw_stribeck(top, identified, moments, columns=2)
+    for axis, (label, traces) in zip(below, shown, strict=True):
+        _courses(axis, recordings, traces)
+        axis.set_ylabel(label)
+    if below:
+        below[-1].set_xlabel("time of the recordings, one after the other (s)")
+    return made
+
+
+def _tracking_error(recording: Recording, scale: float) -> Array | None:
+    command, angle = (recording.channels.get(name) for name in ("command", "angle"))
+    return None if command is None or angle is None else np.asarray(scale * (command - angle))
+
+
+def _courses(axis: Axes, recordings: Sequence[Recording], traces: Sequence[Array | None]) -> None:
+    begun = 0.0
+    for recording, trace in zip(recordings, traces, strict=True):
+        few = thinned(len(recording.time))
+        time = begun + recording.time[few] - recording.time[0]
+        if trace is not None:
+            colour = BLUE if recording.stage == "unloaded" else VERMILION
+            axis.plot(time, trace[few], color=colour, linewidth=0.8)
+        begun = float(time[-1])
+        axis.axvline(begun, color=GREY, linewidth=0.5)
+
+
+_FLOOR_PERCENT = 1e-6
+
+
+def spread(
+    errors: Mapping[str, Mapping[str, Sequence[float]]],
+    printed: Mapping[str, float],
+    names: Sequence[str],
+) -> Figure:
+    """Draw the error of every parameter for every random seed, one colour per method, and the
+    errors that the paper states.
+
+    Args:
+        errors: Method to parameter to its errors over the seeds, percent; infinite or NaN errors
+            are left out, and errors below 1e-6 % are drawn at 1e-6 %.
+        printed: Parameter to the error that the paper states, percent.
+        names: Parameters, in the order to be shown.
+    """
+    made, (axis,) = figure(1, height=4.6)
+    for k, (color, (method, by_name)) in enumerate(zip(CYCLE, errors.items(), strict=False)):
+        label: str | None = f"{method} method, each seed"
+        for column, name in enumerate(names):
+            shown = np.array([e for e in by_name.get(name, ()) if np.isfinite(e)])
+            place = (
+                column + 0.24 * (k - 0.5 * (len(errors) - 1)) + np.linspace(-0.08, 0.08, len(shown))
+            )
+            drawn = axis.plot(place, np.maximum(shown, _FLOOR_PERCENT), "o", color=color)
+            drawn[0].set(markersize=3.5, alpha=0.7, label=label)
+            label = None
+    columns = [column for column, name in enumerate(names) if printed.get(name, 0.0) > 0.0]
+    stated = [printed[names[c]] for c in columns]
+    axis.plot(columns, stated, "_", color=BLACK, markersize=22, mew=2, label="printed")
+    axis.set_yscale("log")
+    axis.set_ylabel("error of the identified value (%)")
+    axis.set_xticks(range(len(names)), [LABELS.get(name, name) for name in names])
+    axis.set_xlabel("parameter")
+    axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axis.set_title("Errors over the seeds, literal bench without noise", fontsize=11)
+    return made

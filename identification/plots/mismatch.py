@@ -66,14 +66,8 @@ def errors(fits: Sequence[Fit]) -> Figure:
     for row, (_, before, after) in enumerate(rows):
         axis.plot((before, after), (row, row), color=GREY, linewidth=1.2, zorder=2)
     for place, marker, color, label in ((1, "s", VERMILION, "before"), (2, "o", BLUE, "after")):
-        axis.plot(
-            [row[place] for row in rows],
-            range(len(rows)),
-            marker,
-            color=color,
-            label=label,
-            zorder=3,
-        )
+        errors = [row[place] for row in rows]
+        axis.plot(errors, range(len(rows)), marker, color=color, label=label, zorder=3)
     axis.axvline(1.0, color=BLACK, linewidth=0.8, linestyle="--", label="noise floor")
     axis.set_xscale("log")
     low, high = axis.get_xlim()
@@ -134,15 +128,8 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
         axis.plot(time, shown, color=color, linewidth=0.9, label=label)
     if noise_floor is not None:
         band = factor * noise_floor
-        axis.axhspan(
-            -band,
-            band,
-            color=GREY,
-            alpha=0.3,
-            linewidth=0,
-            zorder=3,
-            label=f"noise floor {band:.2g} {unit}",
-        )
+        label = f"noise floor {band:.2g} {unit}"
+        axis.axhspan(-band, band, color=GREY, alpha=0.3, linewidth=0, zorder=3, label=label)
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"measured - model ({unit})")
@@ -194,20 +181,10 @@ def _map(axis: Axes, one: Map) -> None:
     low, high, mean, after = (
         factor * series[order] for series in (one.low, one.high, one.mean, one.after)
     )
-    axis.fill_between(
-        x, low, high, color=VERMILION, alpha=0.22, linewidth=0, label="90 % band, all bins at once"
-    )
-    axis.plot(x, mean, color=VERMILION, linewidth=1.5, marker="o", markersize=3.0, label="before")
-    axis.plot(
-        x,
-        after,
-        color=BLUE,
-        linewidth=1.3,
-        linestyle="--",
-        marker="s",
-        markersize=2.5,
-        label="after",
-    )
+    band = axis.fill_between(x, low, high, color=VERMILION, alpha=0.22, linewidth=0)
+    band.set_label("90 % band, all bins at once")
+    axis.plot(x, mean, "o-", color=VERMILION, linewidth=1.5, markersize=3.0, label="before")
+    axis.plot(x, after, "s--", color=BLUE, linewidth=1.3, markersize=2.5, label="after")
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(one.coordinate, unit))
     axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate.endswith("direction")))

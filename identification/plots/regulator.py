@@ -11,7 +11,17 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from identification.numerics.arrays import Array
-from identification.plots.style import BLACK, BLUE, GREY, VERMILION, figure, legend_above, thinned
+from identification.plots.style import (
+    BLACK,
+    BLUE,
+    COMMAND,
+    GREY,
+    THIN,
+    VERMILION,
+    figure,
+    legend_above,
+    thinned,
+)
 
 __all__ = ["Figure", "areas", "closed_loop", "errors", "speeds", "sweep", "tracking", "uniform"]
 
@@ -32,15 +42,7 @@ def tracking(
     """
     made, (top, bottom) = figure(2, height=6.0, sharex=True)
     few = thinned(len(time))
-    top.plot(
-        time[few],
-        np.rad2deg(command[few]),
-        color=BLACK,
-        linestyle="--",
-        linewidth=1.0,
-        zorder=3,
-        label="command",
-    )
+    top.plot(time[few], np.rad2deg(command[few]), label="command", **COMMAND)
     for color, (name, angle) in zip(_COLORS, angles.items(), strict=False):
         top.plot(time[few], np.rad2deg(angle[few]), color=color, linewidth=1.5, label=name)
     for color, (name, error) in zip(_COLORS, errors.items(), strict=False):
@@ -76,21 +78,12 @@ def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> F
         few = thinned(len(time), 20000)
         for color, (how, speed) in zip(_COLORS, measured.items(), strict=False):
             axis.plot(time[few], np.rad2deg(speed[few]), color=color, linewidth=1.0, label=how)
-        axis.plot(
-            time[few],
-            np.rad2deg(commanded[few]),
-            color=BLACK,
-            linestyle="--",
-            linewidth=1.0,
-            label="command",
-        )
+        axis.plot(time[few], np.rad2deg(commanded[few]), label="command", **COMMAND)
         axis.set_title(name, fontsize=10, loc="left")
         axis.set_ylabel("joint speed (deg/s)")
         axis.set_yscale("symlog", linthresh=2.0)
-        axis.set_yticks(
-            [-100, -10, -2, -1, 0, 1, 2, 10, 100],
-            ["-100", "-10", "-2", "-1", "0", "1", "2", "10", "100"],
-        )
+        ticks = (-100, -10, -2, -1, 0, 1, 2, 10, 100)
+        axis.set_yticks(ticks, map(str, ticks))
     axes[-1].set_xlabel("time (s)")
     legend_above(axes[0], 3)
     return made
@@ -101,21 +94,10 @@ def areas(angle_deg: Array, impacted: Array, throat: Array, clear_deg: float) ->
     made, (axis,) = figure(1, height=4.4)
     axis.plot(angle_deg, _MM2 * impacted, color=BLUE, label="impacted area $A_s$")
     axis.plot(angle_deg, _MM2 * throat, color=VERMILION, label="effective throat area $A_t$")
-    axis.plot(
-        angle_deg,
-        _MM2 * (impacted + throat),
-        color=GREY,
-        linestyle="--",
-        linewidth=1.0,
-        label="$A_s + A_t$",
-    )
-    axis.axvline(
-        clear_deg,
-        color=BLACK,
-        linestyle=":",
-        linewidth=1.0,
-        label=f"plate clear, {clear_deg:.2f} deg",
-    )
+    whole = _MM2 * (impacted + throat)
+    axis.plot(angle_deg, whole, color=GREY, linestyle="--", linewidth=1.0, label="$A_s + A_t$")
+    clear = f"plate clear, {clear_deg:.2f} deg"
+    axis.axvline(clear_deg, color=BLACK, linestyle=":", linewidth=1.0, label=clear)
     axis.set_xlabel("valve angle (deg)")
     axis.set_ylabel("area (mm$^2$)")
     legend_above(axis, 4)
@@ -136,21 +118,12 @@ def uniform(
     made, axes = figure(1, len(panels), width=9.5, height=4.8)
     for axis, (title, truth, groups) in zip(axes, panels, strict=True):
         axis.plot(speed, truth, color=BLACK, linewidth=1.2, label="true friction")
-        for color, marker, (name, points) in zip(
-            (BLUE, VERMILION), "os", groups.items(), strict=False
-        ):
-            for filled in (True, False):
-                chosen = [(v, m) for v, m, even in points if even is filled]
-                label = name if filled else f"{name}, stick-slip"
-                if chosen:
-                    face = color if filled else "none"
-                    axis.plot(
-                        *zip(*chosen, strict=True),
-                        marker,
-                        color=color,
-                        markerfacecolor=face,
-                        label=label,
-                    )
+        styles = ((BLUE, "o"), (VERMILION, "s"))
+        for (color, marker), (name, points) in zip(styles, groups.items(), strict=False):
+            for filled, face, more in ((True, color, ""), (False, "none", ", stick-slip")):
+                if chosen := [(v, m) for v, m, even in points if even is filled]:
+                    drawn = axis.plot(*zip(*chosen, strict=True), marker, color=color)
+                    drawn[0].set(markerfacecolor=face, label=f"{name}{more}")
         axis.set_xscale("log")
         axis.set_title(title, fontsize=10, loc="left")
         axis.set_xlabel("commanded speed (rad/s)")
@@ -191,14 +164,7 @@ def closed_loop(
     ):
         (asked_name, asked), (answer_name, answer) = pair.items()
         axis.plot(time[few], scale * answer[few], color=BLUE, linewidth=1.2, label=answer_name)
-        axis.plot(
-            time[few],
-            scale * asked[few],
-            color=BLACK,
-            linestyle="--",
-            linewidth=1.0,
-            label=asked_name,
-        )
+        axis.plot(time[few], scale * asked[few], label=asked_name, **COMMAND)
         axis.set_ylabel(label)
         legend_above(axis, 2)
     last.plot(time[few], current[few], color=BLUE, linewidth=0.8, label="motor current")
@@ -208,15 +174,8 @@ def closed_loop(
     right.plot(time[few], 1e-3 * force[few], color=VERMILION, linewidth=1.2, label="contact force")
     right.set_ylabel("contact force (kN)")
     right.spines["top"].set_visible(False)
-    last.legend(
-        [*last.get_lines(), *right.get_lines()],
-        ["motor current", "contact force (right)"],
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.985),
-        ncols=2,
-        fontsize=8,
-        frameon=False,
-    )
+    right.get_lines()[0].set_label("contact force (right)")
+    legend_above(last, 2, [*last.get_lines(), *right.get_lines()])
     return made
 
 
@@ -230,13 +189,11 @@ def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Fi
     made, axes = figure(3, len(panels), width=9.5, height=7.5, sharex=True)
     for column, (title, angle, current, pressure, steady, area) in enumerate(panels):
         top, middle, bottom = axes[column :: len(panels)]
-        top.plot(angle, current, color=BLUE, linewidth=1.0)
+        top.plot(angle, current, **THIN)
         top.set_title(title, fontsize=10, loc="left")
         top.set_ylim(bottom=0.0)
         middle.plot(angle, pressure, color=BLUE, linewidth=1.2, label="measured")
-        middle.plot(
-            angle, steady, color=BLACK, linestyle="--", linewidth=1.0, label="steady at this angle"
-        )
+        middle.plot(angle, steady, label="steady at this angle", **COMMAND)
         middle.set_ylim(bottom=0.0)
         bottom.plot(angle, area, color=BLUE, linewidth=1.2)
         bottom.set_xlabel("valve angle (deg)")

@@ -9,16 +9,20 @@ from matplotlib.ticker import MaxNLocator
 from identification.export.model import Predicted
 from identification.model.parameters import torque_word, unit_on
 from identification.plots.style import (
-    BLACK,
     BLUE,
-    ORANGE,
-    VERMILION,
+    COMMAND,
+    DOTS,
+    MEASURED,
+    MODEL,
+    THIN,
+    ZERO,
     broken,
     continuing,
     figure,
     legend_above,
     mosaic,
     moving,
+    rms_band,
     thinned,
 )
 from identification.prepare import Prepared, joint_angle, torque_unit
@@ -35,36 +39,23 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
         recording: The recording itself, for its command.
         unit: Unit of its torque.
     """
-    rotary = recording.bench.motion == "rotary"
-    scale = np.rad2deg(1.0) if rotary else 1e3
+    motion = recording.bench.motion
+    scale, label = _angle(motion)
     made, (top, middle, bottom) = figure(3, height=7.0, sharex=True, measured=False)
     few = thinned(len(trace.time))
     time = trace.time[few]
     if "command" in recording.channels:
         asked = thinned(len(recording.time))
         command = recording.channels["command"][asked] * scale
-        top.plot(
-            recording.time[asked],
-            command,
-            color=BLACK,
-            linestyle="--",
-            linewidth=0.9,
-            zorder=3,
-            label="command",
-        )
-    top.plot(time, trace.angle[few] * scale, color=BLUE, linewidth=1.6, label="measured")
-    top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
-    middle.plot(time, trace.velocity[few], color=BLUE, linewidth=1.0, label="measured")
-    middle.set_ylabel(f"velocity ({unit_on(recording.bench.motion, 'rad/s')})")
-    bottom.plot(time, trace.torque[few], color=BLUE, linewidth=2.0, alpha=0.55, label="measured")
-    bottom.plot(
-        time,
-        broken(trace.torque_model, moving(trace))[few],
-        color=VERMILION,
-        linewidth=0.9,
-        label="model, where it moves",
-    )
-    bottom.set_ylabel(f"{torque_word(recording.bench.motion)} ({unit})")
+        top.plot(recording.time[asked], command, label="command", **COMMAND)
+    top.plot(time, trace.angle[few] * scale, label="measured", **{**THIN, "linewidth": 1.6})
+    top.set_ylabel(label)
+    middle.plot(time, trace.velocity[few], label="measured", **THIN)
+    middle.set_ylabel(f"velocity ({unit_on(motion, 'rad/s')})")
+    bottom.plot(time, trace.torque[few], label="measured", **MEASURED)
+    model = broken(trace.torque_model, moving(trace))[few]
+    bottom.plot(time, model, label="model, where it moves", **MODEL)
+    bottom.set_ylabel(f"{torque_word(motion)} ({unit})")
     bottom.set_xlabel("time (s)")
     for axis in (top, middle, bottom):
         legend_above(axis, 2)
@@ -82,30 +73,25 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
         unit: Unit of its torque.
     """
     made, (top, left, right) = mosaic("AA;BC", height=6.0)
-    error = trace.torque - trace.torque_model
-    few = thinned(len(error))
-    used = moving(trace)
+    error, label = trace.torque - trace.torque_model, f"measured - model ({unit})"
+    few, used = thinned(len(error)), moving(trace)
     shown = broken(error, used)[few]
-    top.plot(trace.time[few], shown, color=BLUE, linewidth=0.8)
+    top.plot(trace.time[few], shown, **THIN)
     top.set_xlabel("time (s)")
-    left.plot(trace.velocity[few], shown, ".", color=BLUE, markersize=2.0, alpha=0.5)
+    left.plot(trace.velocity[few], shown, color=BLUE, markersize=2.0, alpha=0.5, **DOTS)
     left.set_xlabel(f"velocity ({unit_on(motion, 'rad/s')})")
     kept = error[used]
     right.hist(kept, bins=60, color=BLUE)
-    right.set_xlabel(f"measured - model ({unit})")
+    right.set_xlabel(label)
     right.set_ylabel("samples (1)")
     for axis in (left, right):
         axis.xaxis.set_major_locator(MaxNLocator(5))
-    if kept.size:
-        rms = float(np.sqrt(np.mean(kept**2)))
-        for axis in (top, left):
-            axis.axhspan(
-                -rms, rms, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {rms:.3g} {unit}"
-            )
-            legend_above(axis, 1)
     for axis in (top, left):
-        axis.axhline(0.0, color=BLACK, linewidth=0.8)
-        axis.set_ylabel(f"measured - model ({unit})")
+        if kept.size:
+            rms_band(axis, kept, unit)
+            legend_above(axis, 1)
+        axis.axhline(0.0, **ZERO)
+        axis.set_ylabel(label)
     word = torque_word(motion)
     made.suptitle(f"{trace.recording}: {word} residual ({trace.role}, {trace.stage})", fontsize=11)
     return made
@@ -121,20 +107,14 @@ def predicted(part: Predicted, unit: str) -> Figure:
     made, (top, bottom) = figure(2, height=5.0, sharex=True)
     few = thinned(len(part.time))
     time = part.time[few]
-    joined = continuing(time)
-    measured, model = (broken(side[few], joined) for side in (part.measured, part.model))
-    top.plot(
-        time, measured, color=BLUE, linewidth=2.0, alpha=0.55, label="measured, where it moves"
-    )
-    top.plot(time, model, color=VERMILION, linewidth=0.9, label="model")
+    measured, model = (broken(side[few], continuing(time)) for side in (part.measured, part.model))
+    top.plot(time, measured, label="measured, where it moves", **MEASURED)
+    top.plot(time, model, label="model", **MODEL)
     top.set_ylabel(f"{part.equation} ({unit})")
-    bottom.plot(time, measured - model, color=BLUE, linewidth=0.8)
+    bottom.plot(time, measured - model, **THIN)
     if part.error.size:
-        level = float(np.sqrt(np.mean(part.error**2)))
-        bottom.axhspan(
-            -level, level, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {level:.3g} {unit}"
-        )
-    bottom.axhline(0.0, color=BLACK, linewidth=0.8)
+        rms_band(bottom, part.error, unit)
+    bottom.axhline(0.0, **ZERO)
     bottom.set_ylabel(f"measured - model ({unit})")
     bottom.set_xlabel("time (s)")
     for axis in (top, bottom):
@@ -145,37 +125,32 @@ def predicted(part: Predicted, unit: str) -> Figure:
 def simulated(prepared: Prepared, response: Response) -> Figure:
     """Draw angle, angle error and drive torque against time, measured and simulated."""
     recording = prepared.recording
-    rotary = recording.bench.motion == "rotary"
-    large, small = (np.rad2deg(1.0), 1e3) if rotary else (1e3, 1e6)
+    scale, label = _angle(recording.bench.motion)
     made, (top, middle, bottom) = figure(3, height=7.0, sharex=True)
     few = thinned(len(recording.time))
     time = recording.time[few]
     measured = joint_angle(recording)
+    rotary = recording.bench.motion == "rotary"
     if measured is not None:
-        top.plot(
-            time, measured[few] * large, color=BLUE, linewidth=2.0, alpha=0.55, label="measured"
-        )
-        middle.plot(time, (response.angle - measured)[few] * small, color=BLACK, linewidth=0.8)
-    top.plot(time, response.angle[few] * large, color=VERMILION, linewidth=0.9, label="simulated")
-    top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
+        top.plot(time, measured[few] * scale, label="measured", **MEASURED)
+        error = (response.angle - measured)[few] * (1e3 if rotary else 1e6)
+        middle.plot(time, error, **ZERO)
+    top.plot(time, response.angle[few] * scale, label="simulated", **MODEL)
+    top.set_ylabel(label)
     middle.set_ylabel("simulated - measured\n" + ("(mrad)" if rotary else "(um)"))
     few = thinned(len(prepared.time))
-    bottom.plot(
-        prepared.time[few],
-        prepared.drive_torque[few],
-        color=BLUE,
-        linewidth=2.0,
-        alpha=0.55,
-        label="measured",
-    )
-    torque = simulated_torque(prepared, response)
-    bottom.plot(prepared.time[few], torque[few], color=VERMILION, linewidth=0.9, label="simulated")
+    time = prepared.time[few]
+    bottom.plot(time, prepared.drive_torque[few], label="measured", **MEASURED)
+    bottom.plot(time, simulated_torque(prepared, response)[few], label="simulated", **MODEL)
     bottom.set_ylabel(f"{torque_word(recording.bench.motion)} ({torque_unit(recording)})")
     bottom.set_xlabel("time (s)")
     for axis in (top, bottom):
         legend_above(axis, 2)
-    made.suptitle(
-        f"{recording.name}: closed loop simulated from its first sample ({recording.role})",
-        fontsize=11,
-    )
+    title = f"{recording.name}: closed loop simulated from its first sample ({recording.role})"
+    made.suptitle(title, fontsize=11)
     return made
+
+
+def _angle(motion: str) -> tuple[float, str]:
+    """Return the factor on an angle that is drawn, and the label of its axis."""
+    return (np.rad2deg(1.0), "joint angle (deg)") if motion == "rotary" else (1e3, "position (mm)")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, cast
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -78,9 +79,7 @@ def _tick_width(made: Figure, axis: Axes) -> float:
 
 
 def _above(made: Figure, axis: Axes) -> float:
-    """Return the room for title and legend above axes, inches; a legend inside the axes counts as
-    above the axes.
-    """
+    """Return the room for title and legend above axes, inches."""
     legend = axis.get_legend()
     size = (
         0.0
@@ -115,6 +114,13 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
 BLACK, GREY = "#222222", "#8A8A8A"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 """Okabe and Ito's palette, which colour-blind readers can distinguish."""
+MEASURED: Mapping[str, Any] = {"color": BLUE, "linewidth": 2.0, "alpha": 0.55}
+MODEL: Mapping[str, Any] = {"color": VERMILION, "linewidth": 0.9}
+THIN: Mapping[str, Any] = {"color": BLUE, "linewidth": 1.0}
+COMMAND: Mapping[str, Any] = {"color": BLACK, "linestyle": "--", "linewidth": 1.0, "zorder": 3}
+ZERO: Mapping[str, Any] = {"color": BLACK, "linewidth": 0.8}
+DOTS: Mapping[str, Any] = {"linestyle": "none", "marker": "."}
+"""Lines of measured signals, of models, of other signals, of commands, and at zero; dots."""
 MAX_POINTS = 5000
 COMPRESSION = {"compress_level": 3}
 """Compression level of zlib; files are 8 % larger than at the default level, and are written in two
@@ -209,15 +215,28 @@ def continuing(time: Array) -> NDArray[np.bool_]:
     )
 
 
-def legend_above(axis: Axes, columns: int) -> Legend | None:
-    """Add a legend above the axes, where it covers no data; if no line has a label, add no
-    legend.
+def legend_above(axis: Axes, columns: int, lines: Sequence[Artist] | None = None) -> Legend | None:
+    """Add a legend of ``lines``, by default those of the axes with a label, above the axes, where
+    it covers no data; without such a line add no legend.
     """
-    if not axis.get_legend_handles_labels()[0]:
+    handles = axis.get_legend_handles_labels()[0] if lines is None else lines
+    if not handles:
         return None
     return axis.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=columns, fontsize=8, frameon=False
+        handles=handles,
+        fontsize=8,
+        frameon=False,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.985),
+        ncols=columns,
     )
+
+
+def rms_band(axis: Axes, error: Array, unit: str) -> None:
+    """Shade the rms of an error on both sides of zero."""
+    rms = float(np.sqrt(np.mean(error**2)))
+    label = f"rms {rms:.3g} {unit}"
+    axis.axhspan(-rms, rms, color=ORANGE, alpha=0.25, linewidth=0, label=label)
 
 
 def png(made: Figure, dpi: int = 110) -> bytes:

@@ -139,9 +139,7 @@ def _follow(
     torque: Array,
     peaks: Array,
 ) -> None:
-    """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); the speed is
-    integrated by a linearly implicit rule.
-    """
+    """Fill ``angle``, ``torque`` and ``peaks``; the speed by a linearly implicit rule."""
     h = period / steps
     static = static_friction(moment, p)
     theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
@@ -241,9 +239,7 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
 
 
 def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
-    """Return the place of the minimum of the parabola through the least of the squared misfits and
-    its two neighbours; ``places`` are evenly spaced.
-    """
+    """Return the minimum of the parabola through the least squared misfit and its neighbours."""
     if not 0 < best < len(places) - 1:
         return places[best]
     before, here, after = (m * m for m in misfits[best - 1 : best + 2])
@@ -254,13 +250,7 @@ def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> floa
 
 
 def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Array, float]:
-    """Return the gains of e', e and the integral of e, and the relative misfit.
-
-    Args:
-        recordings: One or more recordings.
-        late: Cycles by which the command reaches the loop late.
-        delay: Delay between the joint's motion and the loop's response, s.
-    """
+    """Return the gains of e', e and the integral of e for these delays, and the relative misfit."""
     rows, torques = [], []
     for number, recording in enumerate(recordings):
         own, torque = _regressors(recording, late, delay)
@@ -277,9 +267,7 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
 
 
 def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, Array]:
-    """Return the regressors, with those of the gains first, shape (n, 6), and the torque at the
-    joint, N m, shape (n,).
-    """
+    """Return the regressors, those of the gains first, (n, 6), and the joint torque, N m, (n,)."""
     time, period, channels = recording.time, recording.period, recording.channels
     angle = np.interp(time - delay, time, channels["motor_angle"]) / recording.bench.gear_ratio
     command = np.concatenate([np.full(late, channels["command"][0]), channels["command"]])[

@@ -147,9 +147,7 @@ def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
 
 
 def _quietly(ask: Callable[[], str]) -> str:
-    """Return the result of a function, or an empty text if the function fails, because the report
-    itself must not fail.
-    """
+    """Return the result of a function; empty if it fails, because the report must not fail."""
     try:
         return ask()
     except Exception:  # noqa: BLE001 - the defect may affect this function as well
@@ -172,9 +170,7 @@ def _folders(error: BaseException, arguments: Sequence[str]) -> Iterator[Path]:
 
 
 def _keep(page: str, folders: Iterable[Path]) -> Path | None:
-    """Write the file into the first writable folder; return its path, or None if no folder is
-    writable.
-    """
+    """Write the file into the first writable folder; return its path, or None."""
     stamp = f"{utc_now():%Y%m%dT%H%M%SZ}"
     content = page.encode("utf-8", "backslashreplace")
     for folder in folders:

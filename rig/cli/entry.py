@@ -6,18 +6,20 @@ import gc
 import importlib
 import logging
 import os
+import stat
 import sys
+import tempfile
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Self
 
 import click
 from click.shell_completion import CompletionItem
 
-from drivers.errors import DeviceError
 from rig.cli import crash
 from rig.common.errors import InputError, InUseError, StorageError
-from rig.common.start_up import keep_freed_memory
 from rig.terminal.output import Streams, complain
 from rig.terminal.stop_button import ignore_stops
 
@@ -26,10 +28,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.new:command",
         "Write a bench, sequence or campaign file to start from.",
     ),
-    "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
-    "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
-    "off": ("rig.cli.commands.off:command", "Make a bench safe, whoever uses it."),
-    "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
+    "run": ("rig.cli.commands.run:run", "Run a sequence on a bench."),
+    "resume": ("rig.cli.commands.run:resume", "Continue a run that stopped."),
+    "off": ("rig.cli.commands.bench:off", "Make a bench safe, whoever uses it."),
+    "jog": ("rig.cli.commands.bench:jog", "Move a bench by hand, at low limits."),
     "watch": (
         "rig.cli.commands.watch:command",
         "Show a recording live in Foxglove or PlotJuggler.",
@@ -39,7 +41,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Go through a new bench with the operator, step by step.",
     ),
     "check": (
-        "rig.cli.commands.check:command",
+        "rig.cli.commands.bench:check",
         "Connect to a bench and read its values; nothing moves.",
     ),
     "identify": (
@@ -55,9 +57,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Find physics that the model lacks, and add it to the model.",
     ),
     "effects": ("rig.cli.commands.effects:command", "List the effects of a diagnosis."),
-    "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
+    "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
     "prove": (
-        "rig.cli.commands.prove:command",
+        "rig.cli.commands.prove:prove",
         "Test the diagnosis on blind trials with injected effects.",
     ),
     "runs": (
@@ -72,7 +74,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Watch, stop and start runs on a page in the browser.",
     ),
     "schema": (
-        "rig.cli.commands.schema:command",
+        "rig.cli.commands.new:schema",
         "Write JSON Schemas, by which editors complete and check files.",
     ),
 }
@@ -172,8 +174,31 @@ def cli(verbose: bool) -> None:
         # This program reports every important problem as its own error; without a handler, the logs
         # of the libraries would be printed. matplotlib warns of folders that cannot be written and
         # continues without these folders.
-        for name in ("can", "canopen", "foxglove", "matplotlib"):
+        for name in ("can", "canopen", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
+
+
+def find_kernel_folder() -> None:
+    """Let numba store compiled kernels in a private temporary folder if neither the folder of the
+    program nor the cache folder of the user is writable; must be called before numba is imported.
+    """
+    if os.name != "posix":
+        return
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    existing = next((path for path in (home, *home.parents) if path.exists()), home)
+    if any(
+        os.access(path, os.W_OK, effective_ids=os.access in os.supports_effective_ids)
+        for path in (Path(__file__).parent, existing)
+    ):
+        return
+    private = Path(tempfile.gettempdir()) / f"loadrig-kernels-{os.geteuid()}"
+    with suppress(OSError):
+        private.mkdir(mode=0o700, exist_ok=True)
+        found = private.lstat()
+        # Machine code is executed; no other user may be able to write it.
+        mine = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid()
+        if mine and not found.st_mode & 0o077:
+            os.environ.setdefault("NUMBA_CACHE_DIR", str(private))
 
 
 def main() -> None:
@@ -188,7 +213,7 @@ def main() -> None:
     # A handler that cannot write must not print a traceback of its own.
     logging.raiseExceptions = False
     gc.set_threshold(GARBAGE_THRESHOLD)
-    keep_freed_memory()
+    find_kernel_folder()
     arguments = sys.argv[1:]
     with _Threads(arguments) as threads:
         try:
@@ -227,7 +252,7 @@ def status(arguments: list[str]) -> int:
         return _ended(error, "stopped by the operator", STOPPED)
     except InUseError as error:
         return _ended(error, f"in use: {error}", DEVICE_FAILED)
-    except DeviceError as error:
+    except _device_errors() as error:
         return _ended(error, f"device error: {error}", DEVICE_FAILED)
     except StorageError as error:
         return _ended(error, f"storage error: {error}", DEVICE_FAILED)
@@ -238,6 +263,14 @@ def status(arguments: list[str]) -> int:
     except BaseException as error:  # noqa: BLE001 - without it, an operator would see a traceback
         return _broke_down(error, arguments)
     return result if isinstance(result, int) else DONE
+
+
+def _device_errors() -> tuple[type[BaseException], ...]:
+    """Return the base class of the device errors, or nothing if no driver was imported, as by
+    commands that only read recordings.
+    """
+    errors = sys.modules.get("drivers.errors")
+    return () if errors is None else (errors.DeviceError,)
 
 
 def _broke_down(error: BaseException, arguments: list[str]) -> int:
@@ -281,9 +314,7 @@ class _Threads:
 
 
 def _ended(error: BaseException, words: str, code: int) -> int:
-    """Print why a command ended and, if known, the final state of the drive; return the exit
-    status.
-    """
+    """Print why a command ended and, if known, how the drive was left."""
     complain(words)
     drive = crash.drive_words(error)
     if drive is not None:

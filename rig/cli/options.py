@@ -15,7 +15,8 @@ Decorator = Callable[[Any], Any]
 
 
 class Number(click.FloatRange):
-    """Type of every option that takes a real number: NaN and infinity are bad input.
+    """Type of every option that takes a real number: NaN and infinity are bad input, and a decimal
+    comma is accepted.
 
     The comparisons of :class:`click.FloatRange` let NaN pass, and infinity where an end is open.
     """
@@ -35,7 +36,8 @@ class Number(click.FloatRange):
         Raises:
             click.BadParameter: The value is not a finite number inside the range.
         """
-        number = float(super().convert(value, param, ctx))
+        written: Any = value.strip().replace(",", ".") if isinstance(value, str) else value
+        number = float(super().convert(written, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number
@@ -44,15 +46,52 @@ class Number(click.FloatRange):
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
-def result_file(command: Any) -> Any:
-    """Add ``--json`` for the result file to a command, as ``json_file``."""
-    return click.option(
-        "--json",
-        "json_file",
-        metavar="FILE",
-        type=click.Path(path_type=Path, dir_okay=False),
-        help="Result file.",
-    )(command)
+_FILE = click.Path(path_type=Path, dir_okay=False)
+result_file: Decorator = click.option(
+    "--json", "json_file", metavar="FILE", type=_FILE, help="Result file."
+)
+partial: Decorator = click.option(
+    "--partial",
+    is_flag=True,
+    help="Also use the recorded part of the unfinished excitations of a stopped run.",
+)
+yes: Decorator = click.option(
+    "--yes",
+    is_flag=True,
+    help="Answer the weight prompts as planned; refused with weights on a real bench.",
+)
+in_console: Decorator = click.option(
+    "--console",
+    "in_console",
+    is_flag=True,
+    help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
+)
+operator_name: Decorator = click.option(
+    "--operator",
+    "operator_name",
+    metavar="NAME",
+    type=valid,
+    help="Name of the operator; stored with the recording.",
+)
+identification: Decorator = click.option(
+    "--identification",
+    type=click.Path(path_type=Path),
+    help="Accepted result of `rig identify --json` on this bench; the weight check uses the "
+    "friction of this result.",
+)
+junit: Decorator = click.option(
+    "--junit",
+    "junit_file",
+    metavar="FILE",
+    type=_FILE,
+    help="Also write the acceptance as JUnit XML.",
+)
+first_pass: Decorator = click.option(
+    "--first-pass/--no-first-pass",
+    default=None,
+    help="Run a first pass at 10 % amplitude before each stage. [default: on a real bench, "
+    "or with --identification]",
+)
 
 
 def record_file(words: str) -> Decorator:
@@ -72,9 +111,7 @@ def seed(words: str = "Seed of the random generator.") -> Decorator:
     )
 
 
-def simulated_seed(command: Any) -> Any:
-    """Add ``--seed`` for the noise of a simulated bench to a command."""
-    return seed("Seed of the simulated bench's noise.")(command)
+simulated_seed = seed("Seed of the simulated bench's noise.")
 
 
 def bandwidth(words: str) -> Decorator:
@@ -82,55 +119,6 @@ def bandwidth(words: str) -> Decorator:
     return click.option(
         "--bandwidth", metavar="HZ", type=Number(min=0.0, min_open=True), help=words
     )
-
-
-def partial(command: Any) -> Any:
-    """Add ``--partial`` to a command."""
-    return click.option(
-        "--partial",
-        is_flag=True,
-        help="Also use the recorded part of the unfinished excitations of a stopped run.",
-    )(command)
-
-
-def yes(command: Any) -> Any:
-    """Add ``--yes`` for the weight prompts to a command."""
-    return click.option(
-        "--yes",
-        is_flag=True,
-        help="Answer the weight prompts as planned; refused with weights on a real bench.",
-    )(command)
-
-
-def in_console(command: Any) -> Any:
-    """Add ``--console`` to a command, as ``in_console``."""
-    return click.option(
-        "--console",
-        "in_console",
-        is_flag=True,
-        help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
-    )(command)
-
-
-def operator_name(command: Any) -> Any:
-    """Add ``--operator`` to a command, as ``operator_name``."""
-    return click.option(
-        "--operator",
-        "operator_name",
-        metavar="NAME",
-        type=valid,
-        help="Name of the operator; stored with the recording.",
-    )(command)
-
-
-def identification(command: Any) -> Any:
-    """Add ``--identification`` to a command."""
-    return click.option(
-        "--identification",
-        type=click.Path(path_type=Path),
-        help="Accepted result of `rig identify --json` on this bench; the weight check uses the "
-        "friction of this result.",
-    )(command)
 
 
 def acceptance(default: str) -> Decorator:
@@ -142,30 +130,9 @@ def acceptance(default: str) -> Decorator:
     return click.option(
         "--acceptance",
         metavar="FILE",
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=_FILE,
         help=f"File of the acceptance limits for a complete run. [default: {default}]",
     )
-
-
-def junit(command: Any) -> Any:
-    """Add ``--junit`` to a command, as ``junit_file``."""
-    return click.option(
-        "--junit",
-        "junit_file",
-        metavar="FILE",
-        type=click.Path(path_type=Path, dir_okay=False),
-        help="Also write the acceptance as JUnit XML.",
-    )(command)
-
-
-def first_pass(command: Any) -> Any:
-    """Add ``--first-pass`` and ``--no-first-pass`` to a command."""
-    return click.option(
-        "--first-pass/--no-first-pass",
-        default=None,
-        help="Run a first pass at 10 % amplitude before each stage. [default: on a real bench, "
-        "or with --identification]",
-    )(command)
 
 
 def reset_fault(more: str = "") -> Decorator:

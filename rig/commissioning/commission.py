@@ -158,7 +158,7 @@ def steps_of(setup: Setup) -> Iterator[Step]:
     for step in STEPS:
         yield step
         if home is not None and step.name == before:
-            refused = setup.homing_offer.refusal(home.method)
+            refused = setup.homing_offer.problem(home.method)
             words = f"Not done: {refused}. {STILL}" if refused else announced(setup, home)
             yield Step(HOMING, words, homing, asks=not refused)
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from drivers.clock import NS
 from drivers.errors import DeviceError
-from drivers.homing import HomingOrder, HomingState, method_words
+from drivers.homing import Homes, HomingOrder, HomingState, method_words
 from drivers.interfaces import ServoState
 from rig.commissioning.record import SkippedError, StepRecord, WrongError
 from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
@@ -98,7 +98,7 @@ def homing(setup: Setup, step: StepRecord) -> None:
     """
     home = setup.home
     assert home is not None
-    if why := setup.homing_offer.refusal(home.method):
+    if why := setup.homing_offer.problem(home.method):
         raise SkippedError(f"{why}. The zero of the bench file is used")
     step.measure("method, 6098h", home.method)
     home_rad = _home_rad(setup, home)
@@ -242,6 +242,7 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
     allowed_s = home.time_limit_s
     if allowed_s is None:
         allowed_s = IN_PLACE_LIMIT_S if home.in_place else SPARE_S + 2.0 * way / search
+    assert isinstance(servo, Homes)  # the homing is offered
     servo.start_homing()
     travels = _Travels(setup, begun)
     started, state, sample = clock.now_ns(), HomingState.RUNNING, begun

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Final, Protocol
 
 from drivers.errors import DeviceError
-from drivers.homing import IN_PLACE, HomingOffer, HomingOrder
+from drivers.homing import IN_PLACE, NO_HOMING, Homes, HomingOffer, HomingOrder
 from drivers.interfaces import ServoLimits, ServoState
 from rig.commissioning.record import StepRecord, WrongError
 from rig.config.bench import Bench
@@ -244,7 +244,8 @@ class Setup:
     @cached_property
     def homing_offer(self) -> HomingOffer:
         """The homing that the drive supports; the drive is asked once."""
-        return self.devices.servo.homing_offer()
+        servo = self.devices.servo
+        return servo.homing_offer() if isinstance(servo, Homes) else NO_HOMING
 
     @cached_property
     def off(self) -> OffProof:
@@ -255,7 +256,7 @@ class Setup:
     def homes_in_place(self) -> bool:
         """Whether a homing without motion sets the drive's zero."""
         home = self.home
-        return home is not None and home.in_place and not self.homing_offer.refusal(home.method)
+        return home is not None and home.in_place and not self.homing_offer.problem(home.method)
 
     @property
     def wanted(self) -> ServoLimits:
@@ -313,6 +314,7 @@ class Setup:
             DeviceError: The mode could not be selected.
         """
         servo = self.devices.servo
+        assert isinstance(servo, Homes)  # the homing is offered
         held: Mapping[str, int] = {}
 
         def energise() -> None:

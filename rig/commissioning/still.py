@@ -31,9 +31,9 @@ def identity(setup: Setup, step: StepRecord) -> None:
     for role, who in found.items():
         words = f"{who.name or 'no name'}, vendor {who.vendor_id:X}h, product {who.product_code:X}h"
         step.measure(role, f"{words}, serial number {who.serial_number}")
-    doubts = [*devices.servo.identity_doubts(), *devices.encoder.identity_doubts()]
-    if doubts:
-        raise WrongError("; ".join(doubts))
+    problems = [*devices.servo.identity_problems(), *devices.encoder.identity_problems()]
+    if problems:
+        raise WrongError("; ".join(map(str, problems)))
     for item in step.measured:
         setup.interview.tell(f"  {item.name}: {item.value}")
     if not setup.interview.agrees("Are these the devices of this bench?"):
@@ -132,7 +132,7 @@ def _say_offer(setup: Setup) -> None:
     if home is None:
         then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"
         setup.interview.tell(f"  note: {offer.words}; {then}")
-    elif why := offer.refusal(home.method):
+    elif why := offer.problem(home.method):
         setup.interview.tell(f"  note: {why}; the zero is typed in instead")
 
 

@@ -436,9 +436,7 @@ def _locked(descriptor: int, fcntl: ModuleType) -> bool:
 
 @contextmanager
 def _folder(place: _Place) -> Iterator[int]:
-    """Open the folder of a lock file; the shared folder is created if missing, and must not be a
-    link.
-    """
+    """Open the folder of a lock file; the shared folder is made, and must not be a link."""
     flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
     if place.shared:
         flags |= os.O_NOFOLLOW
@@ -476,9 +474,7 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
 
 
 def _open_to_all(descriptor: int, mode: int) -> None:
-    """Set the mode of a file of this user regardless of the umask; some file systems have no
-    modes.
-    """
+    """Set the mode of a file of this user regardless of the umask."""
     status = os.fstat(descriptor)
     if status.st_uid == os.geteuid() and stat.S_IMODE(status.st_mode) != mode:
         with suppress(OSError):

@@ -6,15 +6,18 @@ import hashlib
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from drivers.errors import require_plain
-from identification.recording import Recording
+from rig.common.places import require_plain
+
+if TYPE_CHECKING:
+    # At run time this import would load numba, for which `rig --help` must not wait.
+    from identification.recording import Recording
 
 
 def sha256(content: bytes) -> str:
@@ -141,3 +144,19 @@ class Provenance:
 def finite(value: float | None) -> float | None:
     """Return a plain float, or None for infinities and NaN, which JSON does not have."""
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+def plain(value: Any, *left_out: str) -> Any:
+    """Return a value for JSON: a dataclass as a mapping, without the fields ``left_out``; arrays
+    as lists; infinities and NaN as None.
+    """
+    if is_dataclass(value):
+        names = [field.name for field in fields(value) if field.name not in left_out]
+        return {name: plain(getattr(value, name)) for name in names}
+    if isinstance(value, Mapping):
+        return {name: plain(item) for name, item in value.items()}
+    if hasattr(value, "tolist"):  # an array
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return finite(value) if isinstance(value, float) else value

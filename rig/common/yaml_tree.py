@@ -11,21 +11,17 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any
 
 import yaml
 from yaml.composer import Composer
-from yaml.parser import Parser
 from yaml.reader import Reader
-from yaml.resolver import Resolver
-from yaml.scanner import Scanner
 
-from drivers.errors import require_plain
+from rig.common.places import require_plain
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 40
@@ -82,10 +78,19 @@ class DocumentError(Exception):
         self.mark = mark or Mark(1, 1)
 
 
-class _Composer(Composer):
-    """Composes nodes from the events of a parser, with limited depth."""
+# libyaml is eight times as fast, but PyYAML may be built without it.
+_Parser: Any = (Composer, yaml.CSafeLoader) if yaml.__with_libyaml__ else (yaml.SafeLoader,)
 
+
+class _Loader(*_Parser):  # type: ignore[misc]
+    """Composes nodes with limited depth; scalars are those of the YAML 1.2 core schema."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
     depth = 0
+
+    def __init__(self, text: str) -> None:
+        _Parser[-1].__init__(self, text)
+        Composer.__init__(self)
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose one node, refusing nesting that would exhaust the stack."""
@@ -94,55 +99,12 @@ class _Composer(Composer):
             raise DocumentError(f"nested deeper than {MAX_DEPTH} levels; use fewer levels", mark)
         self.depth += 1
         try:
-            return super().compose_node(parent, index)
+            node: yaml.Node | None = super().compose_node(parent, index)
+            return node
         finally:
             self.depth -= 1
 
 
-class _Resolver(Resolver):
-    """Resolves scalars by the YAML 1.2 core schema."""
-
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
-
-
-class _Loader(Reader, Scanner, Parser, _Composer, _Resolver):
-    """Reads with the parser in Python, whose error messages are reported to the user."""
-
-    def __init__(self, text: str) -> None:
-        Reader.__init__(self, text)
-        Scanner.__init__(self)
-        Parser.__init__(self)
-        Composer.__init__(self)
-        Resolver.__init__(self)
-
-
-def _root(text: str) -> yaml.Node | None:
-    """Compose the only document of a text. libyaml is eight times as fast as the parser in Python.
-    A text that libyaml refuses is read again by the parser in Python, because the messages of the
-    two parsers differ.
-    """
-    if yaml.__with_libyaml__ and not _READ_OTHERWISE.search(text):
-        # A lone surrogate is refused before libyaml sees it, as text that cannot be encoded.
-        with suppress(yaml.YAMLError, UnicodeEncodeError):
-            return _quick_loader()(text).get_single_node()
-    return _Loader(text).get_single_node()
-
-
-@cache
-def _quick_loader() -> Callable[[str], _Composer]:
-    # PyYAML has this base class only if it was built with libyaml.
-    class _QuickLoader(_Composer, _Resolver, yaml.CSafeLoader):
-        def __init__(self, text: str) -> None:
-            yaml.CSafeLoader.__init__(self, text)
-            Composer.__init__(self)
-
-    return _QuickLoader
-
-
-_READ_OTHERWISE = re.compile(r"[\t?!\ufeff]|:\s+[,\]}]")
-"""Text that libyaml accepts but the parser in Python refuses, or to which the two parsers give
-different places.
-"""
 _SCALARS = (
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
@@ -155,7 +117,7 @@ _SCALARS = (
 )
 for _name, _pattern, _first in _SCALARS:
     # Order matters: the first pattern that matches names the type, so integers come before floats.
-    _Resolver.add_implicit_resolver(_CORE + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
+    _Loader.add_implicit_resolver(_CORE + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
 
 
 def scalar(text: str) -> Scalar:
@@ -202,18 +164,15 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
         DocumentError: The syntax is wrong, the document is empty, or its top level is not a
             mapping.
     """
+    if (wrong := Reader.NON_PRINTABLE.search(text)) is not None:
+        before = text[: wrong.start()]
+        mark = Mark(before.count("\n") + 1, wrong.start() - before.rfind("\n"))
+        raise DocumentError(f"character U+{ord(wrong[0]):04X} is not allowed in YAML", mark)
     try:
-        root = _root(text)
-    except yaml.reader.ReaderError as error:
-        before = text[: error.position]
-        mark = Mark(before.count("\n") + 1, error.position - before.rfind("\n"))
-        raise DocumentError(
-            f"character U+{ord(text[error.position]):04X} is not allowed in YAML", mark
-        ) from error
+        root = _Loader(text).get_single_node()
     except yaml.MarkedYAMLError as error:
-        raise DocumentError(
-            _explain(error), _mark(error.problem_mark or error.context_mark)
-        ) from error
+        mark = _mark(error.problem_mark or error.context_mark)
+        raise DocumentError(_explain(error, text, mark), mark) from error
     if root is None:
         raise DocumentError("the file is empty")
     if not isinstance(root, yaml.MappingNode):
@@ -239,29 +198,19 @@ class _Builder:
         if id(node) in above:
             raise DocumentError("an alias refers to a value that contains this alias", mark)
         above = (*above, id(node))
-        if isinstance(node, yaml.MappingNode):
-            return self._mapping(node, above, mark)
         if isinstance(node, yaml.SequenceNode):
             return Node([self.build(child, above) for child in node.value], mark, {})
-        return Node(_scalar(node, mark), mark, {})
-
-    def _mapping(self, node: yaml.MappingNode, above: tuple[int, ...], mark: Mark) -> Node:
+        if not isinstance(node, yaml.MappingNode):
+            return Node(_scalar(node, mark), mark, {})
         children: dict[str, Node] = {}
         marks: dict[str, Mark] = {}
         for key_node, value_node in node.value:
-            at = _mark(key_node.start_mark)
+            at, key = _mark(key_node.start_mark), str(key_node.value)
             if not isinstance(key_node, yaml.ScalarNode):
                 raise DocumentError("a key must be plain text", at)
-            key = str(key_node.value)
             if key in children:
-                first = marks[key]
-                self.duplicates.append(
-                    (
-                        at,
-                        key,
-                        f"duplicate key {key!r}, first given on line {first.line}; remove one",
-                    )
-                )
+                text = f"duplicate key {key!r}, first given on line {marks[key].line}; remove one"
+                self.duplicates.append((at, key, text))
                 continue
             marks[key] = at
             children[key] = self.build(value_node, above)
@@ -295,9 +244,10 @@ def _mark(mark: yaml.Mark | None) -> Mark:
     return Mark(1, 1) if mark is None else Mark(mark.line + 1, mark.column + 1)
 
 
-def _explain(error: yaml.MarkedYAMLError) -> str:
+def _explain(error: yaml.MarkedYAMLError, text: str, mark: Mark) -> str:
     problem = str(error.problem or error.context)
-    if "'\\t'" in problem:
+    line = [*text.split("\n"), ""][mark.line - 1]
+    if line[mark.column - 1 : mark.column] == "\t":
         return "a tab character; indent with spaces"
     if "expected a single document" in str(error.context):
         return "a second document starts here ('---'); keep one document per file"
@@ -316,17 +266,7 @@ def _nearby(path: Path) -> str:
 _DELIMITERS = ";\t,"
 
 
-class _Entry(NamedTuple):
-    """One cell: the keys that lead to its value, the place where its column is named, and its
-    value.
-    """
-
-    keys: list[str]
-    named: Mark
-    value: Node
-
-
-def csv_rows(text: str, path: Path) -> list[Node]:
+def csv_rows(text: str, path: Path, rename: Mapping[str, str] = MappingProxyType({})) -> list[Node]:
     """Return the rows of a CSV file as mappings.
 
     The first line that is not a comment is the header, which names the columns; the delimiter is
@@ -336,6 +276,7 @@ def csv_rows(text: str, path: Path) -> list[Node]:
     Args:
         text: Content of the file.
         path: The file, for the places of the values.
+        rename: Keys, with dots, of columns whose names are not the keys.
 
     Raises:
         DocumentError: The text is not CSV, the header is empty or has equal names, or the number of
@@ -347,17 +288,10 @@ def csv_rows(text: str, path: Path) -> list[Node]:
         raise DocumentError(
             "a table needs a line that names its columns, and at least one row", Mark(1, 1, path)
         )
-    head = lines[used[0]]
-    delimiter = next((d for d in _DELIMITERS if d in head), ",")
-    header: list[Node] = []
-    rows = []
-    for n in used:
-        cells = _cells(lines[n], delimiter, Mark(n + 1, 1, path))
-        if header:
-            rows.append(row(header, cells, cells[0].mark))
-        else:
-            header = cells
-    return rows
+    delimiter = next((d for d in _DELIMITERS if d in lines[used[0]]), ",")
+    header, *rows = [_cells(lines[n], delimiter, Mark(n + 1, 1, path)) for n in used]
+    header = [replace(name, value=rename.get(str(name.value), name.value)) for name in header]
+    return [row(header, cells, cells[0].mark) for cells in rows]
 
 
 def _cells(line: str, delimiter: str, start: Mark) -> list[Node]:
@@ -376,50 +310,42 @@ def row(header: Sequence[Node], cells: Sequence[Node], place: Mark) -> Node:
     """Return one row as a mapping; cells that are text are read as in a YAML file.
 
     Args:
-        header: Names of the columns.
+        header: Names of the columns, each a key, with dots for a key inside another key.
         cells: Values of the row, one below each column name.
         place: Where the row starts.
 
     Raises:
-        DocumentError: The numbers of names and cells differ, or a name is missing or given twice.
+        DocumentError: The numbers of names and cells differ, a name is missing or given twice, or
+            one column names a key inside the key of another.
     """
-    names = [name.value for name in header]
     if len(cells) != len(header):
         raise DocumentError(
             f"{len(cells)} cells under {len(header)} columns; add or remove cells", place
         )
+    names = [name.value for name in header]
     for name, node in zip(names, header, strict=True):
         if not isinstance(name, str) or not all(name.split(".")):
             raise DocumentError(f"a column must be named by a key (got {name!r})", node.mark)
         if names.count(name) > 1:
             raise DocumentError(f"two columns are named {name!r}; remove one column", node.mark)
-    entries = [
-        _Entry(str(name).split("."), node.mark, _value(cell))
-        for name, node, cell in zip(names, header, cells, strict=True)
-        if cell.value != ""
-    ]
-    return _nested(entries, place)
-
-
-def _nested(entries: Sequence[_Entry], place: Mark) -> Node:
-    """Return the entries as a mapping; entries that begin with the same key are together in an
-    inner mapping.
-    """
-    children: dict[str, Node] = {}
-    marks: dict[str, Mark] = {}
-    for key in dict.fromkeys(entry.keys[0] for entry in entries):
-        below = [e._replace(keys=e.keys[1:]) for e in entries if e.keys[0] == key]
-        whole = [entry.value for entry in below if not entry.keys]
-        if whole and len(below) > 1:
+        if any(str(other).startswith(f"{name}.") for other in names):
             raise DocumentError(
-                f"one column names the key {key!r}, and another a key inside {key!r}; remove one "
+                f"one column names the key {name!r}, and another a key inside {name!r}; remove one "
                 "of the columns",
-                below[0].named,
+                node.mark,
             )
-        marks[key] = below[0].named
-        children[key] = whole[0] if whole else _nested(below, below[0].value.mark)
-    return Node(children, place, marks)
-
-
-def _value(cell: Node) -> Node:
-    return Node(scalar(cell.value), cell.mark, {}) if isinstance(cell.value, str) else cell
+    top: dict[str, Node] = {}
+    marks: dict[str, Mark] = {}
+    for node, cell in zip(header, cells, strict=True):
+        if cell.value == "":
+            continue
+        *sections, key = str(node.value).split(".")
+        children, places = top, marks
+        for section in sections:
+            places.setdefault(section, node.mark)
+            inner = children.setdefault(section, Node({}, cell.mark, {}))
+            children, places = inner.value, inner.keys  # type: ignore[assignment]
+        places[key] = node.mark
+        plain_text = isinstance(cell.value, str)
+        children[key] = Node(scalar(str(cell.value)), cell.mark, {}) if plain_text else cell
+    return Node(top, place, marks)

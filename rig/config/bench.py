@@ -13,17 +13,19 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import yaml
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.port import ANSWER_SHARE, cycle_bits
-from drivers.canopen import cia402_objects, cia404, cia406
-from drivers.canopen.cia404 import Cia404Transmitter
+from drivers.canopen import cia402_objects, sensors
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.sdo import Axis, described
+from drivers.canopen.sensors import Cia404Transmitter
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from drivers.objects import ProcessChannel
 from identification.model.gas_generator import GasGenerator, ValveGeometry
+from rig.common.yaml_tree import parse
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import (
     Document,
@@ -208,32 +210,24 @@ class Constants(Schema):
     gravity_m_s2: Positive = 9.80665
 
 
-def _servo_kind(section: object) -> object:
-    """Return the kind of servo of a section; CANopen if the section states none."""
-    return (
-        section.get("kind", "canopen")
-        if isinstance(section, dict)
-        else getattr(section, "kind", None)
-    )
+def _stated(section: object, key: str, default: str | None = None) -> object:
+    """Return the value of a key of a section, which may be a mapping or a record."""
+    if isinstance(section, dict):
+        return section.get(key, default)
+    return getattr(section, key, default)
 
 
-def _bus_kind(section: object) -> object:
+def _bus_kind(section: object) -> str:
     """Return the kind of bus of a section: CAN (with many interface names) or serial."""
-    name = (
-        section.get("interface")
-        if isinstance(section, dict)
-        else getattr(section, "interface", None)
-    )
-    return "serial" if name == "epos_serial" else "can"
+    return "serial" if _stated(section, "interface") == "epos_serial" else "can"
+
+
+def _servo_kind(section: object) -> object:
+    return _stated(section, "kind", "canopen")
 
 
 def _encoder_kind(section: object) -> object:
-    """Return the kind of encoder of a section; CiA 406 if the section states none."""
-    return (
-        section.get("kind", "cia406")
-        if isinstance(section, dict)
-        else getattr(section, "kind", None)
-    )
+    return _stated(section, "kind", "cia406")
 
 
 class Calibration(Schema):
@@ -290,7 +284,9 @@ class Bench(Schema):
     servo: Annotated[
         Annotated[ServoSection, Tag("canopen")] | Annotated[DbcServoSection, Tag("dbc")],
         Discriminator(
-            _servo_kind, "servo_kind", "kind is unknown; known are canopen (the default) and dbc"
+            lambda section: _stated(section, "kind", "canopen"),
+            "servo_kind",
+            "kind is unknown; known are canopen (the default) and dbc",
         ),
     ] = ServoSection()
     encoder: Annotated[
@@ -539,7 +535,9 @@ def in_force(document: Document[Bench]) -> Document[Bench]:
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:
     """Yield a problem if the frames of a control cycle exceed the capacity of the bus."""
     bitrate, cycle_s = bus.bitrate, bench.cycle_s
-    bits = cycle_bits((*servo, *cia406.FRAMES, *(cia404.FRAMES if bench.pressure else ())))
+    bits = cycle_bits(
+        (*servo, *sensors.ENCODER_FRAMES, *(sensors.PRESSURE_FRAMES if bench.pressure else ()))
+    )
     share = bits / (bitrate * cycle_s)
     if share > ANSWER_SHARE:
         shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))
@@ -584,3 +582,42 @@ def overdue_problems(document: Document[Bench], today: date) -> list[str]:
         for index, item in enumerate(bench.calibrations)
         if item.due < today
     ]
+
+
+_OF_THE_MACHINE = frozenset(Constants.model_fields)
+_KNOWN: Mapping[str, frozenset[str] | None] = {
+    "motor": _OF_THE_MACHINE,
+    "joint": _OF_THE_MACHINE,
+    "loops": None,
+    "sensing": frozenset({"motor_counts_per_turn", "joint_counts_per_turn", "cycle_s"}),
+    "steps_per_loop": None,
+    "supply_V": None,
+}
+"""Keys of the ``mock`` section that are kept; None for all keys of a subsection.
+
+Friction, inertia, noise, warming and effects are removed, because they are unknown on a real bench.
+"""
+# libyaml writes the text faster than PyYAML, but PyYAML may be built without libyaml.
+_DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
+_HEAD = (
+    "# The true constants of the simulated machine, which are unknown on a real "
+    "bench, were removed here.\n"
+)
+
+
+def redacted(content: bytes) -> bytes:
+    """Return a valid bench file without the true values of the simulated machine; a file without a
+    ``mock`` section is unchanged.
+    """
+    tree, _ = parse(content.decode("utf-8"))
+    bench: Any = tree.plain()
+    if not isinstance(bench.get("mock"), dict):
+        return content
+    bench["mock"] = {
+        name: value
+        if _KNOWN[name] is None
+        else {key: value[key] for key in value if key in (_KNOWN[name] or ())}
+        for name, value in bench["mock"].items()
+        if name in _KNOWN
+    }
+    return (_HEAD + yaml.dump(bench, Dumper=_DUMPER, sort_keys=False)).encode("utf-8")

@@ -11,13 +11,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from identification.model.ladder import bears_load, rises
-from identification.model.parameters import LOAD_PARAMETERS
+from identification.model.parameters import LOAD_PARAMETERS, bears_load, rises
 from rig.common.errors import InputError
 from rig.common.text import stored_path
 from rig.common.yaml_tree import DocumentError, Node, csv_rows, read_text, row
-from rig.config.campaign_columns import ChannelSection
-from rig.config.campaign_sections import ANGLE_TIME, BenchSection, ModelSection, RecordingSection
+from rig.config.campaign_sections import (
+    ANGLE_TIME,
+    BenchSection,
+    ChannelSection,
+    ModelSection,
+    RecordingSection,
+)
 from rig.config.configuration import Document, Loc, Schema, load_located
 
 
@@ -54,11 +58,7 @@ def load_campaign(path: Path) -> Document[Campaign]:
 
 
 def _rows(root: Node, path: Path) -> Node:
-    """Replace the entries that name a table by the rows of the table.
-
-    Raises:
-        InputError: A table cannot be read.
-    """
+    """Replace the entries that name a table by the rows of the table."""
     top = root.value
     if not isinstance(top, dict) or "recordings" not in top:
         return root
@@ -87,11 +87,7 @@ def _rows(root: Node, path: Path) -> Node:
 
 
 def _table(table: Node, folder: Path) -> list[Node]:
-    """Return one mapping for each row of a CSV file or of an inline list of lists.
-
-    Raises:
-        DocumentError: The table is neither a CSV file nor a list of lists, or is not valid.
-    """
+    """Return one mapping for each row of a CSV file or of an inline list of lists."""
     if isinstance(table.value, str):
         file = folder / stored_path(table.value)
         try:
@@ -112,9 +108,7 @@ def _table(table: Node, folder: Path) -> list[Node]:
 
 
 def _merge_defaults(root: Node) -> Node:
-    """Merge the top-level ``defaults`` into every recording; the keys of the recording have
-    priority.
-    """
+    """Merge ``defaults`` into every recording; the keys of the recording have priority."""
     top = root.value
     if not isinstance(top, dict) or "defaults" not in top or "recordings" not in top:
         return root
@@ -331,9 +325,7 @@ def _check_known_load(
 def _check_burn(
     channels: Mapping[str, ChannelSection], bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the channels that a recording without torque lacks: gas generator pressure and valve
-    angle.
-    """
+    """Yield the channels that a recording of a gas generator lacks."""
     if "pressure" not in channels:
         yield (
             ("channels",),

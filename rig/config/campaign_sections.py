@@ -1,27 +1,32 @@
-"""Schema of the sections of a campaign file: bench constants, declared physics, recordings."""
+"""Schema of the sections of a campaign file: bench, gas generator, declared physics, recordings."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeGuard
 
-from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    PositiveFloat,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from identification.effects import EFFECTS
-from identification.model.gas_generator import PAPER
-from identification.model.ladder import LADDER, NOMINAL
-from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
-from rig.common.timing import iso_time
-from rig.config.campaign_columns import ChannelSection, ReadSection
-from rig.config.campaign_gas import (
-    Constant,
-    GasGeneratorSection,
-    Known,
-    KnownMass,
-    KnownNumber,
-    measured,
-    uncertain,
+from identification.model.gas_generator import PAPER, GasGenerator, ValveGeometry
+from identification.model.parameters import (
+    LADDER,
+    LOAD_PARAMETERS,
+    PAPER_FRICTION,
+    SYSTEM_PARAMETERS,
 )
+from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
+from rig.common.text import stored_path
+from rig.common.timing import iso_time
 from rig.config.configuration import Schema, nearest
 
 FITTED_EFFECTS = tuple(e.name for e in EFFECTS.values() if e.fitted_by_estimators)
@@ -49,22 +54,16 @@ ANGLE_TIME = "angle_time"
 """
 
 
-def _known_friction(name: str) -> str:
-    if name not in LADDER:
-        raise ValueError(f"unknown friction; {nearest(name, list(LADDER))}")
-    return name
+def _one_of(names: Iterable[str], what: str) -> AfterValidator:
+    """Return the check that a name is one of the given names."""
+    known = list(names)
 
+    def check(name: str) -> str:
+        if name not in known:
+            raise ValueError(f"unknown {what}; {nearest(name, known)}")
+        return name
 
-def _known_parameter(name: str) -> str:
-    if name not in PARAMETERS:
-        raise ValueError(f"unknown parameter; {nearest(name, list(PARAMETERS))}")
-    return name
-
-
-def _known_channel(name: str) -> str:
-    if name not in (*CHANNELS, ANGLE_TIME):
-        raise ValueError(f"unknown channel; {nearest(name, [*CHANNELS, ANGLE_TIME])}")
-    return name
+    return AfterValidator(check)
 
 
 def _not_nothing(value: float) -> float:
@@ -73,6 +72,263 @@ def _not_nothing(value: float) -> float:
             "the magnitude is outside the plausible range 1e-9 to 1e9; check its exponent and unit"
         )
     return value
+
+
+def _buildable(value: float) -> float:
+    if not 1e-9 < value < 1e9:
+        raise ValueError(
+            "the value is outside the plausible range 1e-9 to 1e9; check its exponent and unit"
+        )
+    return value
+
+
+Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
+"""A constant of a machine, SI."""
+
+
+class Measured(float):
+    """A number with its standard deviation; arithmetic treats it as a plain number.
+
+    Attributes:
+        uncertainty: Standard deviation, in the unit of the number.
+    """
+
+    uncertainty: float
+
+    def __new__(cls, value: float, uncertainty: float) -> Measured:
+        """Create a number from its value and standard deviation."""
+        made = super().__new__(cls, value)
+        made.uncertainty = uncertainty
+        return made
+
+
+class UncertainConstant(Schema):
+    """A positive constant with its uncertainty; a number alone counts as exact.
+
+    Attributes:
+        value: The constant, in the unit of its key.
+        std: Standard deviation of the value, in the unit of the key.
+    """
+
+    heading: ClassVar[str] = "uncertain constant"
+    value: Constant
+    std: Constant
+
+    @model_validator(mode="after")
+    def _above_nothing(self) -> UncertainConstant:
+        if self.std >= self.value:
+            raise ValueError(
+                f"a standard deviation of {self.std:g} is not below the value {self.value:g}; "
+                "state a smaller standard deviation"
+            )
+        return self
+
+
+class UncertainNumber(Schema):
+    """A number of either sign with its uncertainty; a number alone counts as exact.
+
+    Attributes:
+        value: The number, in the unit of its key.
+        std: Standard deviation of the value, in the unit of the key.
+    """
+
+    heading: ClassVar[str] = "uncertain number"
+    value: float
+    std: Constant
+
+
+def measured(value: object) -> TypeGuard[Measured]:
+    """Return whether a number was stated with an uncertainty."""
+    return isinstance(value, Measured)
+
+
+def _form(value: object) -> str:
+    return "uncertain" if isinstance(value, dict | Schema) else "exact"
+
+
+def _measured(value: float | UncertainConstant | UncertainNumber) -> float:
+    if isinstance(value, float | int):
+        return value
+    return Measured(value.value, value.std)
+
+
+def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[str, float]:
+    """Return the standard deviation of each constant that was stated with a standard deviation, by
+    key.
+    """
+    values = {} if section is None else {key: getattr(section, key) for key in keys}
+    return {
+        place + key: value.uncertainty
+        for key, value in values.items()
+        if isinstance(value, Measured)
+    }
+
+
+if TYPE_CHECKING:
+    Known = float
+    KnownMass = float
+    KnownNumber = float
+else:
+
+    def _known(exact, uncertain):
+        """Return the type of a number that a file states alone or with its uncertainty."""
+        forms = Annotated[exact, Tag("exact")] | Annotated[uncertain, Tag("uncertain")]
+        return Annotated[forms, Discriminator(_form), AfterValidator(_measured)]
+
+    Known = _known(Constant, UncertainConstant)
+    KnownMass = _known(Annotated[float, Field(ge=0.0, lt=1e9)], UncertainConstant)
+    KnownNumber = _known(float, UncertainNumber)
+
+
+class ValveSection(Schema):
+    """Dimensions of the valve (Fig. 3); the defaults are those of the paper. The hole in the plate
+    turns at the radius L1, the bench's `moment_arm`.
+
+    Attributes:
+        hole_diameter: Diameter of the hole in the plate, m.
+        opening_diameter: Diameter of the opening behind the plate, m.
+        plate_width: Width of the plate, m.
+    """
+
+    hole_diameter: Constant = 0.025
+    opening_diameter: Constant = 0.040
+    plate_width: Constant = 0.054
+
+    @model_validator(mode="after")
+    def _fits(self) -> ValveSection:
+        self.geometry(PAPER.L1)
+        return self
+
+    def geometry(self, arm: float) -> ValveGeometry:
+        """Return the record that the numerics use."""
+        return ValveGeometry(self.hole_diameter, self.opening_diameter, self.plate_width, arm)
+
+
+class GasGeneratorSection(Schema):
+    """Constants of eq. 2 to 8, SI; the defaults are those of the paper, or assumptions where the
+    paper gives no value.
+
+    Attributes:
+        propellant_density: Density rho_b, kg/m^3.
+        grain_diameter: Diameter D_P of the end-burning grain, m.
+        burning_coefficient: Burning rate a at 1 MPa, m/s.
+        pressure_exponent: Exponent n of the burning law.
+        characteristic_velocity: Characteristic velocity C_r, m/s.
+        heat_ratio: Specific-heat ratio; it determines R_g T_g from C_r.
+        free_volume: Volume of the chamber without the grain, at ignition, m^3.
+        back_pressure: Pressure p_c0 downstream of the valve, Pa.
+        valve: Dimensions of the gate.
+    """
+
+    propellant_density: Constant = 1630.0
+    grain_diameter: Constant = 0.350
+    burning_coefficient: Constant = 6.3e-3
+    pressure_exponent: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.53
+    characteristic_velocity: Constant = 1000.0
+    heat_ratio: Annotated[float, Field(gt=1.0, lt=2.0)] = 1.25
+    free_volume: Constant = 0.010
+    back_pressure: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.5e6
+    valve: ValveSection = ValveSection()
+
+    def generator(self, arm: float) -> GasGenerator:
+        """Return the record that the numerics use."""
+        return GasGenerator(
+            rho_b=self.propellant_density,
+            D_P=self.grain_diameter,
+            a=self.burning_coefficient,
+            n=self.pressure_exponent,
+            C_r=self.characteristic_velocity,
+            gamma=self.heat_ratio,
+            V_0=self.free_volume,
+            p_c0=self.back_pressure,
+            valve=self.valve.geometry(arm),
+        )
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise ValueError("the scale is 0, which makes all samples 0")
+    return value
+
+
+class ReadSection(Schema):
+    """How to read a delimited text file or CAN traffic; other formats need no options.
+
+    Attributes:
+        delimiter: Delimiter of the columns, one character; detected from the first lines if left
+            out.
+        skip_rows: Number of lines before the header, or before the first row of numbers if there is
+            no header.
+        decimal: Decimal separator.
+        dbc: DBC file of recorded CAN traffic, or a list of them, relative to the campaign file.
+        bench: Bench file in place of `dbc`, relative to the campaign file, or the name of a
+            packaged bench. The bench's map of drive and encoder frames is used, and the columns are
+            channels in SI units.
+        bus: Name in the file of the bus whose frames are used (`can0`, `1`); all buses if left
+            out.
+    """
+
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
+    skip_rows: int = Field(default=0, ge=0)
+    decimal: Literal[".", ","] = "."
+    dbc: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    bench: str | None = None
+    bus: str | int | None = None
+
+    @property
+    def dbc_files(self) -> tuple[str, ...]:
+        """The DBC files as written."""
+        return (self.dbc,) if isinstance(self.dbc, str) else self.dbc or ()
+
+    def beside(self, folder: Path) -> ReadSection:
+        """Return a copy of the options in which file names are resolved from a folder."""
+        named = tuple(str(folder / stored_path(name)) for name in self.dbc_files)
+        bench = self.bench
+        if bench is not None and Path(bench).suffix:
+            bench = str(folder / stored_path(bench))
+        return self.model_copy(update={"dbc": named or None, "bench": bench})
+
+    @property
+    def other_files(self) -> tuple[Path, ...]:
+        """The files that are read beside the recording."""
+        bench = (Path(self.bench),) if self.bench and Path(self.bench).suffix else ()
+        return (*map(Path, self.dbc_files), *bench)
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> ReadSection:
+        if self.delimiter == self.decimal == ",":
+            raise ValueError("delimiter and decimal are both a comma; change one of the two")
+        if self.dbc is not None and self.bench is not None:
+            raise ValueError(
+                "dbc and bench are both given, but a bench replaces a DBC file; remove dbc or bench"
+            )
+        return self
+
+
+class ChannelSection(Schema):
+    """The column of a channel: SI value = scale * column + offset.
+
+    Attributes:
+        column: Name of the column, or its index from 0.
+        scale: SI units per unit of the column; a negative scale reverses the sign.
+        offset: Value that is added after the scale, SI.
+        average: Whether each sample is the mean over the period that ends at its time.
+        unsigned: Whether the column contains magnitudes; such a column is rejected, because the
+            sign of the torque is needed.
+    """
+
+    column: str | Annotated[int, Field(ge=0)]
+    scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
+    offset: float = 0.0
+    average: bool = False
+    unsigned: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: object) -> object:
+        return (
+            {"column": data} if isinstance(data, str | int) and not isinstance(data, bool) else data
+        )
 
 
 class BenchSection(Schema):
@@ -138,9 +394,9 @@ class ModelSection(Schema):
             which is combined with the estimate from the recordings.
     """
 
-    friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
+    friction: Annotated[str, _one_of(LADDER, "friction")] = PAPER_FRICTION
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
-    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], KnownNumber] = Field(
+    fixed: dict[Annotated[str, _one_of(PARAMETERS, "parameter")], KnownNumber] = Field(
         default_factory=dict
     )
 
@@ -178,6 +434,9 @@ class ModelSection(Schema):
         if set(FITTED_EFFECTS) & set(self.terms):
             return _BEARING_LOAD.get(self.friction, self.friction)
         return self.friction
+
+
+ChannelName = Annotated[str, _one_of((*CHANNELS, ANGLE_TIME), "channel")]
 
 
 class GravitySection(Schema):
@@ -321,9 +580,7 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection] = Field(
-        default_factory=dict
-    )
+    channels: dict[ChannelName, ChannelSection] = Field(default_factory=dict)
 
     @property
     def exported(self) -> bool:

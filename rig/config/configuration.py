@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import json
 import re
-import types
-import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from drivers.errors import require_plain
 from rig.common.errors import InputError
-from rig.common.places import is_file
+from rig.common.places import is_file, require_plain
 from rig.common.yaml_tree import DocumentError, Mark, Node, parse, read_text
 
 Loc = tuple[str | int, ...]
@@ -29,6 +25,8 @@ NonNegative = Annotated[float, Field(ge=0)]
 _ABSENT = object()
 _INDEX = re.compile(r"\[\d+\]")
 _Found = tuple[Mark, str, str, object]
+_Described = dict[str, Any]
+"""A JSON Schema."""
 
 
 class Schema(BaseModel):
@@ -93,16 +91,6 @@ class Document(Generic[M]):
         lines = [self.problem(loc, message) for loc, message in problems]
         if lines:
             raise InputError(lines)
-
-
-def load(path: Path, schema: type[M]) -> M:
-    """Read and validate a configuration file.
-
-    Raises:
-        InputError: The file cannot be read, is not YAML, or violates the schema; the message has
-            every error.
-    """
-    return load_located(path, schema).value
 
 
 def load_located(
@@ -200,91 +188,65 @@ def _json_tree(path: Path, text: str) -> Node:
 
 
 def _lines(path: Path, found: list[_Found]) -> list[str]:
-    """Format the problems in the order of the file; a default that was merged into many recordings
-    is reported once.
-    """
+    """Format the problems in the order of the file, one of a merged default only once."""
     unique: dict[tuple[Mark, str, str], _Found] = {}
     for item in sorted(found, key=lambda item: (item[0].line, item[0].column)):
         unique.setdefault((item[0], _INDEX.sub("", item[1]), item[2]), item)
     return [_format(path, *item) for item in unique.values()]
 
 
-def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Iterator[_Found]:
-    """Convert pydantic's errors to messages with places in the file; the errors of several branches
-    of a union at one place become one message.
-    """
+def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[_Found]:
+    """Convert pydantic's errors to messages with places; branches of a union make one message."""
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
+    described = _described(schema)
     for details in errors:
         loc = details["loc"]
         if details["type"] == "too_short" and any(
             e["loc"][: len(loc)] == loc != e["loc"] for e in errors
         ):
             continue  # pydantic does not count invalid items of a tuple
-        mark, path, message, value = _place(root, schema, details)
+        mark, path, message, value = _place(root, described, details)
         messages, _ = places.setdefault((mark, path), ([], value))
         if message not in messages:
             messages.append(message)
         if details["type"] == "missing":
-            for below in _required_below(schema, path):
+            for below in _required_below(described, path):
                 places.setdefault((mark, below), ([message], _ABSENT))
     for (mark, path), (messages, value) in places.items():
         yield mark, _dotted(path), " or ".join(messages), value
 
 
+@cache
+def _described(schema: type[Any]) -> _Described:
+    """Return the JSON Schema of a record."""
+    return TypeAdapter(schema).json_schema()
+
+
 def _place(
-    root: Node, schema: type[BaseModel], details: ErrorDetails
+    root: Node, described: _Described, details: ErrorDetails
 ) -> tuple[Mark, Loc, str, object]:
     loc: Loc = details["loc"]
     kind = details["type"]
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         loc = (*loc, details["ctx"]["discriminator"].strip("'"))
     if kind in ("missing", "union_tag_not_found"):
-        _, mark, path, _ = _resolve(root, loc[:-1], mapping=True)
+        _, mark, path, _ = _resolve(root, loc[:-1])
         return mark, (*path, loc[-1]), "missing; this key is required", _ABSENT
     node, mark, path, key_mark = _resolve(root, loc)
+    message = details["msg"].removeprefix("Value error, ")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        return key_mark or mark, path, _unknown_key(schema, loc), _ABSENT
-    message = details["msg"]
+        names = {name for record in _records_at(described, loc[:-1]) for name in record}
+        # Another branch of a union may have the key.
+        known = sorted(names - {str(loc[-1])})
+        return key_mark or mark, path, f"unknown key; {nearest(str(loc[-1]), known)}", _ABSENT
     if loc[-1:] == ("[key]",):
-        return key_mark or mark, path, message.removeprefix("Value error, "), _ABSENT
-    if kind == "value_error":
-        return mark, path, message.removeprefix("Value error, "), node.plain()
+        return key_mark or mark, path, message, _ABSENT
     if kind == "too_short":
         message = "has {actual_length} entries, needs {min_length}".format(**details["ctx"])
-    return mark, path, message[:1].lower() + message[1:], node.plain()
-
-
-def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
-    """Yield the required keys of a missing section, so that all missing keys are reported
-    together.
-    """
-    records = _records_at([schema], loc)
-    if len(records) != 1:
-        return
-    for name in _required(records[0]):
-        yield (*loc, name)
-        yield from _required_below(schema, (*loc, name))
-
-
-def _required(record: type[Any]) -> Iterator[str]:
-    if issubclass(record, BaseModel):
-        yield from (
-            field.alias or name
-            for name, field in record.model_fields.items()
-            if field.is_required()
-        )
-        return
-    for item in dataclasses.fields(record):
-        if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
-            yield item.name
-
-
-def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
-    names = {name for record in _records_at([schema], loc[:-1]) for name in _keys(record)}
-    # Another branch of a union may have the key.
-    known = sorted(names - {loc[-1]})
-    return f"unknown key; {nearest(str(loc[-1]), known)}"
+    if kind != "value_error":
+        message = message[:1].lower() + message[1:]
+    return mark, path, message, node.plain()
 
 
 def nearest(name: str, known: list[str]) -> str:
@@ -296,92 +258,67 @@ def nearest(name: str, known: list[str]) -> str:
     return f"known are {', '.join(known)}" if known else "no key is known here"
 
 
-def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
-    """Return the models and dataclasses at a location; elements of the location that name a branch
-    of a union are skipped.
+def _required_below(described: _Described, loc: Loc) -> Iterator[Loc]:
+    """Yield the required keys of a missing section, which are reported with the section."""
+    records = _records_at(described, loc)
+    if len(records) == 1:
+        for name in (name for name, required in records[0].items() if required):
+            yield (*loc, name)
+            yield from _required_below(described, (*loc, name))
+
+
+def _records_at(described: _Described, loc: Loc) -> list[dict[str, bool]]:
+    """Return the records that a JSON Schema permits at a location: whether each key is required.
+
+    Elements of the location that name a branch of a union are skipped.
     """
+
+    def branches(node: _Described) -> Iterator[_Described]:
+        if "$ref" in node:
+            node = described["$defs"][node["$ref"].rpartition("/")[2]]
+        for branch in (*node.get("anyOf", ()), *node.get("oneOf", ())):
+            yield from branches(branch)
+        yield node
+
+    nodes = list(branches(described))
     for element in loc:
-        branches = [branch for annotation in annotations for branch in _branches(annotation)]
-        stepped = [child for branch in branches for child in _step(branch, element)]
-        annotations = stepped or annotations
-    branches = [branch for annotation in annotations for branch in _branches(annotation)]
-    return [branch for branch in branches if _keys(branch)]
+        if isinstance(element, int):
+            below = [node["items"] for node in nodes if "items" in node]
+        else:
+            below = [
+                node.get("properties", {}).get(element) or node.get("additionalProperties")
+                for node in nodes
+            ]
+        found = [branch for node in below if isinstance(node, dict) for branch in branches(node)]
+        nodes = found or nodes
+    return [
+        {name: name in node.get("required", ()) for name in node["properties"]}
+        for node in nodes
+        if "properties" in node
+    ]
 
 
-def _keys(annotation: Any) -> Mapping[str, Any]:
-    """Return the annotation of each key of a model or a standard dataclass; empty for any other
-    type.
-    """
-    if not isinstance(annotation, type):
-        return {}
-    if issubclass(annotation, BaseModel):
-        fields = annotation.model_fields.items()
-        return {field.alias or name: field.annotation for name, field in fields}
-    return typing.get_type_hints(annotation) if dataclasses.is_dataclass(annotation) else {}
-
-
-def _branches(annotation: Any) -> Iterator[Any]:
-    origin = typing.get_origin(annotation)
-    if origin is typing.Annotated:
-        yield from _branches(typing.get_args(annotation)[0])
-    elif origin in (typing.Union, types.UnionType):
-        for branch in typing.get_args(annotation):
-            yield from _branches(branch)
-    else:
-        yield annotation
-
-
-def _step(annotation: Any, element: str | int) -> list[Any]:
-    if keys := _keys(annotation):
-        return [keys[str(element)]] if element in keys else []
-    arguments = [a for a in typing.get_args(annotation) if a is not Ellipsis]
-    origin = typing.get_origin(annotation)
-    if isinstance(element, int) and origin in (list, tuple):
-        return arguments
-    if isinstance(element, str) and isinstance(origin, type) and issubclass(origin, Mapping):
-        return arguments[1:]
-    return []
-
-
-_Place = tuple[Node, Mark, Loc, Mark | None]
-
-
-def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
-    """Follow the keys and indices of a location as far as the tree contains them.
-
-    pydantic puts names of union branches between keys; these names are skipped. If the name of a
-    branch equals a key, the interpretation that follows more of the location is used.
+def _resolve(root: Node, loc: Loc) -> tuple[Node, Mark, Loc, Mark | None]:
+    """Follow the keys and indices of a location as far as the tree contains them; the names of
+    union branches, which pydantic puts between keys, are skipped.
 
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an
         index).
     """
-
-    def walk(place: _Place, rest: Loc) -> Iterator[tuple[bool, _Place]]:
-        node, _, path, _ = place
-        if not rest:
-            yield (not mapping or isinstance(node.value, dict)), place
-            return
-        element, *others = rest
-        remaining = tuple(others)
-        child = _child(node, element)
+    node = root
+    path: Loc = ()
+    key_mark: Mark | None = None
+    for element in loc:
+        children, child = node.value, None
+        if isinstance(children, dict):
+            child = children.get(str(element))
+        elif isinstance(children, list) and isinstance(element, int):
+            child = children[element] if 0 <= element < len(children) else None
         if child is not None:
-            key_mark = node.keys.get(str(element)) if isinstance(node.value, dict) else None
-            yield from walk((child, child.mark, (*path, element), key_mark), remaining)
-        if child is None or remaining:
-            for complete, found in walk(place, remaining):
-                yield complete and bool(remaining), found
-
-    places = walk((root, root.mark, (), None), loc)
-    return max(places, key=lambda item: (item[0], len(item[1][2])))[1]
-
-
-def _child(node: Node, element: str | int) -> Node | None:
-    if isinstance(node.value, dict):
-        return node.value.get(str(element))
-    if isinstance(node.value, list) and isinstance(element, int) and 0 <= element < len(node.value):
-        return node.value[element]
-    return None
+            key_mark = node.keys.get(str(element))
+            node, path = child, (*path, element)
+    return node, node.mark, path, key_mark
 
 
 def _dotted(loc: Loc) -> str:
@@ -439,49 +376,3 @@ def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
     raise InputError(
         f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}"
     )
-
-
-_KNOWN: Mapping[str, frozenset[str] | None] = {
-    "motor": frozenset(
-        {
-            "resistance_ohm",
-            "inductance_H",
-            "torque_constant_N_m_A",
-            "back_emf_constant_V_s_rad",
-            "gear_ratio",
-        }
-    ),
-    "joint": frozenset({"moment_arm_m", "lever_ratio", "gravity_m_s2"}),
-    "loops": None,
-    "sensing": frozenset({"motor_counts_per_turn", "joint_counts_per_turn", "cycle_s"}),
-    "steps_per_loop": None,
-    "supply_V": None,
-}
-"""Keys of the ``mock`` section that are kept; None for all keys of a subsection.
-
-Friction, inertia, noise, warming and effects are removed, because they are unknown on a real bench.
-"""
-# libyaml writes the text faster than PyYAML, but PyYAML may be built without libyaml.
-_DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
-_HEAD = (
-    "# The true constants of the simulated machine, which are unknown on a real "
-    "bench, were removed here.\n"
-)
-
-
-def redacted(content: bytes) -> bytes:
-    """Return a valid bench file without the true values of the simulated machine; a file without a
-    ``mock`` section is unchanged.
-    """
-    tree, _ = parse(content.decode("utf-8"))
-    bench: Any = tree.plain()
-    if not isinstance(bench.get("mock"), dict):
-        return content
-    bench["mock"] = {
-        name: value
-        if _KNOWN[name] is None
-        else {key: value[key] for key in value if key in (_KNOWN[name] or ())}
-        for name, value in bench["mock"].items()
-        if name in _KNOWN
-    }
-    return (_HEAD + yaml.dump(bench, Dumper=_DUMPER, sort_keys=False)).encode("utf-8")

@@ -5,18 +5,16 @@ The file is YAML or CSV.
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from rig.common.errors import InputError
-from rig.common.yaml_tree import DocumentError, Mark, Node, Scalar, read_text
+from rig.common.yaml_tree import DocumentError, Mark, Node, csv_rows, read_text
 from rig.config.configuration import Document, Schema, load_located, nearest, validated
 
 Target = Literal["bus", "line", "encoder_line", "drive", "encoder", "host", "disk", "operator"]
@@ -32,7 +30,14 @@ StateName = Literal[
     "fault_reaction",
     "fault",
 ]
-_EXPECTED = ("deenergised_within_s", "exit_status", "words")
+_COLUMNS = {
+    "device": "frames.device",
+    "function": "frames.function",
+    "deenergised_within_s": "expect.deenergised_within_s",
+    "exit_status": "expect.exit_status",
+    "words": "expect.words",
+}
+"""Keys of the columns of a CSV file whose names are not the keys of a row."""
 
 
 @dataclass(frozen=True)
@@ -302,74 +307,12 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     if path.suffix.lower() != ".csv":
         return load_located(path, FaultSchedule)
     try:
-        root = _csv_tree(read_text(path))
+        rows = csv_rows(read_text(path), path, _COLUMNS)
     except DocumentError as error:
         raise InputError(
             f"{path}:{error.mark.line}:{error.mark.column}: document: {error.message}"
         ) from error
-    return validated(path, root, FaultSchedule)
-
-
-def _csv_tree(text: str) -> Node:
-    reader = csv.reader(io.StringIO(text), strict=True)
     top = Mark(1, 1)
-    rows: list[Node] = []
-    try:
-        header = [name.strip() for name in next(reader, [])]
-        if not header or len(set(header)) != len(header):
-            raise DocumentError("the first line must name the columns, each once", top)
-        for cells in reader:
-            if any(cell.strip() for cell in cells):
-                rows.append(_csv_row(header, cells, reader.line_num))
-    except csv.Error as error:
-        raise DocumentError(f"not valid CSV: {error}", Mark(reader.line_num, 1)) from error
-    return Node(
-        {"faults": Node(1, top, {}), "rows": Node(list(rows), top, {})},
-        top,
-        {"faults": top, "rows": top},
-    )
-
-
-def _csv_row(header: list[str], cells: list[str], line: int) -> Node:
-    if len(cells) != len(header):
-        raise DocumentError(
-            f"{len(cells)} cells under {len(header)} columns; add or remove commas", Mark(line, 1)
-        )
-    sections: dict[str, tuple[dict[str, Node], dict[str, Mark]]] = {
-        "": ({}, {}),
-        "expect": ({}, {}),
-        "frames": ({}, {}),
-    }
-    column = 1
-    for name, cell in zip(header, cells, strict=True):
-        mark = Mark(line, column)
-        column += len(cell) + 1
-        if not cell.strip():
-            continue
-        section = (
-            "expect" if name in _EXPECTED else "frames" if name in ("device", "function") else ""
-        )
-        children, marks = sections[section]
-        children[name], marks[name] = Node(_cell(cell.strip(), name), mark, {}), mark
-    children, marks = sections.pop("")
-    start = Mark(line, 1)
-    for section, (nested, nested_marks) in sections.items():
-        if nested:
-            children[section], marks[section] = Node(dict(nested), start, nested_marks), start
-    return Node(dict(children), start, marks)
-
-
-def _cell(text: str, name: str) -> Scalar:
-    if name == "words":
-        return text
-    for convert in (_whole, float):
-        try:
-            number: Any = convert(text)
-        except ValueError:
-            continue
-        return number if isinstance(number, int | float) else None
-    return text
-
-
-def _whole(text: str) -> int:
-    return int(text, 0)
+    places = {"faults": top, "rows": top}
+    root = Node({"faults": Node(1, top, {}), "rows": Node(rows, top, {})}, top, places)
+    return validated(path, root, FaultSchedule)

@@ -11,7 +11,7 @@ from pydantic import Field
 from drivers.amt21.encoder import DEFAULT_ADDRESS
 from drivers.can.port import ANSWER_SHARE
 from drivers.epos import frames as epos_serial
-from drivers.epos import node as epos_serial_node
+from drivers.epos import link as epos_serial_node
 from rig.config.configuration import Positive, Schema
 
 MOCK: Final = "mock"

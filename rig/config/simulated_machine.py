@@ -310,9 +310,7 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
 
 
 def _radius(machine: constants.Machine, gain: float) -> float:
-    """Return the growth factor of the loop's error per period, which is the greatest magnitude of
-    the eigenvalues.
-    """
+    """Return the growth factor of the loop's error per period."""
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz
     integral = gain * loops.current_integral_1_s * period

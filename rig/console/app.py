@@ -11,6 +11,7 @@ import asyncio
 import json
 import math
 import os
+import socket
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
@@ -25,12 +27,13 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rig.console.controls import Page
+from rig.common.errors import InputError
 from rig.console.followed import Followed, Reached
-from rig.console.gate import MOST_GREETING, Gate, Token
-from rig.console.hub import Hub, Refusal
+from rig.console.gate import BURST, MOST_GREETING, QUEUE, Gate, Token, bounded
+from rig.console.hub import Hub, Page, Refusal
 from rig.console.recorded import Made, Recorded
-from rig.console.starting import StartError, Wish
+from rig.console.starting import Starter, StartError, Wish
+from rig.results.run.report import STATIC as SHARED
 from rig.terminal.control_socket import Command
 
 _HEAD: Final = struct.Struct("<I")
@@ -179,7 +182,7 @@ def _same(value: Any) -> tuple[object, Any]:
     return value, value
 
 
-STATIC: Final = Path(__file__).parent / "static"
+STATIC: Final = (Path(__file__).parent / "static", SHARED)
 LONGEST_BODY: Final = 8192
 HELLO_S: Final = 5.0
 """Time for the first message of a WebSocket, which has the token, s."""
@@ -222,7 +225,8 @@ class Console:
         self._turn, self._calm = asyncio.Lock(), asyncio.Event()
         self._files = {
             path.name: (path.read_bytes(), _KINDS[path.suffix])
-            for path in STATIC.iterdir()
+            for folder in STATIC
+            for path in folder.iterdir()
             if path.suffix in _KINDS
         }
         recorded = Recorded(hub.starter.runs)
@@ -522,3 +526,75 @@ async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:
     Unicode.
     """
     await socket.send_text(json.dumps(message))
+
+
+HOST = "127.0.0.1"
+
+
+def serve(
+    starter: Starter, only: frozenset[str], port: int, announce: Callable[[str], None]
+) -> None:
+    """Serve the console until SIGINT or SIGTERM.
+
+    Args:
+        starter: Starts runs.
+        only: Names of the benches whose runs are shown; empty for all.
+        port: Port, or 0 for a free port.
+        announce: Called with the address, including the token, when the address can be opened.
+
+    Raises:
+        InputError: The port is in use.
+        OSError: The control sockets cannot be used.
+    """
+    with _listening(port) as listener:
+        port = listener.getsockname()[1]
+        token = Token()
+        hosts = frozenset({f"{HOST}:{port}", f"localhost:{port}"})
+        console = Console(Hub(starter, only), token, hosts)
+        config = uvicorn.Config(
+            console.app,
+            log_level="warning",
+            access_log=False,
+            ws="wsproto",
+            http=bounded(),
+            backlog=BURST,
+            loop="asyncio",
+            timeout_graceful_shutdown=1,
+            server_header=False,
+            date_header=False,
+        )
+        announce(f"http://{HOST}:{port}/#token={token.text}")
+        server = _Server(config)
+
+        def end() -> None:
+            server.should_exit = True
+
+        console.broken = end
+        server.run(sockets=[listener])
+        if console.failure is not None:
+            raise console.failure
+
+
+class _Server(uvicorn.Server):
+    """Server whose queue in the system is longer than the burst that it accepts at once."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start to serve."""
+        await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(QUEUE)
+
+
+def _listening(port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((HOST, port))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"port {port}: {error.strerror}; another console may use this port; give --port 0 "
+            "for a free port"
+        ) from error
+    return listener

@@ -16,19 +16,15 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from mcap.opcode import Opcode
 
-from drivers.errors import require_plain
 from identification.model.friction import load_coefficient, system_friction
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.console.decimation import Decimation
 from rig.planning.predicted_load import friction_model
 from rig.results.run.go_on import ACCEPTANCE_FILE, first_words, read_verdict
-from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
-from rig.runs.mcap.records import HEADER, MAX_CHUNK, DamageError, chunk
-from rig.runs.mcap.stream import chunk_messages
-from rig.runs.mcap.writer import MAGIC
+from rig.runs.decimation import Decimation
+from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, decode_samples
+from rig.runs.mcap.reader import START, DamageError, Tail
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 
@@ -138,11 +134,9 @@ def event_words(event: Mapping[str, Any]) -> str:
 
 
 READ_BYTES = 1 << 19
-"""Greatest number of bytes that one call reads, so that a long recording does not block the
-console.
+"""Number of bytes after which a call reads no further record, so that a long recording does not
+block the console.
 """
-_SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
-_EVENTS = TOPICS.index(EVENT_TOPIC) + 1
 
 
 class News(NamedTuple):
@@ -169,71 +163,29 @@ class Growing:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._offset = 0
+        self._offset: int | None = START
 
     def read(self) -> News:
-        """Read the bytes that were added since the last call, at most :data:`READ_BYTES`.
+        """Read the records that were added since the last call, about :data:`READ_BYTES`.
 
         Raises:
             OSError: The file cannot be read.
             DamageError: The file is damaged, or another program wrote it.
         """
-        require_plain(self._path)
-        samples: list[bytes] = []
-        events: list[Mapping[str, Any]] = []
-        with open(self._path, "rb") as stream:
-            if not self._offset:
-                if not self._begins(stream.read(len(MAGIC))):
-                    return News({}, (), False)
-                self._offset = len(MAGIC)
-            stream.seek(self._offset)
-            data = stream.read(READ_BYTES)
-            used = _records(data, samples, events)
-            length = HEADER.unpack_from(data)[1] if not used and len(data) >= HEADER.size else 0
-            if READ_BYTES < length + HEADER.size <= MAX_CHUNK:
-                # One record is larger than the block: an attachment, or a chunk of another writer.
-                data += stream.read(length + HEADER.size - len(data))
-                used = _records(data, samples, events)
-        self._offset += used
-        return News(_decoded(samples), tuple(events), used > 0 and len(data) >= READ_BYTES)
-
-    def _begins(self, magic: bytes) -> bool:
-        """Return whether the file has the complete first bytes of a recording.
-
-        Raises:
-            DamageError: The first bytes are not those of a recording.
-        """
-        if not MAGIC.startswith(magic):
-            raise DamageError(f"{self._path}: not an MCAP recording")
-        return magic == MAGIC
-
-
-def _records(data: bytes, samples: list[bytes], events: list[Mapping[str, Any]]) -> int:
-    """Sort the messages of complete records into samples and events; return the length of these
-    records, bytes.
-
-    Raises:
-        DamageError: A record is damaged.
-    """
-    samples.clear()
-    events.clear()
-    offset = 0
-    while offset + HEADER.size <= len(data):
-        opcode, length = HEADER.unpack_from(data, offset)
-        start, end = offset + HEADER.size, offset + HEADER.size + length
-        if opcode not in _OPCODES:
-            raise DamageError(f"no record begins with the byte {opcode:02X}h")
-        if end > len(data):
-            break
-        if opcode == Opcode.CHUNK:
-            found, _ = chunk_messages(chunk(data[start:end]), frozenset({_SAMPLES, _EVENTS}))
-            samples += found.get(_SAMPLES, [])
-            events += [json.loads(content) for content in found.get(_EVENTS, [])]
-        offset = end
-    return offset
-
-
-_OPCODES = frozenset(map(int, Opcode))
+        found: dict[str, list[bytes]] = {SAMPLE_TOPIC: [], EVENT_TOPIC: []}
+        begun, more = self._offset, False
+        with Tail(self._path) as tail:
+            while begun is not None and self._offset is not None and not more:
+                piece = tail.at(self._offset)
+                if piece is None:
+                    break
+                for topic, message in piece.messages:
+                    if topic in found:
+                        found[topic].append(message.data)
+                self._offset = piece.following
+                more = self._offset is not None and self._offset - begun >= READ_BYTES
+        events = tuple(json.loads(content) for content in found[EVENT_TOPIC])
+        return News(_decoded(found[SAMPLE_TOPIC]), events, more)
 
 
 def _decoded(samples: list[bytes]) -> dict[str, Array]:

@@ -11,6 +11,8 @@ all ports of a computer share cookies.
 from __future__ import annotations
 
 import asyncio
+import base64
+import hashlib
 import secrets
 from collections.abc import Iterable
 from typing import Any, Final
@@ -20,6 +22,8 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from rig.results.run.report import inlined_script
 
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -38,6 +42,13 @@ SANDBOX: Final = (
 )
 """Content security policy of a page from a run folder: the page may show its own pictures, but
 cannot run scripts or load other content.
+"""
+_CHARTS: Final = base64.b64encode(hashlib.sha256(inlined_script().encode()).digest()).decode()
+RUN_SANDBOX: Final = f"{SANDBOX}; script-src 'sha256-{_CHARTS}'".replace(
+    "allow-popups", "allow-popups allow-scripts"
+)
+"""Policy of the page of a run, which may also run, as an origin of its own, the script of this
+program that draws its charts. The script is known by its digest; no other script can run.
 """
 _READING: Final = frozenset({"GET", "HEAD"})
 

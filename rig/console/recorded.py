@@ -21,13 +21,13 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from rig.common.errors import InputError
-from rig.console.gate import SANDBOX
+from rig.console.gate import RUN_SANDBOX, SANDBOX
 from rig.console.hub import Refusal
-from rig.results.catalogue.listing import begun, masses, operators, state, verdict
-from rig.results.catalogue.show import PAGES
+from rig.results.catalogue.listing import PAGES, cells
 from rig.results.document import PAGE_FILE
+from rig.results.run.report import REPORT_FILE
 from rig.runs.catalogue.entry import Entry, Wanted, chosen, latest
-from rig.runs.catalogue.index import detailed, list_runs
+from rig.runs.catalogue.index import list_runs
 
 SHOWN: Final = 30
 """Default number of runs in the list, which has the latest runs."""
@@ -134,7 +134,7 @@ class Recorded:
         problem = ""
         if self.root.is_dir():
             try:
-                entries = list_runs(self.root, details=False).entries
+                entries = list_runs(self.root).entries
             except (InputError, OSError) as error:
                 problem = str(error)
         self._entries, self._problem = entries, problem
@@ -146,8 +146,8 @@ class Recorded:
         return latest(entries, choice.last)
 
     def _constants(self, entries: Sequence[Entry]) -> list[str]:
-        known = detailed(self.root, [entry for entry in entries if entry.head.identified])
-        return list(dict.fromkeys(name for each in known for name in each.parsed().constants))
+        known = [entry.parsed() for entry in entries if entry.head.identified]
+        return list(dict.fromkeys(name for details in known for name in details.constants))
 
     def _listed(self, choice: Choice) -> str:
         """Return the list as JSON in ASCII, whose escapes also encode names that are not valid
@@ -168,15 +168,11 @@ class Recorded:
 
     def _row(self, entry: Entry) -> dict[str, Any]:
         head, folder = entry.head, self.root / entry.folder
+        known = cells(self.root, entry)
         return {
             "folder": entry.folder,
-            "begun": begun(head),
-            "bench": head.bench + ("" if head.simulated in (True, None) else " (REAL)"),
-            "sequence": head.sequence,
-            "operator": operators(head),
-            "masses": masses(head),
-            "state": state(self.root, entry),
-            "verdict": verdict(head),
+            "cells": list(known.values())[1:],
+            "verdict": known["verdict"],
             "problem": head.problem,
             "identified": bool(head.identified),
             "comparable": head.kind == "run" and head.state != "running",
@@ -197,7 +193,8 @@ class Recorded:
         except OSError as error:
             words = f"{name}: {error.strerror}"
             return Response(words, status_code=404, media_type="text/plain")
-        headers = {"Content-Security-Policy": SANDBOX}
+        policy = RUN_SANDBOX if name == REPORT_FILE else SANDBOX
+        headers = {"Content-Security-Policy": policy}
         if name.endswith(".pdf"):
             # The viewer that is built into a browser does not work in the sandbox.
             headers["Content-Disposition"] = f'attachment; filename="{name}"'

@@ -1,5 +1,5 @@
-"""Rejects a run whose weights no person would confirm, opens the bench so that a stop signal
-interrupts the opening, and carries a run out with operator, screen and control socket.
+"""Steps before a run: rejects a run whose weights no person would confirm, and opens the bench so
+that a stop signal interrupts the opening.
 """
 
 from __future__ import annotations
@@ -8,24 +8,17 @@ import dataclasses
 import select
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Final
 
 from rig.common.errors import InputError
 from rig.config.bench import Bench
 from rig.config.configuration import Document
-from rig.control.operator import operator_for
-from rig.control.remote import RunProgress, observed, reachable
-from rig.control.sequencer import Outcome
-from rig.control.session import Inputs, execute
 from rig.planning.plan import Plan
-from rig.runs.run import RunFolder
-from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import Attach, connect
-from rig.wiring.devices import Devices, say_taken_over
+from rig.wiring.devices import Devices
 
 _INHIBIT: Final = ("systemd-inhibit", "--what=sleep:idle:handle-lid-switch", "--who=rig")
 _INHIBIT_S: Final = 2.0
@@ -113,58 +106,3 @@ def kept_awake(purpose: str) -> Iterator[str]:
         stack.callback(process.kill)
         ready = select.select([process.stdout], [], [], _INHIBIT_S)[0]
         yield "" if ready and process.stdout.readline() else f"{_INHIBIT[0]} is refused"
-
-
-def carry_out(
-    inputs: Inputs,
-    plan: Plan,
-    path: Path,
-    purpose: str,
-    *,
-    yes: bool,
-    in_console: bool,
-    left_s: float,
-    patience_s: float | None,
-    conclude: Callable[[RunFolder, Outcome, Screen], int],
-    begin: Callable[[], object] = lambda: None,
-    attach: Attach | None = None,
-    run: Callable[..., tuple[RunFolder, Outcome]] = execute,
-) -> int:
-    """Connect, run into a folder, and report the outcome; return the exit status.
-
-    Args:
-        inputs: The inputs of the run.
-        plan: The plan computed from the inputs.
-        path: The run folder.
-        purpose: The command, for the message to other users of the bench.
-        yes: Whether the program answers the prompts with the plan.
-        in_console: Whether the prompts can only be answered in ``rig console``.
-        left_s: Expected time in motion, s.
-        patience_s: Longest wait for an answer, s, or None for no time-out.
-        conclude: Reports the outcome, and returns the exit status.
-        begin: Called when the bench is connected.
-        attach: See :func:`rig.wiring.connect.connect`.
-        run: Runs as :func:`rig.control.session.execute` does.
-
-    Raises:
-        KeyboardInterrupt: The operator stopped the opening of the bench.
-    """
-    bench, screen = inputs.bench, Screen()
-    screen.silence()
-    with (
-        closing(screen),
-        StopButton(screen.say) as stop,
-        reachable(stop, screen, inputs, plan, path, in_console) as control,
-    ):
-        offset = inputs.feedforward is not None
-        with connected(
-            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose
-        ) as devices:
-            say_taken_over(devices.lock, screen)
-            begin()
-            tolerance = bench.value.weight_tolerance
-            operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
-            progress = RunProgress(plan.cycle_s, left_s, screen)
-            devices = observed(devices, control, progress)
-            folder, outcome = run(inputs, plan, devices, path, operator, stop, progress)
-        return conclude(folder, outcome, screen)

@@ -16,7 +16,7 @@ from rig.planning.feedforward import Compensator
 from rig.planning.hot_fire import Regulator, hot_fire_words
 from rig.planning.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage, with_mass
 from rig.runs.recorder import Recorder
-from rig.runs.run_file import Journal
+from rig.runs.run import RunFolder
 from rig.runs.run_record import Verdict
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.weighing.weight_check import Scale, measured_level
@@ -122,7 +122,7 @@ class PhaseHandlers:
         devices: Devices,
         console: Console,
         recorder: Recorder,
-        journal: Journal,
+        journal: RunFolder,
         scale: Scale,
         start: StartingPoint,
     ) -> None:

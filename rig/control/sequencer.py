@@ -18,7 +18,7 @@ from rig.control.phase_handlers import (
 from rig.control.safety import Check, Trip
 from rig.planning.plan import Plan
 from rig.runs.recorder import Recorder
-from rig.runs.run_file import Journal
+from rig.runs.run import RunFolder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError
 from rig.weighing.weight_check import Scale
@@ -70,7 +70,7 @@ class Sequencer:
         devices: Devices,
         console: Console,
         recorder: Recorder,
-        journal: Journal,
+        journal: RunFolder,
         scale: Scale,
         start: StartingPoint,
     ) -> None:

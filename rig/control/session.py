@@ -16,8 +16,8 @@ from identification.recording import Dataset
 from rig.common.errors import InputError, StorageError
 from rig.common.provenance import sha256, sha256_file, utc_now, versions
 from rig.common.sample import Phase, Sample
-from rig.config.bench import Bench, calibration_records, overdue
-from rig.config.configuration import Document, redacted
+from rig.config.bench import Bench, calibration_records, overdue, redacted
+from rig.config.configuration import Document
 from rig.config.sequence import Sequence
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import AutomaticOperator, Operator

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from rig.config.canopen import Bus
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection
 from rig.config.sequence import Array
-from rig.planning.reference import moment_per_kg, read_identification
+from rig.planning.reference import moment_per_kg, read_values
 
 UNLOADED = ("Mc", "sigma_2", "J")
 LOADED = ("mu_c", "mu_2")
@@ -140,18 +139,8 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
             determine the parameters of the unloaded joint other than the rise of friction toward
             rest.
     """
-    raw = read_identification(path)
-    try:
-        names = (*UNLOADED, *LOADED, *(name for rise in RISES for name in rise[1:]))
-        known = {name: raw["parameters"].get(name, {}).get("value") for name in names}
-        values = {
-            name: float(value)
-            for name, value in known.items()
-            if value is not None and math.isfinite(value)
-        }
-        alpha = float(raw["alpha"])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    names = (*UNLOADED, *LOADED, *(name for rise in RISES for name in rise[1:]))
+    values, alpha = read_values(path, names)
     left_open = []
     for kinetic, *rise in RISES:
         if kinetic in values and (unknown := [name for name in rise if name not in values]):

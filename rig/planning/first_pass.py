@@ -60,9 +60,7 @@ def plan_passes(
 def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Return one first pass of a stage: the tones with smaller amplitude and duration, or the ramp
-    with less travel; centre of the tones and speed of the ramp are those of the stage.
-    """
+    """Return one first pass: the tones smaller and shorter, or the ramp with less travel."""
     if section.ramp is not None:
         ramp = section.ramp.model_copy(
             update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1}

@@ -14,7 +14,14 @@ from rig.common.errors import InputError
 from rig.common.tables import table
 from rig.config.bench import NOT_REPORTED, Bench
 from rig.config.configuration import Document
-from rig.config.sequence import Array, FirstPass, Sequence, StageSection, excitation
+from rig.config.sequence import (
+    Array,
+    FirstPass,
+    Sequence,
+    SequenceLimits,
+    StageSection,
+    excitation,
+)
 from rig.planning.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.planning.first_pass import PlannedPass, plan_passes
 from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
@@ -27,20 +34,7 @@ APPROACH_SPEED_SHARE = 0.25
 """Speed of the move to the start of a stage, as a share of the speed limit."""
 HOLD_S = 0.1
 """Rest at the last target before the drive is de-energised, s."""
-_LIMIT_NAMES = (
-    "angle_min_deg",
-    "angle_max_deg",
-    "speed_deg_s",
-    "torque_N_m",
-    "current_A",
-    "following_error_deg",
-    "encoder_disagreement_deg",
-    "temperature_C",
-    "supply_min_V",
-    "supply_max_V",
-    "sample_age_ms",
-    "lateness_ms",
-)
+_LIMIT_NAMES = tuple(SequenceLimits.model_fields)
 _LOWER_BOUNDS = frozenset({"angle_min_deg", "supply_min_V"})
 TIME_LIMIT_SHARE = 1.5
 """Default ratio of the time limit of a stage to its planned time with power on."""

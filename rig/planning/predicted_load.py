@@ -25,7 +25,7 @@ from rig.config.sequence import Array, Sequence, approach
 from rig.planning.hot_fire import steady_force
 from rig.planning.limits import Limits
 from rig.planning.plan import Plan, PlannedStage
-from rig.planning.reference import moment_per_kg, read_identification
+from rig.planning.reference import moment_per_kg, read_values
 from rig.runs.run_file import read_record, recorded_bench
 
 NOMINAL_ALPHA = 2.0
@@ -143,17 +143,7 @@ def _newest_first(runs: Path) -> list[Path]:
 
 
 def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
-    raw = read_identification(path)
-    try:
-        values = {name: raw["parameters"].get(name, {}).get("value") for name in NOMINAL}
-        known = {
-            name: float(value)
-            for name, value in values.items()
-            if value is not None and math.isfinite(value)
-        }
-        alpha = float(raw["alpha"])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    known, alpha = read_values(path, NOMINAL)
     missing = [name for name in NOMINAL if name not in known]
     words = f"the identification {path}"
     if missing:
@@ -412,9 +402,7 @@ def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:
 
 
 def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
-    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static friction at
-    speed 0.
-    """
+    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m."""
     # The sign function in eq. 9 and 12 is 0 at rest; therefore the smallest speed replaces zero.
     speed = np.maximum(speed, np.finfo(np.float64).tiny)
     return np.asarray(

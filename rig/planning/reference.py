@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,10 +66,24 @@ def load_reference(path: Path, bench: Bench) -> Reference:
             determine a parameter that the weight check needs.
     """
     raw = read_identification(path)
+    keys = ("value", "low", "high")
     try:
-        return _reference(path, raw, bench)
-    except (KeyError, TypeError, AttributeError) as error:
+        stated = {n: [raw["parameters"].get(n, {}).get(key) for key in keys] for n in NEEDED}
+        found = {n: [float(v) for v in row] for n, row in stated.items() if None not in row}
+        alpha = float(raw["alpha"])
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    problems = [
+        f"{path}: parameters.{name}: not identified; the weight check needs the result of a run "
+        f"with an unloaded and a loaded stage"
+        for name in NEEDED
+        if not all(map(math.isfinite, found.get(name, [math.nan])))
+    ]
+    if problems:
+        raise InputError(problems)
+    values = {name: value for name, (value, _, _) in found.items()}
+    sigmas = {name: 0.5 * (high - low) / _SIGMA_OF_90 for name, (_, low, high) in found.items()}
+    return Reference(values, sigmas, alpha, moment_per_kg(bench), str(path))
 
 
 def read_identification(path: Path) -> dict[str, Any]:
@@ -104,27 +118,18 @@ def read_identification(path: Path) -> dict[str, Any]:
     return raw
 
 
-def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
-    found = raw["parameters"]
-    problems = [
-        f"{path}: parameters.{name}: not identified; the weight check needs the result of a run "
-        f"with an unloaded and a loaded stage"
-        for name in NEEDED
-        if name not in found or not _finite(found[name])
-    ]
-    if problems:
-        raise InputError(problems)
-    return Reference(
-        values={name: float(found[name]["value"]) for name in NEEDED},
-        sigmas={
-            name: 0.5 * (found[name]["high"] - found[name]["low"]) / _SIGMA_OF_90 for name in NEEDED
-        },
-        alpha=float(raw["alpha"]),
-        moment_per_kg=moment_per_kg(bench),
-        source=str(path),
-    )
+def read_values(path: Path, names: Iterable[str]) -> tuple[dict[str, float], float]:
+    """Return the determined values of parameters, SI units, and the Stribeck exponent, from a
+    result file of ``rig identify``.
 
-
-def _finite(parameter: Mapping[str, Any]) -> bool:
-    values = [parameter[key] for key in ("value", "low", "high")]
-    return all(value is not None and math.isfinite(value) for value in values)
+    Raises:
+        InputError: The file cannot be read, is not such a result, or is damaged.
+    """
+    raw = read_identification(path)
+    try:
+        stated = {name: raw["parameters"].get(name, {}).get("value") for name in names}
+        values = {name: float(value) for name, value in stated.items() if value is not None}
+        alpha = float(raw["alpha"])
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    return {name: value for name, value in values.items() if math.isfinite(value)}, alpha

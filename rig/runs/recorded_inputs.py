@@ -7,19 +7,19 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
-from drivers.mock.plant.parts.constants import Machine
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_bytes
 from rig.common.provenance import sha256, sha256_file
 from rig.common.text import stored_path, valid
-from rig.config.bench import load_bench
 from rig.config.configuration import packaged
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_attachment
+from rig.runs.mcap.reader import DamageError, first_attachment
 from rig.runs.run_file import read_record
 from rig.runs.run_record import ACCEPTANCE_INPUT, BENCH_ATTACHMENT, RUN_FILE, RunRecord
+
+if TYPE_CHECKING:
+    from drivers.mock.plant.parts.constants import Machine
 
 
 @dataclass(frozen=True)
@@ -147,6 +147,9 @@ def truth_of(source: Path) -> dict[str, float] | None:
     entry = record.inputs.get(BENCH_ATTACHMENT)
     if not record.simulated or entry is None:
         return None
+    # Imported here, because measured recordings can be read without the drivers.
+    from rig.config.bench import load_bench
+
     path = recorded_input(source, entry)
     for candidate in (path, packaged(path.stem, "benches")):
         if is_file(candidate) and sha256_file(candidate) == entry["sha256"]:

@@ -8,11 +8,10 @@ import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import (
@@ -28,6 +27,9 @@ from rig.runs.mcap.layout import (
     sample_descriptor,
 )
 from rig.runs.mcap.writer import McapWriter
+
+if TYPE_CHECKING:
+    from drivers.interfaces import RawFrame
 
 FLUSH_NS = 100_000_000
 LOOK_NS = 500_000_000
@@ -228,7 +230,9 @@ class Recorder:
                     os.fsync(self._stream.fileno())
                     self._require_in_place()
             finally:
-                _close_whatever_happens(self._stream, self._broken)
+                # A stream that failed before fails again on the rest of its buffer.
+                with suppress(OSError) if self._broken else nullcontext():
+                    self._stream.close()
         except OSError as error:
             self._broken = True
             raise _failed(error) from error
@@ -250,17 +254,6 @@ def remedy(error: OSError) -> str:
     if error.errno == errno.ENOENT:
         return "its folder was deleted, moved or renamed: start a new run, and leave its folder"
     return "check the disk and its file system, then run again"
-
-
-def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:
-    """Close the stream; the error of a broken stream is ignored, because a stream that failed
-    before fails again on the rest of its buffer.
-    """
-    try:
-        stream.close()
-    except OSError:
-        if not broken:
-            raise
 
 
 def open_recorder(path: Path) -> Recorder:

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,14 +17,14 @@ from rig.common.errors import InputError, StorageError
 from rig.common.locks import OWNER_FILE, Lock, hold_folder
 from rig.common.places import is_file, write_json
 from rig.common.provenance import sha256_file
-from rig.config.bench import Bench
 from rig.runs.alignment import aligned
-from rig.runs.mcap.reader import Log, NotARecordingError, read_run
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import sample_blocks
+from rig.runs.mcap.reader import DamageError, Log, NotARecordingError, read_run, sample_blocks
 from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
+
+if TYPE_CHECKING:
+    from rig.config.bench import Bench
 
 LEAST_DRIFT_PPM = 1.0
 """Least drift that is reported, ppm; drifts of crystals are 20 to 100 ppm."""
@@ -248,7 +249,7 @@ def require_space(path: Path, cycles: float) -> None:
 
 
 class RunFolder:
-    """A run folder that is being written; a :class:`rig.runs.run_file.Journal`.
+    """A run folder that is being written: the state of the run on disk.
 
     Args:
         path: The folder.

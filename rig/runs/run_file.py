@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -32,7 +32,6 @@ from rig.runs.run_record import (
     STAGE_ENDS,
     STRICT,
     RunRecord,
-    Weighing,
 )
 
 
@@ -209,44 +208,6 @@ def _lacking(item: Any, kind: str, loc: Loc) -> Iterator[tuple[Loc, str]]:
         return
     for name in sorted(_MUST_HOLD[kind] - set(item)):
         yield (*loc, name), "missing; this key is required"
-
-
-class Journal(Protocol):
-    """Object that keeps the state of the run on disk."""
-
-    def stage_started(self, index: int) -> None:
-        """Stage ``index`` begins."""
-        ...
-
-    def stage_finished(self, index: int) -> None:
-        """Stage ``index`` is complete, and the drive is de-energised."""
-        ...
-
-    def weight_confirmed(self, index: int, weight_kg: float) -> None:
-        """The operator confirmed a mass for stage ``index``."""
-        ...
-
-    def weighed(self, weighing: Weighing) -> None:
-        """The weight of a stage was checked."""
-        ...
-
-    def ended(self, state: str, message: str, de_energised: bool) -> None:
-        """The run has ended with this state and message; the drive was left de-energised or not.
-
-        Raises:
-            StorageError: The file cannot be written.
-        """
-        ...
-
-    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
-        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of
-        the recording.
-        """
-        ...
-
-    def segment_finished(self, segment: int, time: float) -> None:
-        """The excitation that was started last is complete."""
-        ...
 
 
 SEAL_FILE = "SHA256SUMS"

@@ -19,10 +19,9 @@ from rig.config.campaign_sections import ANGLE_TIME, RecordingSection
 from rig.config.configuration import Document
 from rig.runs.alignment import aligned
 from rig.sources.channels import read_channels
-from rig.sources.columns import doubts, unit_row_doubts
-from rig.sources.formats import Table
-from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
-from rig.sources.readers import open_table
+from rig.sources.columns import unit_row_doubts
+from rig.sources.formats import open_table
+from rig.sources.plausible import findings
 from rig.sources.repair import (
     MIN_SAMPLES,
     MISSING_SHARE,
@@ -33,6 +32,7 @@ from rig.sources.repair import (
     examine_time,
     fill_missing,
 )
+from rig.sources.table import Table
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ def build(
     doubted = _doubts(file, channels, section, bench)
     notes = [*table.notes, *found, *doubted, *_load_notes(section, bench)]
     whole = Recording(
-        name=_stem(file),
+        name=(file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem,
         channels=channels,
         bench=bench,
         stage=section.stage,
@@ -293,25 +293,19 @@ def build(
 def _doubts(
     file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
 ) -> list[str]:
-    """Return notes on channels with implausible values.
-
-    Raises:
-        InputError: Values are impossible, or the signs of two channels contradict each other.
-    """
-    notes: list[str] = []
-    problems = list(value_errors(channels))
-    if not problems:
-        problems += sign_errors(channels, driven_by_weight=section.known_load)
-        notes += unit_hints(channels, bench.gear_ratio, has_lever=bench.moment_arm is not None)
-        notes += doubts(channels, bench.gear_ratio, driven_by_weight=section.known_load)
-    if "motor_angle" in channels and "angle" in channels:
-        finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
-        if finding is not None:
-            (problems if finding[1] else notes).append(finding[0])
+    """Return notes on channels with implausible values."""
+    problems, notes = findings(
+        channels,
+        bench.gear_ratio,
+        driven_by_weight=section.known_load,
+        has_lever=bench.moment_arm is not None,
+    )
     if problems:
         raise InputError(f"{file}: {problem}" for problem in problems)
     constant = [
-        name for name, values in channels.items() if name != "enabled" and _is_constant(values)
+        name
+        for name, values in channels.items()
+        if name != "enabled" and np.all(values == values[0])
     ]
     return [*notes, *(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)]
 
@@ -324,9 +318,6 @@ def _windowed(
 
     All rows between the first and the last sample of the window are used, so that the later checks
     find missing time stamps and time that runs backwards.
-
-    Raises:
-        InputError: The window contains no sample.
     """
     window, time = section.window, channels["time"]
     if window is None:
@@ -519,11 +510,3 @@ def _on_even_stamps(recording: Recording) -> Recording:
     channels = {**recording.channels, "time": grid}
     others = tuple(n for n in recording.notes if not n.startswith(UNEVEN))
     return replace(recording, channels=channels, notes=(*others, note))
-
-
-def _is_constant(values: Array) -> bool:
-    return bool(np.all(values == values[0]))
-
-
-def _stem(file: Path) -> str:
-    return (file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem

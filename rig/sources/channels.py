@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign import Campaign
-from rig.config.campaign_columns import ChannelSection
 from rig.config.campaign_sections import RecordingSection
-from rig.config.configuration import Document, Loc, nearest
-from rig.sources.formats import Table
+from rig.config.configuration import Document, nearest
 from rig.sources.repair import GAP_PERIODS
+from rig.sources.table import Table
 
 SLOWER, FASTER = 0.9, 1.5
 """Ratio of the rate of a channel to the rate of the result: below the first value, a note states
@@ -46,26 +45,13 @@ class StampsError(Exception):
     """The time stamps of a time base cannot be used; the message states the reason."""
 
 
-def on_one_base(
+def _on_one_base(
     channels: Mapping[str, Array], bases: Mapping[str, Base], wanted: Base
 ) -> tuple[dict[str, Array], int, list[str]]:
     """Interpolate the channels of other time bases at the time stamps of the wanted base.
 
     Between samples that are more than :data:`GAP_PERIODS` median periods apart, values are missing.
     Rows before the first or after the last sample of any channel are left out.
-
-    Args:
-        channels: Values of each channel, on its own time base.
-        bases: Time base of each channel.
-        wanted: Time base of the result.
-
-    Returns:
-        Channels of shape (m,), the number of rows of the wanted base before the first used row,
-        and notes.
-
-    Raises:
-        StampsError: The stamps of a time base run backwards or are missing, or the time bases do
-            not overlap.
     """
     found: dict[str, Array] = {}
     notes: list[str] = []
@@ -307,7 +293,11 @@ def read_channels(
         raise InputError(
             f"{table.path}: channels differ in length: {listed}; channels must have common rows"
         )
-    channels = {name: _to_si(values, section.channels[name]) for name, values in raw.items()}
+    channels = {}
+    for name, values in raw.items():
+        scale, offset = section.channels[name].scale, section.channels[name].offset
+        plain = scale == 1.0 and offset == 0.0
+        channels[name] = np.ascontiguousarray(values if plain else values * scale + offset)
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
     return channels, left_out, notes + found
@@ -346,11 +336,7 @@ def on_one_time(
 def _columns(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
 ) -> tuple[dict[str, int], list[str]]:
-    """Return the index of each channel's column, and notes on incomplete names that were completed.
-
-    Raises:
-        InputError: No column, or more than one column, fits a channel.
-    """
+    """Return the index of the column of each channel, and notes on completed names."""
     columns: dict[str, int] = {}
     problems: list[str] = []
     notes: list[str] = []
@@ -361,7 +347,9 @@ def _columns(
             if isinstance(channel.column, str) and table.names[found] != channel.column:
                 notes.append(f"`{name}`: {channel.column!r} is column {table.names[found]!r}")
         else:
-            problems.append(document.problem(_column_loc(index, name), found, channel.column))
+            problems.append(
+                document.problem(("recordings", index, "channels", name), found, channel.column)
+            )
     if problems:
         raise InputError(problems)
     return columns, notes
@@ -374,11 +362,7 @@ def _base(table: Table, column: int) -> int:
 def _joined(
     table: Table, columns: Mapping[str, int], raw: dict[str, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Resample channels of several time bases at the time stamps of the column of time.
-
-    Raises:
-        InputError: No column of time selects the time base, or the time bases have no common clock.
-    """
+    """Resample channels of several time bases at the time stamps of the column of time."""
     bases = {name: _base(table, column) for name, column in columns.items()}
     several = sorted(set(bases.values()))
     table.base = bases.get("time", several[0])
@@ -400,7 +384,7 @@ def _joined(
         )
     try:
         of = {name: found[base] for name, base in bases.items()}
-        return on_one_base(raw, of, found[bases["time"]])
+        return _on_one_base(raw, of, found[bases["time"]])
     except StampsError as error:
         raise InputError(f"{table.path}: {error}") from None
 
@@ -439,15 +423,3 @@ def _find(table: Table, column: str | int) -> int | str:
     return f"no such column in {table.path}; " + (
         f"{suggestion} {listed}{notes}" if "did you" in suggestion else listed + notes
     )
-
-
-def _column_loc(index: int, name: str) -> Loc:
-    return ("recordings", index, "channels", name)
-
-
-def _to_si(values: Array, channel: ChannelSection) -> Array:
-    if channel.scale == 1.0 and channel.offset == 0.0:
-        return np.ascontiguousarray(values)
-    scaled: Array = values * channel.scale
-    scaled += channel.offset
-    return scaled

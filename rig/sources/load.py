@@ -19,11 +19,10 @@ from rig.common.text import stored_path
 from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
-from rig.runs.export import read_back
-from rig.runs.export.tables import sidecar
+from rig.runs.exported import read_back, sidecar
 from rig.sources.build import Read, build, on_session_clock
-from rig.sources.formats import format_of
-from rig.sources.readers import FORMATS, unknown_format
+from rig.sources.formats import FORMATS, unknown_format
+from rig.sources.table import format_of
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
@@ -64,11 +63,7 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
 
 
 def _require_visible(path: Path) -> None:
-    """Reject a source that cannot be read, for example a folder without permission.
-
-    Raises:
-        InputError: The source cannot be read; the message states the reason.
-    """
+    """Reject a source that cannot be read, for example a folder without permission."""
     try:
         (path / "run.json").stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -110,9 +105,6 @@ def _exported(
     """Read a file of ``rig export``, which contains its own description.
 
     Constants and the role that the campaign states replace those of the file.
-
-    Raises:
-        InputError: The file is no export, or its numbers do not fit its description.
     """
     given = document.value.bench
     bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}

@@ -16,13 +16,13 @@ import numpy as np
 
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.channels import on_one_time, unwrapped, unwrapped_counts
-from rig.sources.columns import UNITS, Guess, channel_unit, doubts, guess_channels, split_unit
-from rig.sources.formats import Table, format_of
-from rig.sources.plausible import sign_errors, unit_hints, value_errors
-from rig.sources.readers import FORMATS, open_table, unknown_format
+from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
+from rig.sources.formats import FORMATS, open_table, unknown_format
+from rig.sources.plausible import findings
 from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
+from rig.sources.table import Table, format_of
 
 STRIP = 40
 """Greatest number of values in the small picture of a column."""
@@ -205,12 +205,8 @@ def _doubts(
     if "angle" not in channels:
         # The gear ratio is not known, and the speed may be that of the motor or of the joint.
         channels.pop("velocity", None)
-    found = list(value_errors(channels))
-    if not found:
-        found += sign_errors(channels, driven_by_weight=False)
-        found += unit_hints(channels, 1.0, has_lever=False)
-        found += doubts(channels, 1.0, driven_by_weight=False)
-    return tuple(found)
+    problems, notes = findings(channels, None, driven_by_weight=False, has_lever=False)
+    return (*problems, *notes)
 
 
 def look_at_recording(recording: Recording) -> Look:

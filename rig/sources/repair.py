@@ -172,7 +172,8 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
         return values, 0
     considered = len(values) if legitimate is None else int((~legitimate).sum())
     first = int(np.argmax(missing))
-    longest = _longest_run(missing)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], missing, [False]))))
+    longest = int(np.max(edges[1::2] - edges[::2], initial=0))
     if count > MISSING_SHARE * considered or longest > MISSING_RUN:
         raise UnusableError(
             f"{count} of {considered} samples are missing, the longest run {longest} (at most"
@@ -182,8 +183,3 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     filled = np.where(finite, values, np.nan)
     filled[missing] = np.interp(time[missing], time[finite], values[finite])
     return filled, count
-
-
-def _longest_run(mask: Mask) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
-    return int(np.max(edges[1::2] - edges[::2], initial=0))

@@ -13,10 +13,10 @@ from typing import Final, Literal
 import drivers.mock
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.device_data import DeviceData
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import Clock, RealClock, Suspension
 from drivers.dbc.link import DbcLink
 from drivers.dbc.servo import DbcServo

@@ -12,8 +12,8 @@ from datetime import date
 from typing import Literal, NoReturn, Protocol
 
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import MASTER_ID, CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import SimulatedClock
 from drivers.dbc.link import DbcLink
 from drivers.epos.link import EposSerialLink
@@ -150,7 +150,7 @@ _WORDS: dict[Role, str] = {
 class _Described(Protocol):
     """Device profile that yields the objects which the device's description lacks."""
 
-    def description_refusals(self) -> Iterator[DeviceError]:
+    def description_problems(self) -> Iterator[DeviceError]:
         """Yield errors for the objects that the description lacks."""
         ...
 
@@ -218,7 +218,7 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
             else:
                 node = link.add_node(number, eds)
             profile = _profile(document, role, link, node)
-            refused = list(profile.description_refusals())
+            refused = list(profile.description_problems())
             if not refused and isinstance(profile, Cia402Servo):
                 told = (*_maker(document), *profile.lacks(bench.cycle_s).words)
         except ConfigurationError as error:
@@ -229,7 +229,7 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
                 Cause.FILES, document.problem((role, "eds"), str(lacking)), connectable=False
             )
     if isinstance(link, DbcLink):
-        for text in link.conflicts():
+        for text in link.problems():
             yield Finding(Cause.NODES, document.problem(("servo",), text), connectable=False)
 
 
@@ -328,15 +328,15 @@ def device_findings(
         yield Finding(Cause.STATE, f"{BEFORE_PROMPT}: {energised_doubt(state)}")
     elif state is ServoState.FAULT and not reset_fault:
         yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
-    settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
+    settings = list(_refused(Cause.DRIVE, servo.problems(cycle_s)))
     yield from settings
-    unread = list(_refused(Cause.ENCODER, devices.encoder.refusals(cycle_s)))
+    unread = list(_refused(Cause.ENCODER, devices.encoder.problems(cycle_s)))
     yield from unread
     if not unread:
-        for text in devices.encoder.lacks():
+        for text in devices.encoder.lacks(cycle_s).words:
             yield Finding(Cause.ENCODER, text, refused=False)
     if devices.pressure is not None:
-        yield from _refused(Cause.PRESSURE, devices.pressure.refusals(cycle_s))
+        yield from _refused(Cause.PRESSURE, devices.pressure.problems(cycle_s))
     if settings:
         return  # limits in other units than the drive's cannot be compared
     try:
@@ -345,7 +345,7 @@ def device_findings(
         require_within_own(wanted, servo.read_limits(), steps, places, unheld)
     except ConfigurationError as refused:
         yield Finding(Cause.LIMITS, str(refused))
-    yield from _refused(Cause.LIMITS, servo.limit_refusals(wanted))
+    yield from _refused(Cause.LIMITS, servo.limit_problems(wanted))
 
 
 def require_ready(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from drivers.can.port import PythonCanPort
-from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel
@@ -32,6 +32,8 @@ from drivers.mock.dbc_drive import DRIVE_DBC
 from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales
+
+from .host import OPENED
 
 CYCLE_S = 0.001
 ORDER = "DRV_Command.Order"
@@ -136,6 +138,7 @@ def make_dbc_host(
     servo = DbcServo(link, channel, drive)
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(262144))
     link.open()
+    OPENED.append(link)
     host = DbcHost(bench, link, channel, servo, encoder, cycle_s)
     switch = bench.machine.power
 

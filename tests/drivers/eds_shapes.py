@@ -15,8 +15,7 @@ from canopen.objectdictionary import ODVariable, datatypes
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.device_data import match
 from drivers.canopen.eds_file import Described, read_eds
-from drivers.canopen.link import CanopenLink
-from drivers.canopen.node import CanopenNode
+from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError
 from drivers.mock.makes import MAKES, description
@@ -99,7 +98,7 @@ def read(path: Path) -> Described | None:
         require_name(refused, path)
         return None
     servo = Cia402Servo(CanopenNode(NODE, found, link()), link(), SCALES)
-    list(servo.description_refusals())
+    list(servo.description_problems())
     match(found)
     return found
 

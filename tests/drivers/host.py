@@ -11,13 +11,13 @@ import can
 
 from drivers.can.port import PythonCanPort
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.eds_file import read_eds
-from drivers.canopen.link import CanopenLink
+from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.canopen.motion import CyclicPosition, Motion
-from drivers.canopen.node import CanopenNode
 from drivers.canopen.sdo import ONE_AXIS, Axis
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS
+from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
@@ -75,6 +75,10 @@ MEMBERS = (0x6064, 0x606C, 0x6071, 0x6077, 0x6078, 0x607A, 0x6081, 0x60FF)
 """Objects with a member for each axis in some drives with several axes."""
 
 
+OPENED: list[Link] = []
+"""Links of the hosts of a test, which are closed at its end."""
+
+
 @dataclass
 class Host:
     bench: SimulatedBench
@@ -128,6 +132,7 @@ def make_host(
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))
     link.open()
+    OPENED.append(link)
     host = Host(bench, link, drive, servo, encoder, cycle_s)
     switch = bench.machine.power
 

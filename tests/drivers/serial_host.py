@@ -14,11 +14,10 @@ from benchmarks.adapters import LawicelAdapter, Ports, SocketcandServer
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.can.slcan import SlcanPort
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS, Clock
-from drivers.epos.link import EposSerialLink
-from drivers.epos.node import FASTEST_1_S, EposSerialNode
+from drivers.epos.link import FASTEST_1_S, EposSerialLink, EposSerialNode
 from drivers.interfaces import Encoder, Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
@@ -30,7 +29,7 @@ from drivers.serial_port import BytePort
 from drivers.units import EncoderScales
 
 from .contract import Rig
-from .host import SCALES
+from .host import OPENED, SCALES
 from .lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile
 
 BAUD = 1_000_000
@@ -94,6 +93,7 @@ def make_serial_host(
     link = EncoderLink(epos, encoder, epos.call_at_instant)
     servo = Cia402Servo(drive, link, SCALES)
     link.open()
+    OPENED.append(link)
     return SerialHost(bench, link, epos, drive, servo, encoder, line, encoder_line, amt21, cycle_s)
 
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen import motion
-from drivers.canopen.cia402_homing import settings
+from drivers.canopen.cia402_servo import homing_settings as settings
 from drivers.canopen.motion import ProfilePosition
 from drivers.clock import NS
 from drivers.homing import HomingOrder
@@ -74,37 +73,3 @@ def test_homing_and_profiles_use_the_unit_of_the_acceleration() -> None:
     profile = dict(ProfilePosition(host.servo._scales, 3.0).settings(LIMITS))
     assert (profile[0x6083, 0], profile[0x6084, 0]) == (150, 150)
     assert profile[0x6081, 0] > 1000
-
-
-@pytest.mark.parametrize(
-    ("word", "unit"),
-    [
-        (0x00C00300, 2 * math.pi / 60),
-        (0x00C04700, 2 * math.pi / 3600),
-        (0x00B45700, 2 * math.pi),
-        (0x01105700, 10.0),
-        (0x00B44700, None),
-        (0x00B50300, None),
-        (0, None),
-    ],
-)
-def test_the_unit_that_a_drive_states(word: int, unit: float | None) -> None:
-    found = motion.decode_acceleration(word)
-    assert found == (None if unit is None else pytest.approx(unit))
-
-
-def test_a_unit_that_is_not_the_bench_file_s_is_refused() -> None:
-    class Stating:
-        label = "node 1"
-
-        def describes(self, index: int, _: int) -> bool:
-            return index == 0x60AA
-
-        def read(self, *_: int) -> int:
-            return 0x00B45700
-
-    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
-    assert "unit of the acceleration, 60AAh" in str(error)
-    assert str(error).endswith("set servo.acceleration_unit_rad_s2: 6.28319")
-    told = dataclasses.replace(SCALES, acceleration_unit_rad_s2=2 * math.pi)
-    assert list(motion.refusals(Stating(), told)) == []  # type: ignore[arg-type]

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -17,8 +16,6 @@ from drivers.amt21.encoder import (
     encode,
 )
 from drivers.errors import ConfigurationError, LinkError
-from drivers.interfaces import ServoState
-from drivers.mock.encoder import RESTART_S
 from drivers.units import EncoderScales
 
 from .serial_host import GATE, SerialHost, make_serial_host
@@ -28,10 +25,8 @@ COUNT_RAD = math.tau / COUNTS_PER_TURN
 
 
 @pytest.fixture
-def host() -> Iterator[SerialHost]:
-    made = make_serial_host()
-    yield made
-    made.link.close()
+def host(serial: SerialHost) -> SerialHost:
+    return serial
 
 
 def live(host: SerialHost) -> SerialHost:
@@ -56,24 +51,6 @@ def test_check_bits(value: int, wire: str) -> None:
 def test_every_single_bit_error_is_seen(value: int, bit: int) -> None:
     wire = (int.from_bytes(encode(value), "little") ^ 1 << bit).to_bytes(2, "little")
     assert decode(wire) is None
-
-
-@given(st.binary(max_size=4))
-def test_decoding_never_raises(data: bytes) -> None:
-    value = decode(data)
-    assert value is None or encode(value) == data
-
-
-def test_what_the_check_bits_let_pass() -> None:
-    words = range(1 << 16)
-    passed = sum(decode(word.to_bytes(2, "little")) is not None for word in words)
-    assert passed == 1 << 14
-    good = int.from_bytes(encode(1234), "little")
-    pairs = [(a, b) for a in range(16) for b in range(a)]
-    missed = sum(
-        decode((good ^ 1 << a ^ 1 << b).to_bytes(2, "little")) is not None for a, b in pairs
-    )
-    assert missed / len(pairs) == pytest.approx(0.46, abs=0.01)
 
 
 class TestGate:
@@ -149,7 +126,6 @@ def test_follows_the_joint_below_zero(echo: bool) -> None:
     sample = host.encoder.sample()
     assert sample.fresh
     assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
-    host.link.close()
 
 
 @pytest.mark.parametrize("pause_s", [0.022, 3.0])
@@ -164,7 +140,6 @@ def test_answers_are_used_again_after_a_pause_of_the_host(pause_s: float, cycle_
     sample = host.encoder.sample()
     assert sample.fresh
     assert sample.angle_rad == pytest.approx(before, abs=0.01)
-    host.link.close()
 
 
 def test_the_stamp_is_the_instant_of_asking(host: SerialHost) -> None:
@@ -215,14 +190,14 @@ def test_random_words_hardly_pass(host: SerialHost) -> None:
         lambda _now, data, sent: rng.bytes(2) if not sent and rng.random() < 0.1 else data
     )
     passed = 0
-    for _ in range(2000):
+    for _ in range(500):
         host.cycles(1)
         sample = host.encoder.sample()
         passed += sample.fresh
         # A quarter of random words passes the check bits; what passes the gate as well is near the
         # truth.
         assert abs(sample.angle_rad) < 0.02
-    assert 1700 < passed < 1900
+    assert 420 < passed < 480
 
 
 def test_a_silent_encoder_is_not_fresh_and_the_servo_goes_on(host: SerialHost) -> None:
@@ -231,33 +206,6 @@ def test_a_silent_encoder_is_not_fresh_and_the_servo_goes_on(host: SerialHost) -
     host.cycles(3)
     assert not host.encoder.sample().fresh
     assert host.servo.sample().fresh
-
-
-def test_turns_count_whole_turns_with_sign(host: SerialHost) -> None:
-    assert host.encoder.turns() == 0
-    host.amt21.distort = lambda counts: counts - 1
-    assert host.encoder.turns() == -1
-    assert not host.encoder.sample().fresh
-
-
-def test_zero_is_where_it_was_set(host: SerialHost) -> None:
-    host.amt21.distort = lambda counts: counts + 777
-    host.encoder.prepare(host.cycle_s)
-    assert host.encoder.sample().angle_rad == pytest.approx(777 * COUNT_RAD)
-    host.encoder.set_zero()
-    clock = host.bench.clock
-    clock.sleep_until_ns(clock.now_ns() + round(RESTART_S * 1e9))
-    host.encoder.prepare(host.cycle_s)
-    assert host.encoder.sample().angle_rad == 0.0
-
-
-def test_reset_keeps_the_zero(host: SerialHost) -> None:
-    host.amt21.distort = lambda counts: counts + 5
-    host.encoder.reset()
-    clock = host.bench.clock
-    clock.sleep_until_ns(clock.now_ns() + round(RESTART_S * 1e9) + 1)
-    host.encoder.prepare(host.cycle_s)
-    assert host.encoder.sample().angle_rad == pytest.approx(5 * COUNT_RAD)
 
 
 def test_no_encoder_is_a_link_error(host: SerialHost) -> None:
@@ -279,23 +227,6 @@ def test_another_resolution_is_refused(host: SerialHost) -> None:
         ConfigurationError, match="has 16384 counts per turn, but the bench file states 4096"
     ):
         Amt21Encoder(line, EncoderScales(4096), GATE)
-
-
-def test_the_servo_exchanges_its_values_although_the_line_of_the_encoder_is_gone(
-    host: SerialHost,
-) -> None:
-    live(host)
-
-    def gone(_data: bytes) -> None:
-        raise OSError(5, "gone")
-
-    host.encoder_line.write = gone  # type: ignore[method-assign]
-    host.servo.quick_stop(at_once=False)
-    with pytest.raises(LinkError, match="gone"):
-        host.cycles(1)
-    assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
-    assert host.servo.sample().fresh
-    assert not host.encoder.sample().fresh
 
 
 @pytest.mark.parametrize("use", ["write", "read"])

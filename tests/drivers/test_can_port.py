@@ -60,18 +60,6 @@ class Interface(can.BusABC):
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
-def test_whatever_an_interface_raises_is_an_os_error(make: Callable[[], Exception]) -> None:
-    bus = Interface(make(), on_send=make())
-    port = PythonCanPort(bus, SimulatedClock())
-    with pytest.raises(OSError, match=r"\w"):
-        port.transmit(1, b"")
-    with pytest.raises(OSError, match=r"\w"):
-        port.collect(0.0)
-    bus.on_shutdown = make()
-    port.shutdown()
-
-
-@pytest.mark.parametrize("make", ERRORS, ids=name)
 def test_a_link_over_any_interface_raises_link_errors_and_goes_on(
     make: Callable[[], Exception],
 ) -> None:
@@ -94,15 +82,6 @@ def test_every_frame_is_sent_with_a_time_limit() -> None:
     with Interface() as bus:
         PythonCanPort(bus, SimulatedClock()).transmit(0x123, bytes(8))
         assert bus.limits == [SEND_LIMIT_S]
-
-
-def test_who_ends_the_program_is_not_held_up() -> None:
-    class Interrupted(Interface):
-        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-            raise KeyboardInterrupt
-
-    with Interrupted() as bus, pytest.raises(KeyboardInterrupt):
-        PythonCanPort(bus, SimulatedClock()).collect(0.0)
 
 
 @pytest.mark.parametrize(

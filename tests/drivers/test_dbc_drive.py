@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import cantools.database
 import numpy as np
 import pytest
@@ -13,13 +11,9 @@ from drivers.dbc.codec import crc8_j1850
 from drivers.mock.dbc_drive import (
     COMMAND,
     COMMAND_LOST,
-    COMMISSIONED,
     DRIVE_DBC,
-    FIRMWARE,
     LIMITS,
-    MOTION,
     POWERED,
-    SERIAL_NUMBER,
     STOP,
     STOP_CODE,
     TRANSITIONS,
@@ -104,32 +98,6 @@ def test_every_order_in_every_state(wire: Wire, state: State, order: Order) -> N
     assert bool(wire.machine._s[loops.MODE] != loops.OFF) is (wanted in POWERED)
 
 
-def test_power_needs_two_orders_in_their_states() -> None:
-    toward = {pair for pair, after in TRANSITIONS.items() if after is State.RUN}
-    assert toward == {(State.READY, Order.RUN)}
-    assert {
-        pair
-        for pair, after in TRANSITIONS.items()
-        if after is State.READY and pair[0] not in POWERED
-    } == {(State.OFF, Order.READY)}
-
-
-def test_its_frames_say_what_the_machine_does(wire: Wire) -> None:
-    wire.to(State.RUN)
-    for n in range(200):
-        wire.command(Order.RUN, 0.005 * n)
-    motion, power = wire.seen["DRV_Motion"], wire.seen["DRV_Power"]
-    truth = wire.machine.truth()
-    assert motion["Position"] == pytest.approx(truth.angle_rad * 100 / 6.283185307179586, abs=0.02)
-    assert power["Velocity"] == pytest.approx(5 * 6.283185307179586, rel=0.1)
-    assert motion["Current"] > 1
-    assert power["Voltage"] > 1
-    assert wire.seen["DRV_Status"]["Supply"] == 60.0
-    assert wire.seen["DRV_Status"]["Temperature"] == 25.0
-    assert wire.seen["DRV_Info"] == {"SerialNumber": SERIAL_NUMBER, "Firmware": FIRMWARE}
-    assert power["Time"] == pytest.approx(wire.clock.now_ns() / NS, abs=2e-3)
-
-
 @pytest.mark.parametrize(
     "changes", [{"Check": 0}, {"Life": 0}, {"Order": 9}], ids=["checksum", "counter", "order"]
 )
@@ -163,13 +131,6 @@ def test_without_a_command_it_brakes_and_switches_off(wire: Wire) -> None:
     assert wire.machine.truth().current_A == 0.0
 
 
-def test_ready_falls_back_without_a_fault(wire: Wire) -> None:
-    wire.to(State.READY)
-    wire.wait(0.15)
-    assert wire.drive.state is State.OFF
-    assert wire.drive.fault_code == 0
-
-
 def test_the_stop_frame_stops_and_its_code_matters(wire: Wire) -> None:
     wire.to(State.RUN)
     wire.bus.transmit(STOP, b"\0")
@@ -183,13 +144,6 @@ def test_the_stop_frame_stops_and_its_code_matters(wire: Wire) -> None:
     assert wire.drive.state is State.OFF
 
 
-def test_it_says_its_state_when_nobody_asks(wire: Wire) -> None:
-    wire.wait(0.5)
-    wire.seen.clear()
-    wire.wait(0.021)
-    assert wire.seen["DRV_Motion"]["State"] == State.OFF
-
-
 def test_a_reset_needs_its_edge(wire: Wire) -> None:
     wire.command(Order.RESET)
     wire.drive.fail(7)
@@ -201,27 +155,6 @@ def test_a_reset_needs_its_edge(wire: Wire) -> None:
     assert wire.seen["DRV_Status"]["FaultCode"] == 0
 
 
-def test_limits_hold_and_cannot_be_changed_under_power(wire: Wire) -> None:
-    low = {"AngleMin": -0.1, "AngleMax": 0.1, "Speed": 1.0, "Current": 25.2, "FollowingError": 0.6}
-    wire.to(State.RUN)
-    wire.bus.transmit(LIMITS, DBC.encode_message("DRV_Limits", low))
-    wire.wait(0.001)
-    assert wire.drive.limits == COMMISSIONED
-    wire.command(Order.OFF)
-    wire.bus.transmit(LIMITS, DBC.encode_message("DRV_Limits", low))
-    wire.wait(0.001)
-    assert wire.seen["DRV_LimitsHeld"] == pytest.approx(low)
-    wire.command(Order.READY)
-    wire.command(Order.RUN)
-    fastest, before = 0.0, wire.drive._demand
-    for _ in range(1500):
-        wire.command(Order.RUN, 5.0)
-        fastest = max(fastest, abs(wire.drive._demand - before))
-        before = wire.drive._demand
-    assert wire.seen["DRV_Motion"]["Position"] == pytest.approx(0.1, abs=0.01)
-    assert fastest == pytest.approx(1.0 / math.tau * 4096 * 1e-3, rel=1e-3)
-
-
 def test_a_following_error_is_a_fault(wire: Wire) -> None:
     limits = {"AngleMin": -9, "AngleMax": 9, "Speed": 200.0, "Current": 1.5, "FollowingError": 0.2}
     wire.bus.transmit(LIMITS, DBC.encode_message("DRV_Limits", limits))
@@ -231,14 +164,3 @@ def test_a_following_error_is_a_fault(wire: Wire) -> None:
         wire.command(Order.RUN, 5.0)
     assert wire.drive.state is State.FAULT
     assert wire.seen["DRV_Status"]["FaultCode"] == 0x21
-
-
-def test_only_motion_and_power_answer_a_command(wire: Wire) -> None:
-    wire.wait(0.0301)
-    counts: dict[int, int] = {}
-    wire.bus.frame_filters.append(
-        lambda _t, i, d, sent: (counts.__setitem__(i, counts.get(i, 0) + (not sent)), (i, d))[1]
-    )
-    wire.command(Order.OFF)
-    assert counts.pop(COMMAND) == 0
-    assert counts == {MOTION: 1, 0x191: 1}

@@ -1,13 +1,8 @@
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-import cantools.database
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from drivers.dbc.file import read_dbc
 from drivers.errors import ConfigurationError
@@ -62,26 +57,6 @@ def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
     path.write_bytes(b"VERSION \0")
     with pytest.raises(ConfigurationError, match=r"bad\.dbc: is not a text file: byte 8 is zero"):
         read_dbc(path)
-
-
-def test_a_wrong_text_in_ascii_is_parsed_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    texts: list[str] = []
-    parse = cantools.database.load_string
-
-    def counted(text: str, **options: Any) -> Any:
-        texts.append(text)
-        return parse(text, **options)
-
-    monkeypatch.setattr(cantools.database, "load_string", counted)
-    path = tmp_path / "bad.dbc"
-    for wrong, parses in (("BO_ wrong", 1), ("BO_ größer", 5)):
-        path.write_text(wrong, encoding="utf-8")
-        with pytest.raises(ConfigurationError):
-            read_dbc(path)
-        assert len(set(texts)) == len(texts) == parses
-        texts.clear()
 
 
 @pytest.mark.parametrize(
@@ -139,28 +114,6 @@ def test_a_cycle_time_that_is_none_counts_as_none(tmp_path: Path, period: str) -
     text = DRIVE_DBC.read_text().replace("INT 0 65535", "STRING")
     path.write_text(text.replace("BO_ 416 100;", f"BO_ 416 {period};"))
     assert read_dbc(path)["DRV_Status"].period_s is None
-
-
-_LINES = DRIVE_DBC.read_bytes().splitlines(keepends=True)
-
-
-@settings(max_examples=200, deadline=None)
-@given(
-    cut=st.lists(st.integers(0, len(_LINES) - 1), max_size=3),
-    moved=st.integers(0, len(_LINES) - 1),
-    byte=st.integers(0, 255),
-    at=st.integers(0, len(DRIVE_DBC.read_bytes()) - 1),
-)
-def test_no_file_ends_in_a_traceback(
-    tmp_path_factory: pytest.TempPathFactory, cut: list[int], moved: int, byte: int, at: int
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "mutated.dbc"
-    lines = [line for number, line in enumerate(_LINES) if number not in cut]
-    data = bytearray(b"".join([*lines[moved:], *lines[:moved]] if moved % 3 == 0 else lines))
-    data[at % len(data)] = byte
-    path.write_bytes(data)
-    with suppress(ConfigurationError):
-        read_dbc(path)
 
 
 def test_a_long_identifier_has_its_flag(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG, PythonCanPort, hexadecimal
+from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG, PythonCanPort
 from drivers.can.slcan import LineDecoder, encode
 from drivers.clock import NS, SimulatedClock
 from drivers.dbc.codec import BoundQuantity, Signal
@@ -127,11 +127,6 @@ def test_the_flags_of_an_identifier_reach_the_bus(flags: int) -> None:
     assert LineDecoder().feed(encode(number | flags, data)) == [(number | flags, data)]
 
 
-def test_identifiers_are_written_with_their_digits() -> None:
-    assert hexadecimal(0x01F) == "01Fh"
-    assert hexadecimal(0x18FEF101 | EXTENDED_FLAG) == "18FEF101h"
-
-
 def test_a_drive_with_long_identifiers_is_enabled_and_disabled(tmp_path: Path) -> None:
     wire, link, servo = motor(tmp_path, text=LONG)
     answering(wire, 0x18FEF101 | EXTENDED_FLAG, 0x18FEF102 | EXTENDED_FLAG)
@@ -230,25 +225,6 @@ def test_a_silent_drive_is_asked_with_its_disable_order(tmp_path: Path, verb: st
     if verb != "reset_fault":
         getattr(servo, verb)()
         assert servo.state() is ServoState.SWITCH_ON_DISABLED
-
-
-def test_a_drive_that_is_silent_even_then_is_reported(tmp_path: Path) -> None:
-    wire, _, servo = motor(tmp_path)
-    with pytest.raises(LinkError, match=r"no valid Reply \(002h\) in 0\.3 s"):
-        servo.state()
-    assert {data.hex() for _, data in wire.sent} == {"fffffffffffffffd"}
-
-
-def test_what_a_drive_does_not_report_is_not_a_number(tmp_path: Path) -> None:
-    wire, _, servo = motor(tmp_path)
-    answering(wire, 1, REPLY)
-    servo.prepare(CYCLE_S)
-    servo.enable()
-    sample = servo.sample()
-    assert sample.fresh
-    assert all(map(math.isnan, (sample.temperature_C, sample.supply_voltage_V, sample.voltage_V)))
-    wire.say(REPLY, reply())
-    assert math.isnan(servo.readings().temperature_C)
 
 
 def test_a_torque_offset_needs_its_signal(tmp_path: Path) -> None:

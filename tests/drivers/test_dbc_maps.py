@@ -4,9 +4,7 @@ map binds or is refused with its places.
 
 from __future__ import annotations
 
-import dataclasses
 import tempfile
-from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -19,54 +17,15 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel
 from drivers.dbc.codec import Signal, Wiring
-from drivers.dbc.file import DbcMapError, Layout, read_dbc
+from drivers.dbc.file import Layout, read_dbc
 from drivers.dbc.limits import _tighter_real
-from drivers.dbc.map import DbcMap, Protection, Quantity, StopFrame
 from drivers.errors import DriveFault
 from drivers.interfaces import ServoState
 
-from .dbc_texts import HEAD, MOTOR, MOTOR_MAP, ordered, special
+from .dbc_texts import HEAD, MOTOR, MOTOR_MAP
 
 COMMAND, REPLY, CLEAR, ERROR = 1, 2, 3, 4
 DISABLE, ENABLE = bytes.fromhex("fffffffffffffffd"), bytes.fromhex("fffffffffffffffc")
-
-
-@dataclass(frozen=True)
-class Part:
-    """One signal of a generated message."""
-
-    width: int
-    gap: int
-    signed: bool
-    real: bool
-
-
-parts = st.lists(
-    st.builds(Part, st.integers(1, 32), st.integers(0, 7), st.booleans(), st.booleans()),
-    min_size=1,
-    max_size=8,
-)
-
-
-def text_of(found: list[Part], motorola: bool, identifier: int) -> tuple[str, list[Part]]:
-    """Return a DBC with as many of these signals as fit into eight bytes, one after the other."""
-    lines, real, kept, at = [], [], [], 0
-    for part in found:
-        width = 32 if part.real else part.width
-        at += part.gap
-        if at + width > 64:
-            break
-        start = at // 8 * 8 + 7 - at % 8 if motorola else at
-        sign = "-" if part.signed or part.real else "+"
-        lines.append(
-            f' SG_ S{len(kept)} : {start}|{width}@{0 if motorola else 1}{sign} (1,0) [0|0] "" B'
-        )
-        if part.real:
-            real.append(f"SIG_VALTYPE_ {identifier} S{len(kept)} : 1;")
-        kept.append(part)
-        at += width
-    message = "\n".join([f"BO_ {identifier} M: 8 A", *lines])
-    return HEAD + message + "\n\n" + "\n".join(real) + "\n", kept
 
 
 def read(text: str) -> dict[str, Layout]:
@@ -74,41 +33,6 @@ def read(text: str) -> dict[str, Layout]:
         path = Path(folder, "x.dbc")
         path.write_text(text)
         return read_dbc(path)
-
-
-@settings(max_examples=150, deadline=None)
-@given(
-    found=parts,
-    motorola=st.booleans(),
-    identifier=st.sampled_from([0x123, 0x98FEF101]),
-    data=st.binary(min_size=8, max_size=8),
-)
-def test_signals_are_packed_and_read_as_cantools_does(
-    found: list[Part], motorola: bool, identifier: int, data: bytes
-) -> None:
-    text, kept = text_of(found, motorola, identifier)
-    layout = read(text)["M"]
-    message = cantools.database.load_string(text, database_format="dbc").get_message_by_name("M")
-    assert (layout.identifier & 0x1FFFFFFF, layout.size) == (message.frame_id, 8)
-    if not kept:
-        return
-    decoded = message.decode(data, decode_choices=False, scaling=False)
-    rebuilt = bytes(8)
-    for name, signal in layout.signals.items():
-        raw = signal.raw(data)
-        assert raw == decoded[name] or (raw != raw and decoded[name] != decoded[name])
-        assert signal.reader(1.0, 0.0)(data) == raw or raw != raw
-        rebuilt = signal.insert(rebuilt, signal.bits(data))
-        if raw == raw and abs(raw) != float("inf"):
-            assert signal.insert(bytes(8), signal.pack(raw)) == signal.insert(
-                bytes(8), signal.bits(data)
-            )
-    # What is written is these signals' bits and no others.
-    covered = sum(signal.covers for signal in layout.signals.values())
-    assert int.from_bytes(rebuilt, "big") == int.from_bytes(data, "big") & covered
-    finite = {name: value for name, value in decoded.items() if value == value}
-    if len(finite) == len(decoded):
-        assert message.encode(decoded, scaling=False) == rebuilt
 
 
 @given(raw=st.floats(-1e30, 1e30), upward=st.booleans())
@@ -207,86 +131,3 @@ class Motor(RuleBasedStateMachine):
 
 Motor.TestCase.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
 TestMotor = Motor.TestCase
-
-words = st.sampled_from(
-    [
-        *("Command.Pos", "Command.Torque", "Command.Nothing", "Reply.Pos", "Reply.State"),
-        *("Clear.What", "Error.Code", "Nowhere.At", "Nodot", "", ".", "Command."),
-    ]
-)
-values = st.one_of(st.integers(-(1 << 70), 1 << 70), st.floats(), st.sampled_from(["OFF", ""]))
-assigned = st.dictionaries(words, values, max_size=4)
-quantity = st.builds(
-    Quantity,
-    words,
-    scale=st.floats(),
-    sign=st.sampled_from([1, -1]),
-    offset=st.floats(allow_nan=False, allow_infinity=False),
-)
-guard = st.builds(
-    Protection,
-    counter=st.sampled_from([None, "Pos", "What", "Nothing"]),
-    checksum=st.sampled_from([None, "State", "Torque", ""]),
-    period_ms=st.one_of(st.none(), st.floats(allow_nan=False, allow_infinity=False)),
-    remote=st.booleans(),
-)
-whole = st.builds(Quantity, words)
-
-
-@settings(max_examples=300, deadline=None)
-@given(
-    target=st.one_of(st.just(MOTOR_MAP.target), whole, quantity),
-    offset=st.one_of(st.none(), whole, quantity),
-    inputs=st.dictionaries(
-        st.sampled_from([field.name for field in dataclasses.fields(MOTOR_MAP.inputs)]),
-        st.one_of(whole, quantity),
-        max_size=3,
-    ),
-    reset=st.one_of(st.just(MOTOR_MAP.orders.reset), assigned),
-    running=st.one_of(st.just(MOTOR_MAP.orders.enable["running"]), assigned),
-    stop=st.one_of(
-        st.just(MOTOR_MAP.stop_frame),
-        st.builds(StopFrame, st.sampled_from(["Command", "Clear", "Reply", "X"]), assigned),
-    ),
-    messages=st.dictionaries(st.sampled_from(["Command", "Clear", "Error", "X"]), guard),
-    states=st.dictionaries(
-        st.sampled_from(["disabled", "running", "fault"]), st.tuples(values), max_size=3
-    ),
-)
-def test_a_map_binds_or_is_refused_with_its_places(
-    target: Quantity,
-    offset: Quantity | None,
-    inputs: dict[str, Quantity],
-    reset: dict[str, str | int | float],
-    running: dict[str, str | int | float],
-    stop: StopFrame,
-    messages: dict[str, Protection],
-    states: dict[str, tuple[str | int]],
-) -> None:
-    spec: DbcMap = replace(
-        ordered(reset=reset, enable={"disabled": special(0xFC), "running": running}),
-        target=target,
-        torque_offset=offset,
-        inputs=replace(MOTOR_MAP.inputs, **inputs),
-        stop_frame=stop,
-        messages=messages,
-        status=replace(MOTOR_MAP.status, states={**MOTOR_MAP.status.states, **states}),
-    )
-    try:
-        wiring = bind(spec, LAYOUTS)
-    except DbcMapError as error:
-        refused = error.problems
-    else:
-        refused = ()
-    if refused:
-        assert all(place and text for place, text in refused)
-        return
-    channel = DbcChannel(wiring, "the motor")
-    sizes = {layout.identifier: layout.size for layout in LAYOUTS.values()}
-    for order in (wiring.disable, wiring.reset, *wiring.enable.values(), wiring.stop):
-        channel.order(order)
-        assert all(len(data) == sizes[found] for found, data in channel.frames(all_now=True))
-    assert len(channel.stop_frame()[1]) == wiring.stop_message.size
-
-
-LAYOUTS = read(HEAD + MOTOR)

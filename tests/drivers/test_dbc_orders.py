@@ -55,28 +55,6 @@ def hear(channel: DbcChannel, identifier: int, data: bytes) -> None:
     channel.receive(channel.slots[identifier], data, 0)
 
 
-@pytest.mark.parametrize("order", ["disable", "stop", "reset"])
-def test_an_order_that_sets_the_target_wins_over_it(tmp_path: Path, order: str) -> None:
-    wiring = wired(tmp_path)
-    channel = DbcChannel(wiring, "the motor")
-    channel.aim(0x1234)
-    channel.order(getattr(wiring, order))
-    channel.aim(0x5678)
-    assert sent(channel)[0] == (COMMAND, "fffffffffffffffd")
-
-
-def test_the_target_comes_back_with_an_order_that_leaves_it_free(tmp_path: Path) -> None:
-    wiring = wired(tmp_path)
-    channel = DbcChannel(wiring, "the motor")
-    channel.aim(0x1234)
-    channel.order(wiring.enable[S.SWITCH_ON_DISABLED])
-    assert sent(channel) == [(COMMAND, "fffffffffffffffc")]
-    channel.order(wiring.enable[S.OPERATION_ENABLED], hold=True)
-    assert sent(channel)[0][1].startswith("1234")
-    channel.aim(0x4321)
-    assert sent(channel)[0][1].startswith("4321")
-
-
 def test_a_running_drive_must_get_its_target(tmp_path: Path) -> None:
     enable = {"disabled": special(0xFC), "running": {**GAINS, "Command.Pos": 5}}
     found = problems(tmp_path, ordered(enable=enable))
@@ -138,26 +116,6 @@ def test_what_the_program_fills_in_is_no_order(tmp_path: Path, signal: str, word
     )
     found = problems(tmp_path, spec, GUARDED)
     assert f"overlaps the {words} of message 'Clear'" in found[f"orders.reset.{signal}"]
-
-
-def test_a_message_that_only_an_order_names_goes_once_with_it(tmp_path: Path) -> None:
-    wiring = wired(tmp_path)
-    channel = DbcChannel(wiring, "the motor")
-    assert (set(wiring.sent), set(wiring.once)) == ({"Command"}, {"Clear"})
-    assert [identifier for identifier, _ in sent(channel)] == [COMMAND]
-    channel.order(wiring.reset)
-    assert sent(channel)[1:] == [(CLEAR, "07")]
-    for _ in range(20):
-        channel.begin(0)
-        assert [identifier for identifier, _ in sent(channel, all_now=True)] == [COMMAND]
-
-
-def test_an_order_that_was_not_sent_is_dropped_for_the_next(tmp_path: Path) -> None:
-    wiring = wired(tmp_path)
-    channel = DbcChannel(wiring, "the motor")
-    channel.order(wiring.reset)
-    channel.order(wiring.disable)
-    assert [identifier for identifier, _ in sent(channel)] == [COMMAND]
 
 
 def test_an_order_that_the_bus_refused_stays_due(tmp_path: Path) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
-from drivers.canopen.device_data import devices, identity, match, parse
+from drivers.canopen.device_data import FOLDER, devices, identity, match, parse
 from drivers.canopen.eds_file import read_eds
 from drivers.mock.makes import MAKES, description
 
@@ -67,7 +68,6 @@ def test_an_identity_in_the_header_alone_is_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (GOOD + "vendor_id: 2\n", "a key appears twice"),
         (GOOD + "velocity: rpm\n", "velocity"),
         (GOOD + "velocity_unit: rpms\n", "velocity_unit"),
         (GOOD + "current_object: [0x6078, 0]\n", "current_unit_A is the unit of current_object"),
@@ -86,3 +86,9 @@ def test_a_file_that_says_something_wrong_is_refused(text: str, words: str) -> N
 
 def test_numbers_with_an_exponent_are_numbers() -> None:
     assert parse(GOOD + "current_object: [1, 0]\ncurrent_unit_A: 1e-3\n").current_unit_A == 1e-3
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.stem)
+def test_no_key_of_a_file_appears_twice(path: Path) -> None:
+    keys = [key.value for key, _ in yaml.compose(path.read_text(encoding="utf-8")).value]
+    assert len(set(keys)) == len(keys)

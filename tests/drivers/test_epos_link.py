@@ -1,33 +1,24 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import count
 
 import pytest
 
-from drivers import servo_limits
 from drivers.canopen.cia402 import CONTROLWORD
-from drivers.clock import SimulatedClock
-from drivers.epos.frames import ERROR, FrameDecoder, Opcode, encode
-from drivers.epos.link import EposSerialLink
-from drivers.errors import ConfigurationError, LinkError, ObjectAccessError, StateError
+from drivers.epos.frames import FrameDecoder, Opcode, encode
+from drivers.errors import LinkError, ObjectAccessError, StateError
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key
-from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import State
-from drivers.mock.wires.serial_line import SimulatedLine
 from drivers.objects import ObjectAddress
 
 from .serial_host import SerialHost, make_serial_host
-from .test_servo import LIMITS, assert_within
 
 
 @pytest.fixture
-def host() -> Iterator[SerialHost]:
-    made = make_serial_host()
-    yield made
-    made.link.close()
+def host(serial: SerialHost) -> SerialHost:
+    return serial
 
 
 def prepared(host: SerialHost) -> SerialHost:
@@ -41,74 +32,16 @@ def enabled(host: SerialHost) -> SerialHost:
     return host
 
 
-def test_values_keep_their_sign_and_size(host: SerialHost) -> None:
-    host.drive.write(0x60C2, 2, -3)
-    assert host.drive.read(0x60C2, 2) == -3
-    host.drive.write(0x607D, 1, -12345)
-    assert host.drive.read(0x607D, 1) == -12345
-    assert host.drive.read_text(0x1008) == "loadrig simulated drive"
-
-
-def test_segments_both_ways(host: SerialHost) -> None:
-    host.drive.write_bytes(0x607D, 1, (77).to_bytes(4, "little"))
-    assert host.drive.read(0x607D, 1) == 77
+def test_a_text_comes_in_segments(host: SerialHost) -> None:
     long = "x" * 700
     host.bench.drive.objects.texts[0x1008 << 8] = long
     assert host.drive.read_text(0x1008) == long
-
-
-def test_a_segmented_write_of_the_wrong_length_is_refused(host: SerialHost) -> None:
-    with pytest.raises(ObjectAccessError, match=r"object 607Dh:01h.*06070010h"):
-        host.drive.write_bytes(0x607D, 1, bytes(300))
-
-
-@pytest.mark.parametrize(("index", "code"), [(0x5555, 0x06020000), (0x6041, 0x06010002)])
-def test_a_refusal_names_object_and_code(host: SerialHost, index: int, code: int) -> None:
-    fields = bytes([1]) + index.to_bytes(2, "little") + bytes(5)
-    answer = host.epos.request(Opcode.WRITE_OBJECT, fields, "test")
-    assert answer == ERROR.pack(code)
 
 
 def test_a_refused_object_raises(host: SerialHost) -> None:
     with pytest.raises(ObjectAccessError, match="object 6041h:00h: node 1 refuses") as caught:
         host.drive.write(0x6041, 0, 1)
     assert caught.value.code == 0x06010002
-
-
-def test_unknown_commands_and_other_nodes_get_an_error(host: SerialHost) -> None:
-    assert host.epos.request(Opcode.ANSWER, bytes(4), "test") == ERROR.pack(0x0F00FFBF)
-    other = host.epos.add_node(5, DRIVE_EDS)
-    with pytest.raises(ObjectAccessError, match="wrong node identifier"):
-        other.read(0x6041)
-
-
-@pytest.mark.parametrize("opcode", [op for op in Opcode if op is not Opcode.ANSWER])
-def test_the_twin_answers_short_requests_with_an_error(host: SerialHost, opcode: Opcode) -> None:
-    (error,) = ERROR.unpack_from(host.epos.request(opcode, b"", "test"))
-    assert error
-
-
-def test_a_value_that_does_not_fit_is_named(host: SerialHost) -> None:
-    with pytest.raises(ConfigurationError, match="70000 does not fit into object 6072h"):
-        host.drive.write(0x6072, 0, 70000)
-    with pytest.raises(ConfigurationError, match="is no integer"):
-        host.drive.read(0x1008)
-
-
-def test_the_limits_survive_the_way(host: SerialHost) -> None:
-    servo_limits_before = host.servo.read_limits()
-    host.servo.write_limits(LIMITS)
-    assert_within(host.servo.read_limits(), LIMITS)
-    assert servo_limits_before != host.servo.read_limits()
-    assert host.drive.read(*servo_limits.MAX_TORQUE) == 666
-
-
-def test_bytes_take_their_time(host: SerialHost) -> None:
-    host.drive.read(0x6041)
-    clock = host.bench.clock
-    before = clock.now_ns()
-    host.drive.read(0x6041)
-    assert (clock.now_ns() - before) / 1e9 == pytest.approx(24 * 10 / 1e6, abs=2e-5)
 
 
 def test_a_cycle_is_five_objects_and_fits_eighty_percent(host: SerialHost) -> None:
@@ -395,38 +328,6 @@ def test_nothing_is_continued_from_before_an_incomplete_cycle(host: SerialHost) 
         assert host.servo.sample().fresh
         assert slot.before is not None
         assert (slot.value != slot.before[0]) is complete
-
-
-def test_another_cycle_is_refused(host: SerialHost) -> None:
-    prepared(host)
-    with pytest.raises(
-        ConfigurationError, match=r"cycle time of 0.001 s, but its link has a cycle time of 0.002 s"
-    ):
-        host.servo.prepare(0.001)
-
-
-def test_a_port_that_cannot_be_opened_is_a_link_error() -> None:
-    def connect() -> SimulatedLine:
-        raise OSError("no such port")
-
-    link = EposSerialLink(SimulatedClock(), connect)
-    with pytest.raises(LinkError, match="serial line cannot be opened: no such port"):
-        link.open()
-    with pytest.raises(LinkError, match="not open"):
-        link.add_node(1, DRIVE_EDS).read(0x6041)
-
-
-@pytest.mark.parametrize("node", [0, 128, 1])
-def test_impossible_node_identifiers(host: SerialHost, node: int) -> None:
-    with pytest.raises(ConfigurationError, match="node identifier"):
-        host.epos.add_node(node, DRIVE_EDS)
-
-
-def test_a_closed_line_is_a_link_error(host: SerialHost) -> None:
-    prepared(host)
-    host.line.close()
-    with pytest.raises(LinkError, match="is gone: the simulated line is closed"):
-        host.epos.exchange()
 
 
 @pytest.mark.parametrize(

@@ -115,12 +115,6 @@ def test_a_blocked_joint_is_a_homing_error() -> None:
     assert host.servo.end_homing() == (8, 8)
 
 
-def test_a_homing_that_never_ends_is_running() -> None:
-    host = make_host()
-    host.bench.drive.homing.endless = True
-    assert homed(host, order(37), cycles=1000) is HomingState.RUNNING
-
-
 def test_a_quick_stop_ends_it() -> None:
     host = make_host()
     host.servo.write_limits(LIMITS)
@@ -238,4 +232,4 @@ def test_a_makers_own_methods_are_negative() -> None:
     host = make_host()
     host.bench.drive.objects.values[key(0x60E3, 1)] = -3
     assert host.servo.homing_offer().methods == (-3, 18, 35, 37)
-    assert "method 17 is not offered" in host.servo.homing_offer().refusal(17)
+    assert "method 17 is not offered" in host.servo.homing_offer().problem(17)

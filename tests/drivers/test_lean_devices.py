@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drivers.canopen import motion
 from drivers.canopen.cia402_objects import cyclic, inputs
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.motion import RPM
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.interfaces import ServoState
@@ -23,7 +24,7 @@ from drivers.mock.canopen.node import SimulatedNode
 from drivers.mock.makes import LACKS, description
 from drivers.objects import optional
 from drivers.servo_limits import NO_OPTION
-from drivers.units import EncoderScales, ServoScales, Unwrapper, nearest
+from drivers.units import EncoderScales, ServoScales
 
 from .host import SCALES, Host, enabled, make_host, prepared
 from .test_servo import LIMITS
@@ -51,12 +52,6 @@ def test_what_an_identity_lacks_is_empty(host: Host) -> None:
     assert (found.vendor_id, found.product_code) == (0x7FF, 0x402)
     assert (found.revision, found.serial_number) == (0, 0)
     assert (found.hardware_version, found.software_version) == ("", "")
-
-
-def test_a_device_without_a_vendor_is_refused(host: Host) -> None:
-    remove(host.bench.drive, (0x1018, 1))
-    with pytest.raises(ObjectAccessError, match="1018h:01h"):
-        host.servo.identity()
 
 
 def test_only_absence_makes_an_object_optional() -> None:
@@ -228,8 +223,8 @@ def test_a_drive_of_this_make_runs_and_is_left_without_power(make: str, tmp_path
     for index in LACKS[make]:
         with pytest.raises((ObjectAccessError, ConfigurationError)):
             host.drive.read(index, 1 if index in (0x60C2, 0x607D) else 0)
-    assert list(host.servo.description_refusals()) == []
-    assert list(host.servo.refusals(host.cycle_s)) == []
+    assert list(host.servo.description_problems()) == []
+    assert list(host.servo.problems(host.cycle_s)) == []
     lacks = host.servo.lacks(host.cycle_s)
     assert lacks.supply is (make != "Copley")
     assert lacks.temperature
@@ -307,10 +302,13 @@ def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
 
 
 def test_an_encoder_of_class_1(host: Host) -> None:
-    assert list(host.encoder.lacks()) == []
+    assert list(host.encoder.lacks(host.cycle_s).words) == []
     remove(host.bench.encoder, (0x6001, 0), (0x6002, 0), (0x6503, 0), (0x1013, 0))
-    assert list(host.encoder.refusals(host.cycle_s)) == []
-    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == ["6503h", "1013h"]
+    assert list(host.encoder.problems(host.cycle_s)) == []
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words] == [
+        "6503h",
+        "1013h",
+    ]
     enabled(host)
     host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
     sample = host.encoder.sample()
@@ -320,7 +318,7 @@ def test_an_encoder_of_class_1(host: Host) -> None:
     with pytest.raises(ConfigurationError, match="6501h reads 262144 counts per turn"):
         wrong.prepare(host.cycle_s)
     remove(host.bench.encoder, (0x6501, 0), (0x6502, 0))
-    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == [
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words] == [
         "6001h",
         "6002h",
         "6503h",
@@ -345,114 +343,15 @@ def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(
     assert mounted.sample().angle_rad == pytest.approx(math.radians(start_deg), abs=1e-4)
 
 
-def test_nearest_of_a_counter() -> None:
-    assert [nearest(value, 10, 0) for value in (0, 4, 5, 9)] == [0, 4, -5, -1]
-    assert nearest(3, 10, 42) == 43
-    assert Unwrapper(10, near=42).update(3) == 43
-
-
-@pytest.mark.parametrize(
-    ("word", "unit"),
-    [
-        (0x00B44700, 2 * math.pi / 60),
-        (0xFDB44700, 2e-3 * math.pi / 60),
-        (0x00B40300, 2 * math.pi),
-        (0x00100300, 1.0),
-        (0x00410300, math.pi / 180),
-        (0x00B50300, None),
-        (0, None),
-    ],
-)
-def test_the_unit_that_a_drive_states(word: int, unit: float | None) -> None:
-    found = motion.decode(word)
-    assert found == (None if unit is None else pytest.approx(unit))
-
-
-def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host) -> None:
-    class Stating:
-        label = "node 1"
-
-        def describes(self, *_: object) -> bool:
-            return True
-
-        def read(self, *_: int) -> int:
-            return 0x00B44700
-
-    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
-    assert str(error).endswith("the unit of 606Ch is rpm: set servo.velocity_unit: rpm")
-    rpm = dataclasses.replace(SCALES, velocity_unit_rad_s=2 * math.pi / 60)
-    assert list(motion.refusals(Stating(), rpm)) == []  # type: ignore[arg-type]
-    assert list(motion.refusals(host.drive, SCALES)) == []
-
-
-@pytest.mark.parametrize(
-    ("factor", "words"),
-    [
-        (0.0146, "the unit of 606Ch is rpm: set servo.velocity_unit: rpm"),
-        (0.0104, "the unit of 606Ch is rpm: set servo.velocity_unit: rpm"),
-        (-1.0, "the speed 606Ch has the opposite sign"),
-        (0.0, "the speed 606Ch reads 0 while the position 6064h changes"),
-        (0.03, "the unit of 606Ch is rpm: set servo.velocity_unit: rpm"),
-        (
-            0.1,
-            "the unit of 606Ch is probably 10 counts per second; check the drive's manual, then "
-            "set servo.velocity_unit_rad_s: 0.01534",
-        ),
-        (
-            9.3,
-            "the unit of 606Ch is probably 0.1 counts per second; check the drive's manual, then "
-            "set servo.velocity_unit_rad_s: 0.0001534",
-        ),
-        (
-            4.0,
-            "one unit of 606Ch is about 0.0003835 rad/s; look up the exact unit in the drive's "
-            "manual, or set servo.velocity_unit_rad_s: 0.0003835",
-        ),
-    ],
-)
-def test_the_remedy_names_the_unit_that_was_found(host: Host, factor: float, words: str) -> None:
-    assert host.servo.speed_remedy(factor).startswith(words)
-    keys = dict(host.servo.speed_settings(factor))
-    told = re.search(r"set servo\.(\w+): ([^,;]+)", words)
-    if factor <= 0.0:
-        assert keys == {}
-    else:
-        assert told is not None
-        assert str(keys[told[1]]) == told[2]
-
-
 @pytest.mark.parametrize("unit", [2 * math.pi / 60, 2 * math.pi / 4096])
 @pytest.mark.parametrize("factor", [0.01, 0.2, 3.0, 6.0, 20.0, 300.0])
 def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
     host: Host, unit: float, factor: float
 ) -> None:
     scales = dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
-    near = motion.nearest_factor(scales, factor, 15.0)
+    near = motion.SpeedUnit(scales).nearest_speed_factor(factor, 15.0)
     assert not 0.5 < near < 2.0
     assert 1 / 15 <= near / factor <= 15.0
-
-
-@pytest.mark.parametrize(
-    ("word", "words"),
-    [
-        (0xFFB44700, "set servo.velocity_unit_rad_s: 0.01047"),
-        (0x00100300, "set servo.velocity_unit_rad_s: 1"),
-    ],
-)
-def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
-    word: int, words: str
-) -> None:
-    class Stating:
-        label = "node 1"
-
-        def describes(self, *_: object) -> bool:
-            return True
-
-        def read(self, *_: int) -> int:
-            return word
-
-    (error,) = motion.refusals(Stating(), SCALES)  # type: ignore[arg-type]
-    assert str(error).endswith(f"rad/s in the bench file: {words}")
 
 
 def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:
@@ -465,3 +364,73 @@ def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:
         if frame.identifier == 0x601 and frame.data[0] >> 5 == 1
     ]
     assert all(frame.data[2] << 8 | frame.data[1] not in (0x60C2, 0x6007) for frame in written)
+
+
+class Stating:
+    """A drive that states one unit."""
+
+    label = "node 1"
+
+    def __init__(self, index: int, word: int) -> None:
+        self._index, self._word = index, word
+
+    def describes(self, index: int, _: int) -> bool:
+        return index == self._index
+
+    def read(self, *_: int) -> int:
+        return self._word
+
+
+@pytest.mark.parametrize(
+    ("index", "word", "unit", "setting"),
+    [
+        (0x60A9, 0x00B44700, RPM, "velocity_unit: rpm"),
+        (0x60A9, 0xFDB44700, 1e-3 * RPM, "velocity_unit_rad_s: 0.0001047"),
+        (0x60A9, 0xFFB44700, 0.1 * RPM, "velocity_unit_rad_s: 0.01047"),
+        (0x60A9, 0x00B40300, 2 * math.pi, "velocity_unit_rad_s: 6.283"),
+        (0x60A9, 0x00100300, 1.0, "velocity_unit_rad_s: 1"),
+        (0x60A9, 0x00410300, math.pi / 180, "velocity_unit_rad_s: 0.01745"),
+        (0x60A9, 0x00B50300, None, ""),
+        (0x60A9, 0, None, ""),
+        (0x60AA, 0x00C00300, RPM, "acceleration_unit_rad_s2: 0.10472"),
+        (0x60AA, 0x00C04700, RPM / 60, "acceleration_unit_rad_s2: 0.00174533"),
+        (0x60AA, 0x00B45700, 2 * math.pi, "acceleration_unit_rad_s2: 6.28319"),
+        (0x60AA, 0x01105700, 10.0, "acceleration_unit_rad_s2: 10"),
+        (0x60AA, 0x00B44700, None, ""),
+    ],
+)
+def test_a_unit_that_a_drive_states_is_that_of_the_bench_file(
+    index: int, word: int, unit: float | None, setting: str
+) -> None:
+    drive: Any = Stating(index, word)
+    found = list(motion.stated_unit_problems(drive, SCALES))
+    if unit is None:
+        assert found == []
+        return
+    (error,) = found
+    assert str(error).endswith(f"set servo.{setting}")
+    key = "velocity_unit_rad_s" if index == 0x60A9 else "acceleration_unit_rad_s2"
+    right = dataclasses.replace(SCALES, **{key: unit})
+    assert list(motion.stated_unit_problems(drive, right)) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "key", "value"),
+    [
+        (0.0146, "velocity_unit", "rpm"),
+        (0.0104, "velocity_unit", "rpm"),
+        (0.03, "velocity_unit", "rpm"),
+        (0.1, "velocity_unit_rad_s", 0.01534),
+        (9.3, "velocity_unit_rad_s", 0.0001534),
+        (4.0, "velocity_unit_rad_s", 0.0003835),
+        (0.0, None, None),
+        (-1.0, None, None),
+    ],
+)
+def test_the_unit_of_a_speed_is_found_from_its_factor(
+    host: Host, factor: float, key: str | None, value: str | float | None
+) -> None:
+    keys = dict(host.servo.speed_settings(factor))
+    assert keys.get(key) == value
+    assert bool(keys) is (factor > 0.0)
+    assert key is None or f"servo.{key}: {value}" in host.servo.speed_remedy(factor)

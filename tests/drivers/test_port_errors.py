@@ -31,11 +31,6 @@ def test_who_ends_the_program_is_not_held_up(error: type[BaseException]) -> None
         os_errors(raising(error()))()
 
 
-def test_what_is_returned_and_given_passes() -> None:
-    assert os_errors(divmod)(7, 2) == (3, 1)
-    assert os_errors(int)("11", base=2) == 3
-
-
 def test_words_name_the_type_where_the_text_is_no_sentence() -> None:
     assert words(KeyError(12)) == "KeyError: 12"
     assert words(NotImplementedError()) == "NotImplementedError"

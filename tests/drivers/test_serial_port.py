@@ -16,10 +16,6 @@ from unittest.mock import patch
 import pytest
 
 from drivers import serial_port
-from drivers.clock import RealClock
-from drivers.epos.link import EposSerialLink
-from drivers.errors import LinkError
-from drivers.mock.drive import DRIVE_EDS
 from drivers.serial_port import WRITE_LIMIT_S, InheritedPort, PySerialPort
 
 from .library_errors import ERRORS, name
@@ -219,31 +215,3 @@ def test_whatever_the_system_raises_is_an_os_error(
         pytest.raises(OSError, match=r"\w"),
     ):
         line.port.read(1.0)
-
-
-def test_a_drive_on_a_stalled_line_is_a_link_error_within_the_limit(line: Line) -> None:
-    link = EposSerialLink(RealClock(), lambda: line.port, "EPOS4 at ttyUSB0")
-    node = link.add_node(1, DRIVE_EDS)
-    link.open()
-    line.far.stall()
-    began = time.monotonic()
-    with pytest.raises(
-        LinkError,
-        match=r"EPOS4 at ttyUSB0 is gone: the line accepted .* within 0\.1 s; check the adapter",
-    ):
-        node.insist(0x6040, 0, 0)
-    assert time.monotonic() - began < WRITE_LIMIT_S + SLACK_S
-    link.close()
-
-
-def test_a_drive_on_a_line_that_is_hung_up_is_a_link_error(line: Line) -> None:
-    link = EposSerialLink(RealClock(), lambda: line.port, "EPOS4 at ttyUSB0")
-    node = link.add_node(1, DRIVE_EDS)
-    link.open()
-    line.far.hang_up()
-    for _ in range(2):
-        with pytest.raises(LinkError, match=r"EPOS4 at ttyUSB0 is gone: .*; check the adapter"):
-            node.read(0x6041)
-    link.close()
-    with pytest.raises(LinkError, match="not open"):
-        node.read(0x6041)

@@ -14,12 +14,10 @@ from hypothesis import strategies as st
 
 from drivers.can import slcan
 from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG
-from drivers.can.slcan import SlcanPort, open_slcan
+from drivers.can.slcan import SlcanPort
 from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, RealClock, SimulatedClock
 from drivers.errors import LinkError
-from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.wires.serial_line import SimulatedLine
 
 from .pty_line import Pty, pty_line
 
@@ -200,23 +198,6 @@ def test_a_line_that_never_falls_silent_does_not_hold_the_loop(garbage: bytes) -
     assert clock.now_ns() <= NS // 1000 + 1000
 
 
-def test_closing_never_raises_and_closes_the_line() -> None:
-    class Dead(Script):
-        def write(self, data: bytes) -> None:
-            if self.written and self.written[-1] == slcan.OPEN:
-                raise ValueError(data)
-            super().write(data)
-
-        def close(self) -> None:
-            super().close()
-            raise TypeError
-
-    line = Dead(SimulatedClock())
-    port = SlcanPort(line, SimulatedClock(), 1_000_000)
-    port.shutdown()
-    assert line.closed == 1
-
-
 @pytest.fixture
 def adapter() -> Iterator[Pty]:
     with pty_line() as far:
@@ -225,58 +206,6 @@ def adapter() -> Iterator[Pty]:
 
 def slcan_link(path: str) -> CanopenLink:
     return CanopenLink.on_interface(RealClock(), "slcan", path, 1_000_000, {"sleep_after_open": 0})
-
-
-GARBAGE = (
-    b"\xff\r",
-    b"t18z\r",
-    b"t1812AABBC\r",
-    b"t-120\r",
-    b"\x00" * 300 + b"\r",
-    b"t9999\r",
-    bytes(range(256)) + b"\r",
-)
-
-
-@pytest.mark.parametrize("garbage", GARBAGE, ids=range(len(GARBAGE)))
-def test_a_garbled_line_does_not_stop_a_link_on_a_pty(adapter: Pty, garbage: bytes) -> None:
-    link = slcan_link(adapter.path)
-    node = link.add_node(1, DRIVE_EDS)
-    link.open()
-    adapter.say(garbage + b"t701105\r")
-    assert link.pump(lambda: node.nmt_state == 5, 1.0)
-    adapter.say(garbage)
-    assert not link.pump(lambda: False, 0.005)
-    adapter.say(b"t70117F\r")
-    assert link.pump(lambda: node.nmt_state == 127, 1.0)
-    link.close()
-
-
-@given(st.lists(PIECES, min_size=1, max_size=6))
-def test_any_bytes_on_a_pty_leave_the_port_able_to_read(pieces: list[bytes]) -> None:
-    with pty_line() as far:
-        port = open_slcan(far.path, RealClock(), 1_000_000, sleep_after_open=0)
-        far.say(b"".join(pieces) + b"\rt7771AA\r")
-        found = []
-        until = time.monotonic() + 5.0
-        while (0x777, b"\xaa") not in found and time.monotonic() < until:
-            found += [(f.identifier, f.data) for f in port.collect(0.1)]
-        assert found[-1] == (0x777, b"\xaa")
-        port.shutdown()
-
-
-def test_reading_waits_no_longer_than_is_asked(adapter: Pty) -> None:
-    """python-can's own waits for a millisecond; here nothing is waited for, whatever the machine is
-    busy with.
-    """
-    port = open_slcan(adapter.path, RealClock(), 1_000_000, sleep_after_open=0)
-    waits = []
-    for _ in range(20):
-        began = time.monotonic()
-        port.collect(0.0)
-        waits.append(time.monotonic() - began)
-    assert min(waits) < 5e-4
-    port.shutdown()
 
 
 def test_an_adapter_that_takes_nothing_is_a_link_error(adapter: Pty) -> None:
@@ -341,17 +270,3 @@ def test_an_adapter_that_cannot_be_set_up_is_closed_again(adapter: Pty) -> None:
     link = slcan_link(f"{adapter.path}@9600")
     link.open()
     link.close()
-
-
-def test_an_adapter_on_a_line_in_simulated_time_stamps_by_the_link_clock() -> None:
-    clock = SimulatedClock()
-
-    class Heartbeat:
-        def receive(self, data: bytes) -> bytes:
-            return b"t701105\r" if data == slcan.OPEN else b""
-
-    line = SimulatedLine(clock, 115_200, Heartbeat())
-    port = SlcanPort(line, clock, 1_000_000)
-    (found,) = port.collect(1.0)
-    assert (found.time_ns, found.identifier, found.data) == (clock.now_ns(), 0x701, b"\x05")
-    assert 0 < found.time_ns < NS // 100

@@ -2,33 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.link import CanopenLink
-from drivers.canopen.motion import CyclicPosition
-from drivers.errors import ConfigurationError
 from drivers.interfaces import ServoState
-from drivers.mock.bench import DRIVE_NODE, simulated_bench
-from drivers.mock.drive import DRIVE_EDS, FOLLOWING_ERROR
-from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.drive import FOLLOWING_ERROR
 
-from .dbc_host import make_dbc_host
-from .host import SCALES, Host, enabled, make_host, prepared
-
-UNIT_N_M = 0.045
-"""One per mille of 0.45 N m at the motor, behind a gear of 100."""
+from .host import Host, enabled, make_host, prepared
 
 
 @pytest.fixture
-def host() -> Iterator[Host]:
-    host = make_host(torque_offset=True)
-    yield host
-    host.link.close()
+def host() -> Host:
+    return make_host(torque_offset=True)
 
 
 def held(host: Host) -> int:
@@ -57,30 +43,6 @@ def test_a_resting_joint_takes_the_torque_as_current(host: Host) -> None:
     assert host.bench.machine.truth().angle_rad == 0.0
 
 
-def test_it_is_whole_per_mille_of_the_rated_torque(host: Host) -> None:
-    enabled(host)
-    for torque, units in (
-        (6.0, 133),
-        (-6.0, -133),
-        (0.5 * UNIT_N_M + 1e-6, 1),
-        (0.49 * UNIT_N_M, 0),
-    ):
-        host.servo.set_torque_offset(torque)
-        host.cycles(1)
-        assert held(host) == units
-
-
-def test_its_sign_is_the_joints() -> None:
-    host = make_host(scales=replace(SCALES, sign=-1), torque_offset=True)
-    enabled(host)
-    host.servo.set_torque_offset(6.0)
-    host.cycles(30)
-    assert held(host) == -133
-    assert host.servo.sample().current_A == pytest.approx(2.0, abs=0.1)
-    assert host.bench.machine.truth().current_A == pytest.approx(-2.0, abs=0.1)
-    host.link.close()
-
-
 def test_it_does_not_pass_the_limit_of_the_current(host: Host) -> None:
     prepared(host)
     host.servo.write_limits(replace(host.servo.read_limits(), current_A=3.0))
@@ -106,14 +68,6 @@ def test_it_is_gone_with_the_stop(host: Host, stop: str) -> None:
     assert abs(host.bench.machine.truth().current_A) < 0.1
 
 
-def test_switched_off_without_another_cycle_the_drive_has_none_left(host: Host) -> None:
-    enabled(host)
-    host.servo.set_torque_offset(8.0)
-    host.cycles(5)
-    host.servo.disable()
-    assert held(host) == 0
-
-
 def test_the_drive_adds_nothing_to_a_ramp_of_its_own(host: Host) -> None:
     """A fault stops the drive by itself, with 60B2h still as it was: the offset must not push the
     joint on.
@@ -128,52 +82,3 @@ def test_the_drive_adds_nothing_to_a_ramp_of_its_own(host: Host) -> None:
     assert host.servo.state() is ServoState.FAULT
     assert host.bench.machine.truth().current_A == 0.0
     assert host.bench.machine.truth().angle_rad == 0.0
-
-
-def test_enabled_again_it_starts_at_zero(host: Host) -> None:
-    enabled(host)
-    host.servo.set_torque_offset(8.0)
-    host.cycles(5)
-    host.servo.disable()
-    host.servo.enable()
-    host.cycles(20)
-    assert held(host) == 0
-    assert abs(current(host)) < 0.1
-
-
-def test_a_drive_that_was_not_prepared_for_it_says_so(host: Host) -> None:
-    plain = enabled(make_host())
-    with pytest.raises(
-        ConfigurationError, match=r"has no torque offset, but 6 N m are requested: run without"
-    ):
-        plain.servo.set_torque_offset(6.0)
-    plain.link.close()
-    with pytest.raises(ConfigurationError, match="does not fit into the 16 bits"):
-        enabled(host).servo.set_torque_offset(2000.0)
-
-
-def test_a_drive_with_frames_of_its_own_refuses() -> None:
-    host = make_dbc_host()
-    with pytest.raises(ConfigurationError, match="has no torque offset"):
-        host.servo.set_torque_offset(1.0)
-    host.link.close()
-
-
-def test_a_drive_that_lacks_the_object_is_refused_before_power(tmp_path: Path) -> None:
-    """Its EDS says so, or the drive does."""
-    eds = tmp_path / "drive.eds"
-    eds.write_text(DRIVE_EDS.read_text().replace("[60B2]", "[60B4]").replace("=0x60B2", "=0x60B4"))
-    for path, hidden in ((eds, False), (DRIVE_EDS, True)):
-        bench = simulated_bench(Machine(), 1)
-        link = CanopenLink(bench.clock, lambda bench=bench: bench.bus, "simulated bus")
-        node, motion = link.add_node(DRIVE_NODE, path), CyclicPosition(torque_offset=True)
-        servo = Cia402Servo(node, link, SCALES, motion=motion)
-        link.open()
-        if hidden:
-            del bench.drive.objects.entries[0x60B2 << 8]
-        with pytest.raises(
-            ConfigurationError, match=r"no torque offset 60B2h \(.*\): run without feed-forward"
-        ):
-            servo.prepare(0.001)
-        assert not servo.state().energised
-        link.close()

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.cia404 import Cia404Transmitter, unit_of
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia404Transmitter, unit_of
 from drivers.errors import ConfigurationError
 from drivers.mock.bench import TRANSMITTER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.encoder import PRESSURE_UNIT_PA, TRANSMITTER_EDS

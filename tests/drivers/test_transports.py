@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.adapters import LawicelAdapter, RealTimeBench, SocketcandServer
+from benchmarks.adapters import RealTimeBench
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import NS, RealClock
 from drivers.epos.link import EposSerialLink
@@ -85,32 +85,3 @@ def test_the_twin_lives_in_real_time_behind_pyserial() -> None:
     assert 0.2 <= lived <= (clock.now_ns() - began) / NS + 0.01
     with pytest.raises(LinkError, match="cannot be opened"):
         link.open()
-
-
-def test_slcan_answers_what_it_cannot_do_with_a_bell() -> None:
-    adapter = LawicelAdapter(simulated_bench(MACHINE, 1).bus)
-    assert adapter.receive(b"t0800\r") == b"\a"
-    assert adapter.receive(b"S8\rO\r") == b""
-    assert adapter.receive(b"t0800\r") == b""
-    assert adapter.receive(b"t8000\rt0802AA\rt08G0\rT000000800\rQ\r\r") == b"\a" * 5
-    assert adapter.receive(b"x" * 200) == b""
-    assert adapter.receive(b"t0800\r") == b""
-
-
-def test_slcan_passes_frames_on_as_text() -> None:
-    bench = simulated_bench(MACHINE, 1)
-    adapter = LawicelAdapter(bench.bus)
-    adapter.receive(b"O\rt60184041600000000000\rt60384041600000000000\r")
-    bench.clock.sleep_until_ns(NS // 100)
-    assert b"t58184B416000" in adapter.receive(b"")
-
-
-def test_socketcand_answers_what_it_cannot_do_with_an_error() -> None:
-    server = SocketcandServer(simulated_bench(MACHINE, 1).bus)
-    assert server.receive(b"") == b"< hi >"
-    assert server.receive(b"< open can0 >< rawmode >") == b"< ok >< ok >"
-    assert (
-        server.receive(b"< send 800 0 >< send xyz 0 >< send 80 1 fff >< dance >").count(b"< error")
-        == 4
-    )
-    assert server.receive(b"< send 080 0 >") == b""

@@ -13,9 +13,8 @@ from canopen.objectdictionary import ODVariable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen import xdd_text
-from drivers.canopen.eds_file import Described, read_eds
-from drivers.canopen.eds_text import sections
+from drivers.canopen import eds_file
+from drivers.canopen.eds_file import Described, read_eds, sections
 from drivers.errors import ConfigurationError
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
@@ -122,7 +121,6 @@ def test_a_drive_runs_by_its_xdd_file(tmp_path: Path, encoding: str) -> None:
     host.cycles(50)
     assert host.servo.sample().fresh
     host.servo.disable()
-    host.link.close()
 
 
 def test_an_object_may_refer_to_a_parameter(tmp_path: Path) -> None:
@@ -177,7 +175,7 @@ def test_an_object_without_a_type_is_a_fault_with_its_line(tmp_path: Path) -> No
 def test_a_file_that_is_too_large_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(xdd_text, "MOST_BYTES", 1000)
+    monkeypatch.setattr(eds_file, "MOST_BYTES", 1000)
     xdd = tmp_path / "own.xdd"
     xdd.write_text("<a>" + " " * 2000 + "</a>")
     with pytest.raises(ConfigurationError, match="limit 1000"):

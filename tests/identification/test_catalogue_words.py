@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.verdict.statement import finding, readable, sentence
+from identification.diagnosis.statement import finding, readable, sentence
 from identification.effects import EFFECTS, GAS, MOTION
 from identification.effects.effect import Effect
 

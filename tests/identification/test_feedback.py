@@ -42,15 +42,14 @@ def test_thirty_five_degrees_and_five_decibels_are_left(inertia: float, period: 
     )
 
 
-@pytest.mark.parametrize("period", [1e-3, 4e-3])
 @pytest.mark.parametrize(("share", "settles"), [(0.1, True), (1.0, True), (2.2, False)])
-def test_an_inertia_over_a_bus_settles(share: float, settles: bool, period: float) -> None:
+def test_an_inertia_over_a_bus_settles(share: float, settles: bool) -> None:
     """Angle sampled at a SYNC, torque sent with the next, held for a cycle: more than twice the
     gains oscillate.
     """
-    inertia = 0.204
+    inertia, period = 0.204, 1e-3
     found = gains(inertia, period)
-    fine, cycles = 20, 1500
+    fine, cycles = 20, 1000
     theta = np.zeros(cycles * fine + 1)
     omega, staged = 0.01, 0.0
     torque = 0.0

@@ -34,7 +34,7 @@ def test_equilibria_are_those_of_the_specification() -> None:
     )
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_at_equilibrium_the_balance_of_eq_7_closes(seed: int) -> None:
     rng = np.random.default_rng(seed)
     g = GasGenerator(

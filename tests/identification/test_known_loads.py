@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.within_limits import views_and_fit
-from identification.diagnosis.verdict.unexplained import unrecorded_effects
+from identification.diagnosis.unexplained import unrecorded_effects
+from identification.diagnosis.within_limits import views_and_fit
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.export.model import CorrectedModel, predictions

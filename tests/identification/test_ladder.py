@@ -10,7 +10,7 @@ import pytest
 from identification.estimate.default import identify
 from identification.estimate.ladder import climb
 from identification.estimate.paper_method import identify_paper
-from identification.model.ladder import LADDER
+from identification.model.parameters import LADDER
 from identification.recording import Dataset, Model, Pendulum, Recording, RecordingError
 
 from .synthetic import TRUTH, sine

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.estimate import default
-from identification.filter.likelihood import Point, optimise_breakaway_times, reduce
+from identification.filter.likelihood import Point, optimise_breakaway_times
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.prepare import resting
@@ -88,17 +88,6 @@ def test_the_path_follows_the_length(
     aside = Dataset((replace(practical_pair[0], role="validate"),))
     default.identify_any_length(aside)
     assert taken == ["memory", "pieces", "memory"]
-
-
-def test_reduced_equations_are_those_of_the_whole_jacobian(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    point = unloaded_point(practical_pair[0])
-    found = reduce(point)
-    held, x = point.weighted(), point.origin()
-    jacobian = held.jacobian(x, held.residuals(x)).dense()
-    inverse = np.linalg.inv(jacobian.T @ jacobian)[:5, :5]
-    assert np.linalg.inv(found.normal) == pytest.approx(inverse, rel=1e-6)
 
 
 def test_settling_never_makes_a_stretch_worse(practical_pair: tuple[Recording, Recording]) -> None:

@@ -63,13 +63,6 @@ def test_an_end_beside_the_likeliest_is_left(speed: float) -> None:
 
 
 @pytest.mark.usefixtures("rugged")
-def test_searches_stop_where_nothing_better_is_found() -> None:
-    ends: list[End] = []
-    assert searches._neighbours(end(0.97, -40.0), ends).deviance == -40.0
-    assert len(ends) == 2 + 2  # far and near once; the rise is not free
-
-
-@pytest.mark.usefixtures("rugged")
 def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -84,11 +77,6 @@ def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_
     found = searches.refine_from(at(), [at(0.98)])
     assert found.point.vector[OMEGA_SL] == 0.97
     assert found.drop == -2.0
-
-
-@pytest.mark.usefixtures("rugged")
-def test_without_starts_the_point_itself_is_searched() -> None:
-    assert searches.refine_from(at(0.5), []).point.vector[OMEGA_SL] == 0.97
 
 
 @pytest.mark.usefixtures("rugged")
@@ -174,11 +162,6 @@ def test_of_ends_as_likely_one_of_a_far_slower_fall_is_taken(
     monkeypatch.setattr(searches, "_deviance", lambda point: point.vector[MU_2])
     starts = [likely(fall, deviance) for fall, deviance in ((1.0, 0.0), (speed, behind))]
     assert searches.likeliest_together(starts).point is starts[taken]
-
-
-def test_an_end_that_ran_off_is_less_likely_than_any(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Point, "run", lambda _point: (np.array([np.nan]), np.ones(1)))
-    assert searches._deviance(at()) == np.inf
 
 
 def begun_at(inertia: float = 1.0) -> Point:

@@ -13,9 +13,6 @@ from identification.diagnosis.result import Fit as EquationError
 from identification.diagnosis.result import Map, ResidualTrace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
-from identification.plots import profile as profile_plots
-from identification.plots import result as opening
-from identification.plots.spread import spread
 from identification.plots.style import COMPRESSION, MAX_POINTS, arrange, continuing, png
 from identification.recording import Bench, Recording
 from identification.result import (
@@ -44,24 +41,9 @@ def trace(
     torque = np.sign(velocity) * 8.0 + np.random.default_rng(0).normal(0.0, 0.1, samples)
     model = np.sign(velocity) * 8.0
     used = np.abs(velocity) > 0.01
-    made = Trace(
-        name,
-        "fit",
-        "unloaded",
-        time,
-        0.4 * np.sin(time),
-        velocity,
-        torque,
-        model,
-        torque,
-        used.astype(float),
-    )
-    channels = {
-        "time": time,
-        "command": 0.4 * np.sin(time),
-        "angle": 0.4 * np.sin(time),
-        "torque": torque,
-    }
+    angle = 0.4 * np.sin(time)
+    made = Trace(name, "fit", "unloaded", time, angle, velocity, torque, model, torque, used)
+    channels = {"time": time, "command": angle, "angle": angle, "torque": torque}
     return made, Recording(name, channels, Bench(motion=motion, moment_arm=0.095))  # type: ignore[arg-type]
 
 
@@ -94,81 +76,63 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "response": lambda: of_one_trace(signals.response),
     "response, linear": lambda: of_one_trace(signals.response, "linear"),
     "residual": lambda: signals.residual(trace()[0], "rotary", "N m"),
-    "opening": lambda: opening.result(result(), {"run": 0.0}, [trace()[1]]),
+    "opening": lambda: fit_plots.result(result(), {"run": 0.0}, [trace()[1]]),
     "stribeck": lambda: fit_plots.stribeck(result(), {"run": 0.0}),
     "convergence": lambda: fit_plots.convergence(result().stages[0]),
     "convergence to the truth": lambda: fit_plots.convergence(result().stages[0], {"Mc": 7.1}),
     "intervals": lambda: fit_plots.intervals([result(), result("paper")], {"Mc": 6.9}),
-    "profiles": lambda: profile_plots.profiles([PROFILE], list(result().parameters.values())),
-    "waterfall": lambda: profile_plots.waterfall(
+    "profiles": lambda: fit_plots.profiles([PROFILE], list(result().parameters.values())),
+    "waterfall": lambda: fit_plots.waterfall(
         [Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]
     ),
-    "spread": lambda: spread(
+    "spread": lambda: fit_plots.spread(
         {"paper": {"Mc": [1.0, 0.0, np.inf]}}, {"Mc": 1.1, "Ms": 0.0}, list(result().parameters)
     ),
 }
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_every_numeric_axis_has_a_unit(name: str) -> None:
-    for axis in FIGURES[name]().axes:
-        for part, label in ((axis.xaxis, axis.get_xlabel()), (axis.yaxis, axis.get_ylabel())):
-            texts = [t.get_text() for t in part.get_ticklabels()]
-            named = any(
-                any(letter.isalpha() for letter in t.replace("mathdefault", "")) for t in texts
-            )
-            hidden = not any(t.get_visible() for t in part.get_ticklabels())
-            assert named or hidden or UNIT.search(label), f"{name}: {label!r}"
-
-
-@pytest.mark.parametrize("name", FIGURES)
-def test_no_line_has_more_points_than_the_eye_can_use(name: str) -> None:
-    points = [len(line.get_xdata()) for axis in FIGURES[name]().axes for line in axis.lines]
-    assert max(points) <= MAX_POINTS
-
-
-def test_png_is_reproducible() -> None:
-    first, second = png(FIGURES["response"]()), png(FIGURES["response"]())
-    assert first.startswith(b"\x89PNG")
-    assert first == second
-
-
-@pytest.mark.parametrize("name", ["response", "profiles"])
-def test_a_png_is_what_matplotlib_saves(name: str) -> None:
-    ours, theirs = FIGURES[name](), FIGURES[name]()
-    theirs.set_dpi(110)
-    if theirs.get_layout_engine() is None:
-        arrange(theirs)
-    for _ in range(2):
-        saved = io.BytesIO()
-        theirs.savefig(
-            saved, format="png", dpi=110, metadata={"Software": None}, pil_kwargs=COMPRESSION
-        )
-        assert png(ours) == saved.getvalue()
-
-
-@pytest.mark.parametrize("name", FIGURES)
-def test_texts_are_within_the_figure_and_axes_apart(name: str) -> None:
+def test_a_figure_has_units_few_points_and_texts_that_do_not_overlap(name: str) -> None:
     made = FIGURES[name]()
+    points = [len(line.get_xdata()) for axis in made.axes for line in axis.lines]
+    assert max(points) <= MAX_POINTS
     png(made)
     made.set_dpi(110)
     engine = made.get_layout_engine()
     if engine is not None:
         engine.execute(made)
-    renderer = made.canvas.get_renderer()  # type: ignore[attr-defined]
-    page = made.bbox
-    boxes = [axis.get_tightbbox(renderer) for axis in made.axes]
-    for axis, box in zip(made.axes, boxes, strict=True):
+    boxes = [axis.get_tightbbox(made.canvas.get_renderer()) for axis in made.axes]  # type: ignore[attr-defined]
+    for k, (axis, box) in enumerate(zip(made.axes, boxes, strict=True)):
+        for part, label in ((axis.xaxis, axis.get_xlabel()), (axis.yaxis, axis.get_ylabel())):
+            ticks = part.get_ticklabels()
+            texts = [t.get_text().replace("mathdefault", "") for t in ticks]
+            named = any(letter.isalpha() for text in texts for letter in text)
+            hidden = not any(t.get_visible() for t in ticks)
+            assert named or hidden or UNIT.search(label), f"{name}: {label!r}"
         assert box is not None
         # Labels of an axis that is short for them stand out at its ends.
         assert min(box.x0, box.y0) >= -3.0, axis.get_ylabel()
-        assert box.x1 <= page.width + 3.0, axis.get_ylabel()
-        assert box.y1 <= page.height + 3.0, axis.get_ylabel()
-    for k, box in enumerate(boxes):
+        assert box.x1 <= made.bbox.width + 3.0, axis.get_ylabel()
+        assert box.y1 <= made.bbox.height + 3.0, axis.get_ylabel()
         for other in boxes[:k]:
+            assert other is not None
             across = min(box.x1, other.x1) - max(box.x0, other.x0)
             along = min(box.y1, other.y1) - max(box.y0, other.y0)
             assert min(across, along) < 3.0
+
+
+@pytest.mark.parametrize("name", ["residual", "profiles"])
+def test_a_png_is_what_matplotlib_saves_and_reproducible(name: str) -> None:
+    ours, theirs = FIGURES[name](), FIGURES[name]()
+    theirs.set_dpi(110)
+    if theirs.get_layout_engine() is None:
+        arrange(theirs)
+    saved = io.BytesIO()
+    theirs.savefig(
+        saved, format="png", dpi=110, metadata={"Software": None}, pil_kwargs=COMPRESSION
+    )
+    assert png(ours) == saved.getvalue()
+    assert png(ours) == saved.getvalue()
 
 
 def test_rest_breaks_the_fitted_line() -> None:

@@ -1,25 +1,28 @@
-"""Likelihood profiles: each point optimised, ranges that agree with the intervals, crossings where
-they were put.
-"""
+"""Likelihood profiles and bootstrap: points optimised, ranges that agree with the intervals."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.profile import LEVEL, crossings, profiles
+from identification.estimate.refinement import refine_recordings
 from identification.estimate.searches import Refined, refine_stages
-from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.estimate.uncertainty import LEVEL, bootstrap, crossings, profiles
+from identification.filter.likelihood import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX
 from identification.numerics import least_squares as levenberg
 from identification.recording import Array, Dataset, Model, Recording
 from identification.result import Identification
 
-from .synthetic import SYSTEM, TRUTH, sine
+from .practical import beginning
+from .synthetic import SYSTEM, TRUTH
 
 UNITS = dict.fromkeys(TRUTH, "1")
+DRAWS = 60
 
 
 def refine(recording: Recording, model: Model) -> Refined:
@@ -30,7 +33,7 @@ def refine(recording: Recording, model: Model) -> Refined:
 
 @pytest.fixture(scope="module")
 def profiled(practical_pair: tuple[Recording, Recording]) -> Identification:
-    return identify(Dataset(practical_pair[:1]), profile=True)
+    return identify(Dataset((beginning(practical_pair[0], 10.0),)), profile=True)
 
 
 def test_every_fitted_parameter_has_one(profiled: Identification) -> None:
@@ -98,7 +101,40 @@ def test_a_flat_side_has_no_end() -> None:
     assert crossings(values, np.where(values > 0.0, np.minimum(values, 1.0), values**2))[1] is None
 
 
-def test_without_prediction_errors_there_is_none_and_it_is_said() -> None:
-    result = identify(Dataset((sine(),)), bandwidth_Hz=500.0, profile=True)
-    assert result.profiles == ()
-    assert any("no profiles" in w for w in result.warnings)
+@pytest.fixture(scope="module")
+def refined(practical_pair: tuple[Recording, Recording]) -> Refined:
+    start = {n: TRUTH[n] for n in SYSTEM}
+    found = refine_recordings(practical_pair[:1], start, SYSTEM, Model())
+    assert isinstance(found, Refined)
+    return found
+
+
+@pytest.mark.proof
+def test_draws_lie_about_the_estimate_as_wide_as_its_interval(refined: Refined) -> None:
+    begun = refined.joint.vector.copy()
+    found = bootstrap(refined, UNITS, DRAWS, np.random.default_rng(1))
+    assert [r.name for r in found] == list(refined.names)
+    np.testing.assert_array_equal(refined.joint.vector, begun)
+    for k, r in enumerate(found):
+        assert r.low is not None
+        assert r.high is not None
+        assert r.solved > 0.9 * DRAWS
+        assert r.low < refined.values[r.name] < r.high
+        # Eight stretches or so: the spread of their draws is itself known to a third or so.
+        half = 1.645 * float(np.sqrt(refined.covariance[k, k]))
+        assert 0.35 < 0.5 * (r.high - r.low) / half < 1.6
+
+
+def test_the_same_generator_gives_the_same_draws(refined: Refined) -> None:
+    one, other = (bootstrap(refined, UNITS, 3, np.random.default_rng(7)) for _ in range(2))
+    assert one == other
+
+
+def test_a_breakaway_in_a_wrong_place_is_found_again(refined: Refined) -> None:
+    held, (begun,) = refined.joint.weighted(), refined.joint.breakaway_times
+    late = begun + np.where(np.arange(len(begun)) == 2, 1.5e-3, 0.0)
+    there = replace(held, point=replace(refined.joint, breakaway_times=(late,)))
+    found, moved = there.with_best_breakaways(HUBER_THRESHOLD)
+    assert moved
+    np.testing.assert_allclose(found.breakaway_times[0], begun, atol=2.6e-4)
+    assert abs(found.breakaway_times[0][2] - begun[2]) < 1e-4

@@ -5,7 +5,7 @@ machine.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -35,8 +35,7 @@ from identification.estimate.replicates import (
 )
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.kalman import DIRECTION
-from identification.filter.likelihood import Point
-from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
+from identification.filter.likelihood import HUBER_THRESHOLD, Point, likeliest_noise, torque_noise
 from identification.filter.segments import Noise, motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.least_squares import BlockArrow, minimise_deviance
@@ -110,6 +109,47 @@ class Order:
         return self._numbers.setdefault(seed, len(self._numbers))
 
 
+SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+
+
+def unloaded(seconds: float) -> list[Recording]:
+    return [seen(beginning(logged(simulated(0, 0.0), 0.0), seconds))]
+
+
+@pytest.fixture(scope="module")
+def short() -> Point:
+    """Return a fit of 3 s, for tests in which no replicate is simulated or all are short."""
+    return at(TRUTH, unloaded(3.0), SYSTEM)
+
+
+@pytest.fixture(scope="module")
+def point() -> Point:
+    return at(TRUTH, unloaded(8.0), SYSTEM)
+
+
+@pytest.fixture(scope="module")
+def bias(point: Point) -> Bias:
+    found = likelihood_bias(point, SYSTEM, chance())
+    assert found is not None
+    return found
+
+
+def unchanged(point: Point) -> Callable[[], bool]:
+    """Return whether the point is then as it was now."""
+    vector, times = point.vector.copy(), [b.copy() for b in point.breakaway_times]
+    return lambda: (
+        np.array_equal(point.vector, vector)
+        and all(map(np.array_equal, point.breakaway_times, times))
+    )
+
+
+def scored(point: Point, ms: float, deviation: float = 1.0) -> _Scored:
+    """Return a replicate without information whose score steps the static limit alone."""
+    step = np.zeros(len(point.free))
+    step[point.free.index(INDEX["Ms"])] = ms
+    return _Scored(step, np.full(len(step), deviation), silent(point))
+
+
 def slopes(point: Point) -> BlockArrow:
     held, x = point.weighted(), point.origin()
     return held.jacobian(x, held.residuals(x))
@@ -140,40 +180,32 @@ def test_where_static_friction_is_high_the_likelihood_errs_as_foretold() -> None
     assert abs(error - told) < 0.5 * error
 
 
-def test_replicates_are_the_same_each_time_and_change_nothing() -> None:
-    recordings = [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))]
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, recordings, names)
-    before = point.vector.copy(), [b.copy() for b in point.breakaway_times]
-    bias = likelihood_bias(point, names, chance())
-    assert bias is not None
+def test_replicates_are_the_same_each_time_and_change_nothing(point: Point, bias: Bias) -> None:
+    same = unchanged(point)
     assert bias.shifts["J"] == bias.variances["J"] == 0.0
     assert all(v > 0.0 for n, v in bias.variances.items() if n != "J")
-    assert all(abs(bias.shifts[n]) < 0.01 * TRUTH[n] for n in names)
-    assert np.array_equal(point.vector, before[0])
-    assert all(np.array_equal(a, b) for a, b in zip(point.breakaway_times, before[1], strict=True))
+    assert all(abs(bias.shifts[n]) < 0.01 * TRUTH[n] for n in SYSTEM)
     heard: list[tuple[str, float]] = []
-    again = likelihood_bias(
-        point, names, chance(), progress=lambda what, share: heard.append((what, share))
-    )
+    again = likelihood_bias(point, SYSTEM, chance(), progress=lambda *step: heard.append(step))
     assert again == bias
+    assert same()
     assert heard[0][0] == "simulated replicates, round 1"
     assert all(0.0 < share <= 1.0 for _, share in heard)
-    other = likelihood_bias(point, names, chance(1))
+    other = likelihood_bias(point, SYSTEM, chance(1))
     assert other is not None
-    assert all(other.shifts[n] != bias.shifts[n] for n in names if n != "J")
+    assert all(other.shifts[n] != bias.shifts[n] for n in SYSTEM if n != "J")
     assert {r.noise for r in other.replicates}.isdisjoint({r.noise for r in bias.replicates})
 
 
 def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    dataset = Dataset((beginning(logged(simulated(0, 0.0), 0.0), 10.0),))
-    likely = identify(dataset, profile=True, draws=6)
+    dataset = Dataset((beginning(logged(simulated(0, 0.0), 0.0), 8.0),))
+    likely = identify(dataset, profile=True, draws=2)
     shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
     bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
     monkeypatch.setattr(refinement, "likelihood_bias", lambda *_: bias)
-    moved = identify(dataset, profile=True, draws=6)
+    moved = identify(dataset, profile=True, draws=2)
     for name, shift in shifts.items():
         assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
     for one, other in ((likely.profiles, moved.profiles), (likely.resampled, moved.resampled)):
@@ -199,11 +231,9 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
     )
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
-def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    recordings = [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))]
-    point = replace(at(TRUTH, recordings, names), noise=Noise(0.4))
+@pytest.mark.parametrize("share", [0.0, 0.8])
+def test_the_share_of_the_noise_that_is_logged_is_seen(point: Point, share: float) -> None:
+    point = replace(point, noise=Noise(0.4))
     seen_loop = replicates._loop(point.motions)
     assert seen_loop is not None
     loop = replace(
@@ -221,25 +251,19 @@ def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
     assert logged_share(again, loop, chance()) == pytest.approx(share, abs=0.1)
 
 
-def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged() -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
-    loop = replicates._loop(point.motions)
+def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged(short: Point) -> None:
+    loop = replicates._loop(short.motions)
     assert loop is not None
     for quiet in (0.0, 1e-4):  # the drive answers to its encoder's steps too
-        assert logged_share(replace(point, noise=Noise(quiet)), loop, chance()) == 0.5
+        assert logged_share(replace(short, noise=Noise(quiet)), loop, chance()) == 0.5
 
 
 def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off(
-    monkeypatch: pytest.MonkeyPatch,
+    point: Point, bias: Bias, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
+    names, same = SYSTEM, unchanged(point)
     values = {name: TRUTH[name] for name in names}
     found = Found(values, Spread(names, 1e-6 * np.eye(5), math.inf))
-    bias = likelihood_bias(point, names, chance())
-    assert bias is not None
-    before = point.vector.copy(), [b.copy() for b in point.breakaway_times]
     there: list[Array] = []
 
     def recorded(moved: Point, replicates: Sequence[Replicate]) -> Covariances:
@@ -252,18 +276,15 @@ def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off
     assert unpack(there[0], names) == pytest.approx(expected)
     assert solved.values["J"] != expected["J"]
     assert np.all(np.diag(solved.spread.covariance)[:4] > [bias.variances[n] for n in names[:4]])
-    assert np.array_equal(point.vector, before[0])
-    assert all(np.array_equal(a, b) for a, b in zip(point.breakaway_times, before[1], strict=True))
+    assert same()
 
 
 def test_what_cannot_be_simulated_is_left_as_it_is() -> None:
-    recordings = [logged(simulated(0, 0.0), 0.0)]
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    assert likelihood_bias(at(TRUTH, recordings, names), names, chance()) is None  # no command
-    known = [seen(recordings[0])]
-    assert likelihood_bias(at(TRUTH, known, (*names, "offset")), names, chance()) is None
-    hanging = [replace(known[0], pendulum=Pendulum(0.1, 0.1))]
-    assert likelihood_bias(at(TRUTH, hanging, names), names, chance()) is None
+    (known,) = unloaded(3.0)
+    blind = replace(known, channels={k: v for k, v in known.channels.items() if k != "command"})
+    hanging = replace(known, pendulum=Pendulum(0.1, 0.1))
+    for recording, names in ((blind, SYSTEM), (known, (*SYSTEM, "offset")), (hanging, SYSTEM)):
+        assert likelihood_bias(at(TRUTH, [recording], names), SYSTEM, chance()) is None
 
 
 def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
@@ -279,105 +300,56 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
         assert _unbiased(found, Bias({**small.shifts, name: shift}, small.variances)) is found
 
 
-def test_where_a_replicate_fails_another_noise_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
+def test_where_a_replicate_fails_another_noise_is_taken(
+    short: Point, monkeypatch: pytest.MonkeyPatch
+) -> None:
     failing, order = {0}, Order()
 
     def step(
-        _joint: Point, _loop: object, _share: float, seed: int, sign: float, *_: float
-    ) -> _Scored | None:
+        joint: Point, _loop: object, _share: float, seed: int, sign: float, *_: float
+    ) -> object:
         number = order(seed)
-        if number in failing and sign < 0.0:
-            return None
-        out = np.zeros(len(point.free))
-        out[point.free.index(INDEX["Ms"])] = 1e-3 * (number + 2.0 * sign)
-        return _Scored(out, np.ones(len(point.free)), silent(point))
+        failed = number in failing and sign < 0.0
+        return None if failed else scored(joint, 1e-3 * (number + 2.0 * sign))
 
     monkeypatch.setattr(replicates, "_step", step)
-    bias = likelihood_bias(point, names, chance())
+    bias = likelihood_bias(short, SYSTEM, chance())
     assert bias is not None
     assert bias.shifts["Ms"] == pytest.approx(1e-3 * (1 + 2 + 3) / 3)
     assert bias.variances["Ms"] == pytest.approx(1e-6 / 3)
-    failing |= set(range(9)) - {3}  # one pair tells no variance
-    assert likelihood_bias(point, names, chance()) is None
+    failing |= set(range(9)) - {3}  # one pair has no variance
+    assert likelihood_bias(short, SYSTEM, chance()) is None
 
 
 @pytest.mark.parametrize(("spread", "noises"), [(0.1, 3), (0.5, 6)])
 def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
-    monkeypatch: pytest.MonkeyPatch, spread: float, noises: int
+    short: Point, monkeypatch: pytest.MonkeyPatch, spread: float, noises: int
 ) -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     taken, order = [], Order()
 
-    def step(
-        _joint: Point, _loop: object, _share: float, seed: int, _sign: float, *_: float
-    ) -> _Scored:
+    def step(joint: Point, _loop: object, _share: float, seed: int, *_: float) -> object:
         taken.append(order(seed))
-        out = np.zeros(len(point.free))
-        out[point.free.index(INDEX["Ms"])] = spread * (-1.0) ** taken[-1]
-        return _Scored(out, np.ones(len(point.free)), silent(point))
+        return scored(joint, spread * (-1.0) ** taken[-1])
 
     monkeypatch.setattr(replicates, "_step", step)
-    assert likelihood_bias(point, names, chance()) is not None
+    assert likelihood_bias(short, SYSTEM, chance()) is not None
     assert taken == [k for k in range(noises) for _ in range(2)]
 
 
+@pytest.mark.parametrize(("deviation", "share"), [(1e3, 0.1), (1e-3, 1.0 / 11.0)])
 def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(
-    monkeypatch: pytest.MonkeyPatch,
+    short: Point, monkeypatch: pytest.MonkeyPatch, deviation: float, share: float
 ) -> None:
     """Where it is a tenth of the value, the estimate less an eleventh is off by as much."""
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
-    place = point.free.index(INDEX["Ms"])
-
-    def step(
-        joint: Point, _loop: object, _share: float, _seed: int, _sign: float, *_: float
-    ) -> _Scored:
-        out = np.zeros(len(joint.free))
-        out[place] = 0.1 * joint.origin()[place]
-        return _Scored(out, np.full(len(joint.free), deviation), silent(joint))
-
-    monkeypatch.setattr(replicates, "_step", step)
-    whole = point.origin()[place]
-    found = {}
-    for deviation in (1e-3, 1e3):
-        bias = likelihood_bias(point, names, chance())
-        assert bias is not None
-        found[deviation] = bias.shifts["Ms"] / whole
-    assert found[1e3] == pytest.approx(0.1)
-    assert found[1e-3] == pytest.approx(1.0 / 11.0, rel=2e-3)
-
-
-def test_a_segment_has_the_instruments_of_its_own_replicates() -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
-    jacobian = slopes(point)
-    every = instruments(point, jacobian)
-    doubted = np.where(np.arange(point.breakaways) == 1, 2.0, 1.0)
-    point = replace(point, inflation=doubted)
-    level = 2.5 / point.inflation[point.owners]
-    plain = replace(every, parameters=np.repeat(level[:, None], len(names), axis=1), own=level)
-    marked = [replace(jacobian, parameters=np.full_like(every.parameters, k)) for k in (1.0, 4.0)]
-    found = replicate_instruments(
-        point, plain, [Replicate(point, m, np.zeros(len(m.own)), 0) for m in marked]
+    place = short.free.index(INDEX["Ms"])
+    monkeypatch.setattr(
+        replicates,
+        "_step",
+        lambda joint, *_: scored(joint, 0.1 * joint.origin()[place], deviation),
     )
-    ties = len(plain.own) - point.breakaways
-    assert np.array_equal(found.parameters[ties:], plain.parameters[ties:])
-    assert np.array_equal(found.own[ties:], plain.own[ties:])
-    for j, doubt in enumerate(point.inflation):
-        assert np.allclose(found.parameters[:ties][point.owners[:ties] == j], 2.5 / doubt)
-    # What goes the other way is no replicate of a segment.
-    other = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
-    other.motions[0].table[:2, DIRECTION] *= -1.0
-    plain = replace(plain, parameters=np.full_like(plain.parameters, 7.0))
-    found = replicate_instruments(
-        point, plain, [Replicate(other, marked[0], np.zeros(len(plain.own)), 0)]
-    )
-    for j in range(point.breakaways):
-        rows = np.flatnonzero(point.owners[:ties] == j)[:100]
-        assert np.allclose(found.parameters[rows], 7.0 if j < 2 else 1.0)
+    bias = likelihood_bias(short, SYSTEM, chance())
+    assert bias is not None
+    assert bias.shifts["Ms"] / short.origin()[place] == pytest.approx(share, rel=2e-3)
 
 
 @given(
@@ -390,21 +362,15 @@ def test_the_mean_of_two_equations_has_no_more_variance_than_either(
     found = least_variance(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
     assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
     assert np.allclose(found.parts, 2.0 * found.influence)
-
-
-def test_two_equations_that_err_apart_count_by_their_variances() -> None:
-    one, other = np.array([2.0, 0.0]), np.array([0.0, 1.0])
-    assert least_variance(Equation(one, one), Equation(other, other)).influence == pytest.approx(
-        [0.4, 0.8]
-    )
+    if np.array_equal(one, other):
+        assert found.influence == pytest.approx(one)
 
 
 def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow() -> (
     None
 ):
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(STICKY, sticky(0)[:1], names)
-    bias = likelihood_bias(point, names, chance(), ReplicateSettings(turns=1))
+    point = at(STICKY, [beginning(r, 12.0) for r in sticky(0)[:1]], SYSTEM)
+    bias = likelihood_bias(point, SYSTEM, chance(), ReplicateSettings(turns=1))
     assert bias is not None
     assert len({r.noise for r in bias.replicates}) >= 3
     j = point.free.index(INERTIA)
@@ -416,10 +382,8 @@ def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_oth
     assert abs(there.step[j]) < 0.1 * abs(found.step[j])
 
 
-def test_instruments_of_a_replicate_are_what_it_shows_from_sample_to_sample() -> None:
+def test_instruments_of_a_replicate_are_what_it_shows_from_sample_to_sample(point: Point) -> None:
     """The drive's answer to single counts is in them, and a smoothed mean would have none of it."""
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
     own = slopes(point)
     rough = replace(own, parameters=own.parameters * np.resize([1.0, -1.0], len(own.own))[:, None])
     replicate = Replicate(point, rough, np.zeros(len(own.own)), 0)
@@ -428,6 +392,11 @@ def test_instruments_of_a_replicate_are_what_it_shows_from_sample_to_sample() ->
         np.diff(point.owners[: len(own.own) - point.breakaways]) == 0
     )  # all but the last
     assert found.parameters[inside] == pytest.approx(rough.parameters[inside], rel=1e-9)
+    # What goes the other way is no replicate of a segment.
+    plain, other = instruments(point, own), at(TRUTH, unloaded(8.0), SYSTEM)
+    other.motions[0].table[:, DIRECTION] *= -1.0
+    found = replicate_instruments(point, plain, [replace(replicate, point=other)])
+    assert np.array_equal(found.parameters, plain.parameters)
 
 
 @pytest.mark.proof

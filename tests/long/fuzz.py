@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.amt21.encoder import encoder as amt21
+from drivers.amt21 import encoder as amt21
 from drivers.can import slcan
 from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FramePort
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.cia406 import Cia406Encoder
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.sensors import Cia406Encoder
 from drivers.clock import NS, SimulatedClock
 from drivers.epos import frames as epos_serial
 from drivers.errors import DeviceError

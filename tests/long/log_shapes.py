@@ -19,8 +19,8 @@ from random import Random
 import numpy as np
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
-from rig.sources.readers import open_table
+from rig.config.campaign_sections import ReadSection
+from rig.sources.formats import open_table
 from tests.rig.formats.shapes import PROPERTIES
 
 REPORT = 10_000

@@ -48,10 +48,9 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     ),
     "drivers.transitions": (
         "tests/drivers/test_cia402_servo.py",
-        "tests/drivers/test_dbc_servo_steps.py",
+        "tests/drivers/test_dbc_servo.py",
     ),
     "drivers.dbc.servo": (
-        "tests/drivers/test_dbc_servo_steps.py",
         "tests/drivers/test_dbc_servo.py",
         "tests/drivers/test_readings.py",
     ),

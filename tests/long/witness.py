@@ -96,8 +96,8 @@ def held_call(module: str, name: str, place: str) -> None:
 WATCHED: Mapping[str, Callable[[], None]] = {
     "run": observed,
     "resume": observed,
-    "jog": lambda: held("rig.cli.commands.jog", "connected", "connected"),
-    "check": lambda: held("rig.cli.commands.check", "connect", "connected"),
+    "jog": lambda: held("rig.cli.commands.bench", "connected", "connected"),
+    "check": lambda: held("rig.cli.commands.bench", "connect", "connected"),
     "recover": lambda: held_call("rig.runs.recover", "read_log", "reading"),
 }
 """Command to what of it is told."""

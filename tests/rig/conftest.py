@@ -245,7 +245,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     acceptance, in tests that look at none.
     """
     monkeypatch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
-    monkeypatch.setattr("rig.results.acceptance.accept.certificate_pdf", lambda made: b"%PDF")
+    monkeypatch.setattr("rig.results.acceptance.certificate.certificate_pdf", lambda made: b"%PDF")
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from identification.diagnosis.verdict.statement import finding
+from identification.diagnosis.statement import finding
 from identification.effects import EFFECTS
 
 NOMINAL = {

@@ -38,7 +38,7 @@ LIBRARIES = (
     "can", "canopen", "cantools", "click", "cmaes", "jinja2", "lz4.frame", "matplotlib.figure",
     "mcap.reader", "mcap.writer", "numba", "numpy", "pyarrow.parquet", "pydantic", "scipy.io",
     "scipy.optimize", "scipy.signal", "scipy.stats", "serial", "tqdm", "yaml", "asyncio",
-    "subprocess", "tempfile", "concurrent.futures", "multiprocessing", "foxglove",
+    "subprocess", "tempfile", "concurrent.futures", "multiprocessing",
     "matplotlib.backends.backend_agg", "can.interfaces.virtual", "zstandard", "pathlib",
 )
 # fmt: on

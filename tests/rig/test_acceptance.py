@@ -20,10 +20,8 @@ from rig.config.configuration import load_located
 from rig.config.sequence import Sequence, load_acceptance
 from rig.control.session import Inputs
 from rig.planning.plan import make_plan
-from rig.results.acceptance.accept import accept
+from rig.results.acceptance.certificate import accept, junit
 from rig.results.acceptance.evidence import Check, Evidence, accepted, gather, judge
-from rig.results.acceptance.pdf import certificate_pdf
-from rig.results.acceptance.record import junit
 from rig.runs.catalogue.entry import Constant
 from rig.runs.run_file import read_record
 
@@ -280,7 +278,7 @@ def test_without_limits_there_is_nothing_to_accept(
 
 @pytest.mark.parametrize("count", [3, 60])
 def test_the_certificate_is_one_page_however_much_is_on_it(run: Path, count: int) -> None:
-    from rig.results.acceptance.certificate import make_certificate
+    from rig.results.acceptance.certificate import certificate_pdf, make_certificate
 
     evidence = gather(run, (), lambda what, share: None)
     checks = [Check(f"limit {n} < 1 $", n % 2 == 0, "found " * 20) for n in range(count)]

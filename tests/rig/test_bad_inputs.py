@@ -48,75 +48,37 @@ FAULTS_CSV = "phase,after_s,target,fault,value\nexcite,0.25,encoder,jump,5\n"
 PATIENCE_S = 30
 """A file that is waited for, or that never ends, takes longer."""
 
-Arguments = Callable[[str], list[str]]
-COMMANDS: Mapping[str, tuple[str, Arguments]] = {
-    "run": ("sequence.yaml", lambda file: ["run", file, "--yes", "--out", "out"]),
-    "run --bench": (
-        "bench.yaml",
-        lambda file: ["run", "sequence.yaml", "--bench", file, "--yes", "--out", "out"],
-    ),
-    "run --faults": (
-        "faults.yaml",
-        lambda file: ["run", "sequence.yaml", "--faults", file, "--yes", "--out", "out"],
-    ),
-    "run --faults csv": (
-        "faults.csv",
-        lambda file: ["run", "sequence.yaml", "--faults", file, "--out", "out"],
-    ),
-    "run --identification": (
-        "found.json",
-        lambda file: ["run", "sequence.yaml", "--identification", file],
-    ),
-    "run --feedforward": (
-        "found.json",
-        lambda file: ["run", "sequence.yaml", "--feedforward", file],
-    ),
-    "resume": ("sequence.yaml", lambda file: ["resume", file, "--yes"]),
-    "recover": ("sequence.yaml", lambda file: ["recover", file]),
-    "jog": ("bench.yaml", lambda file: ["jog", file, "--to", "1"]),
-    "check": ("bench.yaml", lambda file: ["check", file]),
-    "identify": ("campaign.yaml", lambda file: ["identify", file, "--out", "out"]),
-    "identify --score": (
-        "campaign.yaml",
-        lambda file: ["identify", "campaign.yaml", "--score", file, "--out", "out"],
-    ),
-    "identify --plan": (
-        "sequence.yaml",
-        lambda file: ["identify", "--plan", file, "--nominal", "nothing.json"],
-    ),
-    "identify --bench": (
-        "bench.yaml",
-        lambda file: ["identify", "--plan", "sequence.yaml", "--bench", file],
-    ),
-    "identify --nominal": (
-        "found.json",
-        lambda file: ["identify", "--plan", "sequence.yaml", "--nominal", file],
-    ),
-    "diagnose": ("campaign.yaml", lambda file: ["diagnose", file, "--out", "out"]),
-    "simulate": (
-        "campaign.yaml",
-        lambda file: ["simulate", file, "--result", "found.json", "--out", "out"],
-    ),
-    "simulate --result": (
-        "found.json",
-        lambda file: ["simulate", "campaign.yaml", "--result", file, "--out", "out"],
-    ),
-    "export": ("campaign.yaml", lambda file: ["export", file, "--out", "out.csv"]),
-    "prove --from": (
-        "sequence.yaml",
-        lambda file: ["prove", "--from", file, "--out", "out", "--rigs", "1"],
-    ),
-    "effects": ("sequence.yaml", lambda file: ["effects", file]),
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "run": ("sequence.yaml", "run FILE --yes --out out"),
+    "run --bench": ("bench.yaml", "run sequence.yaml --bench FILE --yes --out out"),
+    "run --faults": ("faults.yaml", "run sequence.yaml --faults FILE --yes --out out"),
+    "run --faults csv": ("faults.csv", "run sequence.yaml --faults FILE --out out"),
+    "run --identification": ("found.json", "run sequence.yaml --identification FILE"),
+    "run --feedforward": ("found.json", "run sequence.yaml --feedforward FILE"),
+    "resume": ("sequence.yaml", "resume FILE --yes"),
+    "recover": ("sequence.yaml", "recover FILE"),
+    "jog": ("bench.yaml", "jog FILE --to 1"),
+    "check": ("bench.yaml", "check FILE"),
+    "identify": ("campaign.yaml", "identify FILE --out out"),
+    "identify --score": ("campaign.yaml", "identify campaign.yaml --score FILE --out out"),
+    "identify --plan": ("sequence.yaml", "identify --plan FILE --nominal nothing.json"),
+    "identify --bench": ("bench.yaml", "identify --plan sequence.yaml --bench FILE"),
+    "identify --nominal": ("found.json", "identify --plan sequence.yaml --nominal FILE"),
+    "diagnose": ("campaign.yaml", "diagnose FILE --out out"),
+    "simulate": ("campaign.yaml", "simulate FILE --result found.json --out out"),
+    "simulate --result": ("found.json", "simulate campaign.yaml --result FILE --out out"),
+    "export": ("campaign.yaml", "export FILE --out out.csv"),
+    "prove --from": ("sequence.yaml", "prove --from FILE --out out --rigs 1"),
+    "effects": ("sequence.yaml", "effects FILE"),
 }
 """Name to an example of the file that is asked for, and the command line."""
 
 
-def missing(path: Path, content: bytes) -> None:
-    pass
+def arguments(command: str, file: str) -> list[str]:
+    return [file if word == "FILE" else word for word in COMMANDS[command][1].split()]
 
 
-def a_folder(path: Path, content: bytes) -> None:
-    path.mkdir()
+Spoil = Callable[[Path, bytes], object]
 
 
 def unreadable(path: Path, content: bytes) -> None:
@@ -124,51 +86,28 @@ def unreadable(path: Path, content: bytes) -> None:
     path.chmod(0)
 
 
-def empty(path: Path, content: bytes) -> None:
-    path.write_bytes(b"")
-
-
-def binary(path: Path, content: bytes) -> None:
-    path.write_bytes(random.Random(1).randbytes(3000))
-
-
-def zeros(path: Path, content: bytes) -> None:
-    path.write_bytes(bytes(3000))
-
-
-def truncated(path: Path, content: bytes) -> None:
-    path.write_bytes(content[: len(content) // 4])
-
-
-def latin_1(path: Path, content: bytes) -> None:
-    path.write_bytes(b"# \xfc\n" + content)
-
-
-def nested(path: Path, content: bytes) -> None:
-    path.write_bytes(b"[" * 100_000)
-
-
-def a_list(path: Path, content: bytes) -> None:
-    path.write_bytes(b"[1, 2]\n")
-
-
-def a_pipe(path: Path, content: bytes) -> None:
-    os.mkfifo(path)
-
-
-def a_device(path: Path, content: bytes) -> None:
-    path.symlink_to("/dev/zero")
-
-
-def a_loop_of_links(path: Path, content: bytes) -> None:
-    path.symlink_to(path)
-
-
-KINDS = (
-    missing, a_folder, unreadable, empty, binary, zeros, truncated, latin_1, nested, a_list,
-    a_pipe, a_device,
-    a_loop_of_links,
-)  # fmt: skip
+KINDS: Mapping[str, Spoil] = {
+    "missing": lambda path, content: None,
+    "a_folder": lambda path, content: path.mkdir(),
+    "unreadable": unreadable,
+    "empty": lambda path, content: path.write_bytes(b""),
+    "binary": lambda path, content: path.write_bytes(random.Random(1).randbytes(3000)),
+    "truncated": lambda path, content: path.write_bytes(content[: len(content) // 4]),
+    "latin_1": lambda path, content: path.write_bytes(b"# \xfc\n" + content),
+    "nested": lambda path, content: path.write_bytes(b"[" * 100_000),
+    "a_list": lambda path, content: path.write_bytes(b"[1, 2]\n"),
+    "a_pipe": lambda path, content: os.mkfifo(path),
+    "a_device": lambda path, content: path.symlink_to("/dev/zero"),
+    "a_loop_of_links": lambda path, content: path.symlink_to(path),
+}
+READERS = ("run", "run --bench", "run --faults csv", "identify", "simulate --result", "recover")
+"""Commands that read every kind of file between them; each of the others gets half."""
+PAIRS = [
+    (command, kind)
+    for n, command in enumerate(COMMANDS)
+    for k, kind in enumerate(KINDS)
+    if command in READERS or (n + k) % 2
+]
 
 
 @pytest.fixture
@@ -204,24 +143,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    assert (
-        status(["run", str(folder / "sequence.yaml"), "--yes", "--out", str(folder / "run")])
-        == DONE
-    )
+    run = str(folder / "run")
+    assert status(["run", str(folder / "sequence.yaml"), "--yes", "--out", run]) == DONE
     for kind in ("mat", "parquet"):
-        assert (
-            status(
-                [
-                    "export",
-                    str(folder / "run"),
-                    "--format",
-                    kind,
-                    "--out",
-                    str(folder / f"data.{kind}"),
-                ]
-            )
-            == DONE
-        )
+        out = str(folder / f"data.{kind}")
+        assert status(["export", run, "--format", kind, "--out", out]) == DONE
     return folder
 
 
@@ -242,18 +168,14 @@ def result() -> dict[str, object]:
     }
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(("command", "kind"), PAIRS)
 def test_a_file_that_cannot_be_used_is_bad_input(
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    command: str,
-    kind: Callable[[Path, bytes], None],
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, kind: str
 ) -> None:
-    example, arguments = COMMANDS[command]
-    name = f"bad{Path(example).suffix}"
-    kind(place / name, (place / example).read_bytes())
-    assert call(arguments(name)) == BAD_INPUT
+    example = place / COMMANDS[command][0]
+    name = f"bad{example.suffix}"
+    KINDS[kind](place / name, example.read_bytes())
+    assert call(arguments(command, name)) == BAD_INPUT
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
     assert name in shown or command in ("identify --plan",), shown
@@ -263,12 +185,12 @@ def test_a_file_that_cannot_be_used_is_bad_input(
 def test_a_file_in_a_folder_that_may_not_be_searched(
     place: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
-    example, arguments = COMMANDS[command]
+    example = COMMANDS[command][0]
     folder = place / "locked"
     folder.mkdir()
     shutil.copy(place / example, folder / example)
     folder.chmod(0)
-    assert call(arguments(f"locked/{example}")) == BAD_INPUT
+    assert call(arguments(command, f"locked/{example}")) == BAD_INPUT
     assert_in_words(capsys.readouterr().err, place)
 
 
@@ -279,7 +201,7 @@ def test_a_file_in_a_folder_that_may_not_be_searched(
 def test_a_name_that_no_file_can_have(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
 ) -> None:
-    assert call(COMMANDS[command][1](name)) == BAD_INPUT
+    assert call(arguments(command, name)) == BAD_INPUT
     assert_in_words(capsys.readouterr().err, place)
 
 
@@ -292,13 +214,13 @@ def test_a_run_folder_that_may_not_be_read(
     (place / "run").chmod(0)
     # What works on the folder locks it first, and that is a failure of storage.
     locks = command in ("recover", "resume")
-    assert call(COMMANDS[command][1]("run")) == (DEVICE_FAILED if locks else BAD_INPUT)
+    assert call(arguments(command, "run")) == (DEVICE_FAILED if locks else BAD_INPUT)
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
     assert "Permission denied" in shown
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("file", ["run.json", "recording.mcap"])
 @pytest.mark.parametrize("command", ["identify", "diagnose", "export", "recover", "resume"])
 def test_a_run_folder_with_a_damaged_file(
@@ -306,30 +228,30 @@ def test_a_run_folder_with_a_damaged_file(
     capsys: pytest.CaptureFixture[str],
     command: str,
     file: str,
-    kind: Callable[[Path, bytes], None],
+    kind: str,
 ) -> None:
     content = (place / "run" / file).read_bytes()
     (place / "run" / file).unlink()
-    kind(place / "run" / file, content)
-    code = call(COMMANDS[command][1]("run"))
+    KINDS[kind](place / "run" / file, content)
+    code = call(arguments(command, "run"))
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
     # What can be mended is; a resumed run goes on then, and says what happened.
     assert code in ((BAD_INPUT, DONE) if command in ("recover", "resume") else (BAD_INPUT,)), shown
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "mat", "parquet"])
 def test_a_recording_that_cannot_be_used(
     place: Path,
     capsys: pytest.CaptureFixture[str],
     ending: str,
-    kind: Callable[[Path, bytes], None],
+    kind: str,
 ) -> None:
-    kind(place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
+    KINDS[kind](place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
     (place / "bad.yaml").write_text(CAMPAIGN.format(file=f"bad.{ending}"), encoding="utf-8")
     # Half a table is a table, and a degree sign of a vendor in a comment does no harm.
-    usable = ending == "csv" and kind in (truncated, latin_1)
+    usable = ending == "csv" and kind in ("truncated", "latin_1")
     code = call(["export", "bad.yaml", "--out", "out.csv"])
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
@@ -337,11 +259,11 @@ def test_a_recording_that_cannot_be_used(
     assert code == DONE or f"bad.{ending}" in shown
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_dbc_file_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], kind: Callable[[Path, bytes], None]
+    place: Path, capsys: pytest.CaptureFixture[str], kind: str
 ) -> None:
-    kind(place / "bad.dbc", DRIVE_DBC.read_bytes())
+    KINDS[kind](place / "bad.dbc", DRIVE_DBC.read_bytes())
     bench = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
     assert "  file: null " in bench
     (place / "dbc.yaml").write_text(
@@ -353,29 +275,29 @@ def test_a_dbc_file_that_cannot_be_used(
     assert code == BAD_INPUT, shown
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("command", ["run --bench", "jog", "check"])
 def test_an_eds_file_that_cannot_be_used(
     place: Path,
     capsys: pytest.CaptureFixture[str],
     command: str,
-    kind: Callable[[Path, bytes], None],
+    kind: str,
 ) -> None:
-    kind(place / "bad.eds", DRIVE_EDS.read_bytes())
+    KINDS[kind](place / "bad.eds", DRIVE_EDS.read_bytes())
     bench = (place / "bench.yaml").read_text(encoding="utf-8")
     assert "\nservo: {" in bench
     (place / "eds.yaml").write_text(
         bench.replace("\nservo: {", "\nservo: {eds: bad.eds, "), encoding="utf-8"
     )
-    code = call(COMMANDS[command][1]("eds.yaml"))
+    code = call(arguments(command, "eds.yaml"))
     shown = capsys.readouterr()
     assert_in_words(shown.err, place)
-    if kind is not latin_1:
+    if kind != "latin_1":
         assert code == BAD_INPUT, shown.err
         assert "bad.eds" in shown.out + shown.err
 
 
-NUMBERS = ("1e999", "9" * 400, ".nan", "-.inf", "-1e300", "1e300", "1e-300", "0", '"x"', "null")
+NUMBERS = ("9" * 400, ".nan", "-1e300", "1e300", "1e-300", "0", "null")
 PLACES: Mapping[str, tuple[str, ...]] = {
     "run": (
         "amplitude_deg: ",
@@ -409,20 +331,18 @@ PLACES: Mapping[str, tuple[str, ...]] = {
 def test_numbers_that_no_bench_has(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, key: str, number: str
 ) -> None:
-    example, arguments = COMMANDS[command]
+    example = COMMANDS[command][0]
     before, found, after = (place / example).read_text(encoding="utf-8").partition(key)
     assert found, f"{key} is not in the example"
     rest = after.lstrip("-+.0123456789e")
     (place / "bad.yaml").write_text(f"{before}{key}{number}{rest}", encoding="utf-8")
-    code = call(arguments("bad.yaml"))
+    code = call(arguments(command, "bad.yaml"))
     assert_in_words(capsys.readouterr().err, place)
     # Some of these are allowed, and some the simulated drive refuses.
     assert code in (DONE, BAD_VERDICT, BAD_INPUT, DEVICE_FAILED)
 
 
-@pytest.mark.parametrize(
-    "number", ["NaN", "Infinity", "-Infinity", "1e999", "9" * 400, "-1e300", "1e-300", '"x"']
-)
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "9" * 400, "-1e300", "1e-300", '"x"'])
 @pytest.mark.parametrize(
     ("command", "key"),
     [
@@ -442,8 +362,8 @@ def test_results_with_numbers_that_none_has(
     before, found, after = raw.partition(f'"{key}": ')
     rest = after.lstrip("-+.0123456789e")
     (place / "bad.json").write_text(f"{before}{found}{number}{rest}", encoding="utf-8")
-    arguments = COMMANDS[command][1]("bad.json")
-    code = call([*arguments, "--yes", "--out", "out"] if command.startswith("run") else arguments)
+    more = ["--yes", "--out", "out"] if command.startswith("run") else []
+    code = call([*arguments(command, "bad.json"), *more])
     assert_in_words(capsys.readouterr().err, place)
     assert code in (DONE, BAD_VERDICT, BAD_INPUT, DEVICE_FAILED)
     if (key, number) in (("alpha", "NaN"), ("alpha", '"x"')):

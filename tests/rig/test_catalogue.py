@@ -17,7 +17,7 @@ from rig.config.sequence import Sequence
 from rig.control.session import Inputs
 from rig.planning.plan import make_plan
 from rig.runs.catalogue.entry import Entry, Wanted, chosen, state_of, time_of, verdicts
-from rig.runs.catalogue.index import INDEX_FILE, detailed, list_runs
+from rig.runs.catalogue.index import INDEX_FILE, list_runs
 from rig.runs.run_file import seal_run
 
 from .conftest import SHORT, FakeBench, Runner
@@ -97,21 +97,6 @@ def test_a_changed_result_is_read_again(root: Path) -> None:
     again = list_runs(root)
     assert again.read == 1
     assert listed(root)["one"].head.identified == "default"
-
-
-def test_details_are_looked_up_for_some_runs_alone(root: Path) -> None:
-    whole = list_runs(root).entries
-    bare = list_runs(root, details=False).entries
-    assert [entry.details for entry in bare] == ["", ""]
-    assert detailed(root, bare) == whole
-    assert detailed(root, whole[1:]) == whole[1:]
-    # The files decide, whether the index is older, damaged or gone.
-    (root / "one" / "identify.json").write_text(json.dumps(IDENTIFIED))
-    assert list(detailed(root, bare)[0].parsed().constants) == ["Mc"]
-    (root / INDEX_FILE).unlink()
-    assert detailed(root, bare)[1] == whole[1]
-    shutil.rmtree(root / "one")
-    assert detailed(root, bare[:1]) == []
 
 
 def swap(path: Path) -> None:

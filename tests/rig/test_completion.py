@@ -2,29 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from click.shell_completion import BashComplete
 
 from rig.cli.entry import COMMANDS, cli, status
-
-CODE = "import sys; from rig.cli.entry import main; main()"
-PAGE = Path(__file__).parents[2] / "docs" / "guides" / "command_line.md"
-
-
-def shell(**environment: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", CODE],
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment},
-    )
-    assert done.returncode in (0, 1), done.stderr
-    return done.stdout
 
 
 def variables(*words: str) -> dict[str, str]:
@@ -34,19 +18,6 @@ def variables(*words: str) -> dict[str, str]:
 def answered(text: str) -> list[str]:
     """Return the words that are offered in an answer to bash."""
     return [line.partition(",")[2] for line in text.splitlines()]
-
-
-@pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
-def test_the_script_for_a_shell_is_what_the_page_asks_for(name: str) -> None:
-    line = f"_RIG_COMPLETE={name}_source"
-    assert line in PAGE.read_text()
-    if name != "bash":  # click asks for the version of bash, which a test does not need.
-        assert "_RIG_COMPLETE" in shell(_RIG_COMPLETE=f"{name}_source")
-
-
-def test_the_program_answers_the_shell() -> None:
-    text = shell(_RIG_COMPLETE="bash_complete", **variables("rig", "ru"))
-    assert answered(text) == ["run", "runs"]
 
 
 @pytest.mark.parametrize(

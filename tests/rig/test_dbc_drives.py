@@ -13,7 +13,7 @@ import pytest
 
 import drivers.mock.bench
 from drivers.mock.dbc_drive import DbcDrive
-from rig.cli.commands.jog import _agreed
+from rig.cli.commands.bench import _agreed
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench

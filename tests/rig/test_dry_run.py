@@ -12,7 +12,6 @@ import pytest
 
 from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
-from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
@@ -136,19 +135,6 @@ def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
     ]
 
 
-def test_the_table_is_aligned_and_the_bench_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
-    assert dry()[0] == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"simulated bench practical ({load_bench('practical').path})"
-    start = next(k for k, line in enumerate(lines) if line.startswith("stage  part"))
-    assert len({len(line) for line in lines[start : start + 4]}) == 1
-    assert (
-        "watched by: the drive itself: it stops when it hears nothing of this program for 100 ms"
-        in lines
-    )
-    assert not Path("runs").exists()
-
-
 def test_the_acceptance_limits_are_listed_with_their_units(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -185,13 +171,6 @@ def test_a_file_of_limits_replaces_those_of_the_sequence(
     assert "judged by 3 limits of limits.yaml" in capsys.readouterr().out
 
 
-def test_a_run_without_limits_will_not_be_judged(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert dry()[1]["acceptance"] == []
-    assert "states limits, so the run will not be judged" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
 def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(
     arguments: tuple[str, ...], prompts: int
@@ -212,17 +191,6 @@ def test_moves_to_the_start_take_time() -> None:
     assert dry()[1]["moves_s"] == pytest.approx(2 * 3.14159 / 2 * 10 / 30, abs=0.01)
 
 
-def test_the_paper_s_values_stand_in_for_an_identification(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    record = dry()[1]
-    assert record["identified"] is False
-    assert (
-        "Predicted from the paper's friction and the inertia 0.204 kg m^2"
-        in capsys.readouterr().out
-    )
-
-
 @pytest.mark.parametrize("option", ["--identification", "--feedforward"])
 def test_what_is_named_is_used(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     plain = heavy(dry()[1])
@@ -234,29 +202,6 @@ def test_what_is_named_is_used(option: str, capsys: pytest.CaptureFixture[str]) 
     assert "Predicted from the identification known.json" in capsys.readouterr().out
 
 
-def test_what_an_identification_leaves_open_is_said() -> None:
-    bench = bench_constants(load_bench("practical").value)
-    path = Path("open.json")
-    raw = json.loads(result(path).read_text())
-    raw["parameters"]["J"]["value"] = None
-    del raw["parameters"]["mu_2"]
-    path.write_text(json.dumps(raw))
-    model = friction_model(bench, path)
-    assert (
-        model.source
-        == "the identification open.json; J, mu_2, not determined by the result, from the paper"
-    )
-    assert dict(model.values) == dict(NOMINAL)
-
-
-@pytest.mark.parametrize("option", ["--identification", "--feedforward", "--faults"])
-def test_a_file_that_is_not_there_is_bad_input(
-    option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert dry(option, "none.json")[0] == 2
-    assert "none.json" in capsys.readouterr().err
-
-
 def test_an_identification_without_a_load_does_not_fit_the_weight_check(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -266,13 +211,6 @@ def test_an_identification_without_a_load_does_not_fit_the_weight_check(
     path.write_text(json.dumps(raw))
     assert dry("--identification", str(path))[0] == 2
     assert "parameters.mu_c: not identified; the weight check needs" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("text", ["{", '{"schema": "loadrig.identify/1", "motion": "rotary"}'])
-def test_a_damaged_identification_is_said(text: str) -> None:
-    Path("bad.json").write_text(text)
-    with pytest.raises(InputError, match=r"bad\.json"):
-        friction_model(bench_constants(load_bench("practical").value), Path("bad.json"))
 
 
 def test_the_newest_identification_of_the_same_bench_is_found(
@@ -309,20 +247,6 @@ def test_the_newest_identification_of_the_same_bench_is_found(
     assert "other constants (moment_arm 0.1, here 0.095)" in capsys.readouterr().err
     assert dry("--feedforward", "runs/old/identify.json")[0] == 0
     assert "other constants" not in capsys.readouterr().err
-
-
-def test_a_folder_in_use_is_refused_in_a_dry_run_too(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("used").mkdir()
-    assert dry("--out", "used")[0] == 0
-    assert list(Path("used").iterdir()) == []
-    Path("used/notes.txt").write_text("mine")
-    assert dry("--out", "used")[0] == 2
-    assert "used: not empty (holds notes.txt)" in capsys.readouterr().err
-
-
-def test_a_bench_without_a_bus_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert dry("--bench", "literal")[0] == 2
-    assert "this bench has no bus" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("share", "code"), [(1.3, 0), (0.99, 2)])

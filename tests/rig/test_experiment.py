@@ -17,8 +17,7 @@ from identification.design.search import Excitation, Ramps
 from identification.design.simulated import Intervals
 from rig.cli.entry import status
 from rig.config.sequence import StageSection, Tone, excitation
-from rig.results.design.document import _advice, excitation_words
-from rig.results.design.experiment import Experiment, _with
+from rig.results.identify.design import Experiment, _advice, _with, excitation_words
 
 SEQUENCE = """\
 sequence: 1

@@ -71,28 +71,16 @@ def test_yaml_and_csv_say_the_same() -> None:
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        (
-            "target: bus, fault: lost",
-            "exactly one of time_s, phase and state as the start of the fault, found none",
-        ),
+        ("target: bus, fault: lost", "exactly one of time_s, phase and state"),
         ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
-        ("phase: hold, target: bus, fault: lots", "'bus' has no fault 'lots'; did you mean 'lost'"),
+        ("phase: hold, target: bus, fault: lots", "did you mean 'lost'"),
         ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
-        (
-            "phase: hold, target: encoder, fault: bit, value: 1.5",
-            "needs a whole number (bit), found 1.5",
-        ),
-        (
-            "phase: hold, target: drive, fault: fault, frames: {device: drive}",
-            "only faults of a bus or line have 'frames'",
-        ),
-        (
-            "phase: hold, target: bus, fault: lost, frames: {function: motoin}",
-            "did you mean 'motion'",
-        ),
-        ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "not a regular expression"),
+        ("phase: hold, target: encoder, fault: bit, value: 1.5", "(bit), found 1.5"),
+        ("phase: hold, target: drive, fault: fault, frames: {device: drive}", "'frames'"),
+        ("phase: hold, target: bus, fault: lost, frames: {function: motoin}", "mean 'motion'"),
+        ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "regular expression"),
         ("phase: never, target: bus, fault: lost", "phase: input should be 'prompt'"),
-        ("phase: hold, target: bus, fault: lost, cuont: 3", "unknown key; did you mean 'count'"),
+        ("phase: hold, target: bus, fault: lost, cuont: 3", "did you mean 'count'"),
     ],
 )
 def test_every_error_is_at_its_place(row: str, words: str) -> None:
@@ -110,9 +98,9 @@ def test_every_error_is_at_its_place(row: str, words: str) -> None:
         ("phase,target,fault\nhold,bus,lost\nhold,bus,lots\n", "3:1", "did you mean 'lost'"),
         ("phase,target,fault,count\nhold,bus,lost,many\n", "2:15", "valid integer"),
         ("phase,target,fault\nhold,bus\n", "2:1", "2 cells under 3 columns"),
-        ("phase,target,phase\n", "1:1", "name the columns, each once"),
-        ("", "1:1", "name the columns"),
-        ("phase,target,fault\n", "1:1", "has 0 entries, needs 1"),
+        ("phase,target,phase\nhold,bus,hold\n", "1:1", "two columns"),
+        ("", "1:1", "names its columns"),
+        ("phase,target,fault\n", "1:1", "at least one row"),
         ('phase,target,fault\nhold,"bus"x,lost\n', "2:1", "not valid CSV"),
     ],
 )
@@ -123,11 +111,6 @@ def test_errors_in_csv_have_a_place_too(text: str, place: str, words: str) -> No
         load_faults(path)
     assert f"{path}:{place}: " in caught.value.problems[0]
     assert words in caught.value.problems[0]
-
-
-def test_a_schedule_that_is_not_there() -> None:
-    with pytest.raises(InputError, match="no such file"):
-        load_faults(Path("none.csv"))
 
 
 def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None:
@@ -161,32 +144,12 @@ def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None
 @pytest.mark.parametrize(
     ("bench", "row", "words"),
     [
-        (
-            "practical",
-            "phase: hold, target: line, fault: cut",
-            "this bench has no line; it has bus",
-        ),
-        (
-            "practical_serial",
-            "phase: hold, target: bus, fault: lost",
-            "has no bus; it has line and encoder_line",
-        ),
-        (
-            "practical_serial",
-            "phase: hold, target: drive, fault: emcy",
-            "is for CANopen drives on CAN",
-        ),
-        (
-            "practical",
-            "phase: hold, target: drive, fault: counter_stuck",
-            "is for drives of kind dbc",
-        ),
+        ("practical", "phase: hold, target: line, fault: cut", "no line; it has bus"),
+        ("practical_serial", "phase: hold, target: bus, fault: lost", "line and encoder_line"),
+        ("practical_serial", "phase: hold, target: drive, fault: emcy", "CANopen drives on CAN"),
+        ("practical", "phase: hold, target: drive, fault: counter_stuck", "of kind dbc"),
         ("practical_dbc", "phase: hold, target: drive, fault: quick_stop_option", "has no 605Ah"),
-        (
-            "practical_dbc",
-            "phase: hold, target: drive, fault: fault",
-            "go up to FFh; give a lower value (got 29472)",
-        ),
+        ("practical_dbc", "phase: hold, target: drive, fault: fault", "(got 29472)"),
         ("practical_dbc", "state: switched_on, target: bus, fault: lost", "no state switched_on"),
     ],
 )
@@ -195,22 +158,8 @@ def test_a_fault_that_a_bench_cannot_have_is_refused(
 ) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     path = schedule("phase: hold, target: operator, fault: stop", row)
-    assert (
-        status(
-            [
-                "run",
-                "sequence.yaml",
-                "--bench",
-                bench,
-                "--yes",
-                "--out",
-                "out",
-                "--faults",
-                str(path),
-            ]
-        )
-        == 2
-    )
+    options = ["--bench", bench, "--yes", "--out", "out", "--faults", str(path)]
+    assert status(["run", "sequence.yaml", *options]) == 2
     told = capsys.readouterr().err
     assert f"{path}:4:" in told
     assert words in told
@@ -264,18 +213,8 @@ def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str
         text.replace("interface: mock", "interface: virtual, channel: nobody")
     )
     path = schedule("phase: hold, target: bus, fault: lost")
-    arguments = [
-        "run",
-        "sequence.yaml",
-        "--bench",
-        "bench.yaml",
-        "--yes",
-        "--out",
-        "out",
-        "--faults",
-        str(path),
-    ]
-    assert status(arguments) == 2
+    options = ["--bench", "bench.yaml", "--yes", "--out", "out", "--faults", str(path)]
+    assert status(["run", "sequence.yaml", *options]) == 2
     assert "only be injected on a simulated bench" in capsys.readouterr().err
 
 
@@ -313,11 +252,17 @@ def test_a_step_of_the_wall_clock_does_nothing(monkeypatch: pytest.MonkeyPatch) 
 
 
 def _reduced() -> list[tuple[str, str, str]]:
+    """Return every fault once, on the transports that can have it in turn, in the phases in turn.
+
+    ``make fault-matrix`` runs every fault on each transport in every phase.
+    """
     phases = itertools.cycle(fault_matrix.PHASES)
+    lines = fault_matrix.TRANSPORTS
+    names = dict.fromkeys(name for t in lines.values() for name in t.cases)
+    able = [[line for line, t in lines.items() if name in t.cases] for name in names]
     return [
-        (line, name, next(phases))
-        for line, t in fault_matrix.TRANSPORTS.items()
-        for name in t.cases
+        (of[n % len(of)], name, next(phases))
+        for n, (name, of) in enumerate(zip(names, able, strict=True))
     ]
 
 
@@ -344,20 +289,10 @@ def test_a_drive_fault_in_every_state(line: str, state: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("decoder", fuzz.DECODERS)
 def test_fuzzed_frames(decoder: str) -> None:
-    counts = fuzz.DECODERS[decoder](20_000, np.random.default_rng(1))
-    assert max(counts["frames"], counts["bytes"]) >= 20_000
+    counts = fuzz.DECODERS[decoder](5_000, np.random.default_rng(1))
+    assert max(counts["frames"], counts["bytes"]) >= 5_000
 
 
 def test_fuzzed_recordings(tmp_path: Path) -> None:
-    counts = fuzz.fuzz_recording(5_000, np.random.default_rng(1), tmp_path)
-    assert counts["damage reported"] > 50
-
-
-def test_what_is_left_out_has_its_default() -> None:
-    row = FaultRow(phase="hold", target="bus", fault="late")
-    assert (row.amount, row.count, row.when) == (0.003, 1, "hold")
-    assert FaultRow(time_s=1.0, after_s=0.5, target="bus", fault="late").when == "1.5 s"
-    assert (
-        FaultRow(state="fault", after_s=0.5, target="bus", fault="late").when
-        == "state fault + 0.5 s"
-    )
+    counts = fuzz.fuzz_recording(2_000, np.random.default_rng(1), tmp_path)
+    assert counts["damage reported"] > 20

@@ -14,8 +14,8 @@ import pytest
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
-from rig.config.sequence import Sequence, load_sequence
-from rig.planning.plan import Plan, describe, make_plan
+from rig.config.sequence import Sequence
+from rig.planning.plan import Plan, make_plan
 from rig.runs.mcap.reader import read_run
 from rig.runs.run_record import Ending
 
@@ -48,12 +48,6 @@ def test_one_on_a_real_bench_unless_refused(short_sequence: Path, tmp_path: Path
     )
 
 
-def test_figure10_is_what_it_was() -> None:
-    plan = make_plan(load_sequence("figure10"), load_bench("practical"))
-    assert plan.duration_s == pytest.approx(40.6)
-    assert "no first pass" in describe(plan)
-
-
 def test_it_is_the_stage_made_small(short_sequence: Path) -> None:
     plan = plan_of(short_sequence, LOW)
     for stage in plan.stages:
@@ -78,14 +72,6 @@ def test_the_limits_are_tighter_meanwhile(short_sequence: Path) -> None:
     assert low.move_limits == dataclasses.replace(
         low.limits, angle_min=full.angle_min, angle_max=full.angle_max
     )
-
-
-def test_the_default_is_one_period_of_the_slowest_tone(short_sequence: Path) -> None:
-    path = short_sequence
-    path.write_text(path.read_text().replace("duration_s: 0.5", "duration_s: 4"))
-    low = plan_of(path, first_pass=True).stages[0].first_passes[0]
-    assert low.duration_s == pytest.approx(0.5 + 0.1 + 0.1)
-    assert low.amplitude == 0.1
 
 
 def test_of_ramps_there_and_back_it_is_one(short_sequence: Path) -> None:
@@ -204,10 +190,3 @@ def test_a_time_limit_that_the_stage_cannot_keep_is_refused(short_sequence: Path
     )
     with pytest.raises(InputError, match=r"time_limit_s: below the 1.2 s that this stage takes"):
         plan_of(short_sequence)
-
-
-def test_the_plan_says_so(short_sequence: Path) -> None:
-    words = describe(plan_of(short_sequence, LOW))
-    assert "empty: at most" in words
-    assert "first 0.4 s at 10% amplitude" in words
-    assert "then the weight is checked" in words

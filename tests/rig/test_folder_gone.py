@@ -95,6 +95,7 @@ def test_the_space_for_the_whole_run_is_checked_before(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status(["run", "s.yaml", "--yes", "--out", "enough"]) == 0
+    assert not Path("enough", RESERVE_FILE).exists()
     size = Path("enough/recording.mcap").stat().st_size
     cycles = read_record(Path("enough")).cycles
     assert size < cycles * run_module.CYCLE_BYTES
@@ -146,11 +147,6 @@ def test_the_state_of_a_run_that_filled_the_disk_is_kept(
     assert not Path("out", RESERVE_FILE).exists()
     (entry,) = list_runs(Path()).entries
     assert entry.head.state == "failed"
-
-
-def test_a_run_that_ends_in_order_leaves_no_reserve() -> None:
-    assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 0
-    assert not Path("out", RESERVE_FILE).exists()
 
 
 def test_a_commissioning_is_listed_as_such(capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,15 +103,6 @@ def test_of_a_run_only_hot_firings_show_the_gas(campaign: Path) -> None:
         burning(Dataset((cold,)))
 
 
-def test_a_gas_result_is_no_model_of_the_motion(
-    campaign: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    result = campaign.parent / "d.json"
-    result.write_text(json.dumps({"schema": "loadrig.diagnose/1", "fit": {"equation": "pressure"}}))
-    assert status(["simulate", str(campaign), "--result", str(result)]) == 2
-    assert "has no torque model" in capsys.readouterr().err
-
-
 def test_the_block_of_a_campaign(tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(

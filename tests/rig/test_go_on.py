@@ -52,15 +52,6 @@ def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -
     ]
 
 
-def test_a_stop_needs_nothing_first(stopped: RunRecord) -> None:
-    words = go_on_words(changed(stopped, state="stopped", trip=None), Path("runs/x"))
-    assert words == "go on with: rig resume runs/x"
-
-
-def test_a_run_that_is_done_needs_no_words(stopped: RunRecord) -> None:
-    assert go_on_words(changed(stopped, state="done"), Path("runs/x")) == ""
-
-
 @pytest.mark.parametrize("folder", ["my runs/it's", "-x", "runs/$(date)", "läufe/x"])
 def test_the_folder_is_quoted_for_the_shell(stopped: RunRecord, folder: str) -> None:
     command = go_on_words(stopped, Path(folder)).rpartition("go on with: ")[2]
@@ -96,13 +87,6 @@ def test_every_trip_has_a_remedy_without_a_second_command(stopped: RunRecord, ch
     assert lines[0] == f"first: {remedy(check)}"
     by_file = re.search("file|reduce|lower|raise", remedy(check)) is not None
     assert (f"note: {NEW_RUN}" in lines) is by_file
-
-
-def test_nothing_is_left_where_only_the_ending_failed(stopped: RunRecord) -> None:
-    for stage in stopped.stages:
-        stage.state = "done"
-    words = go_on_words(changed(stopped, state="failed", trip=None), Path("x"))
-    assert words == "every stage is done; there is no stage to resume"
 
 
 def test_the_words_end_the_message_and_the_command_goes_on(
@@ -144,17 +128,6 @@ def test_the_stage_that_went_on_ends_as_the_run_did(
     assert [s.state for s in read_record(folder.path).stages] == [state, "planned"]
 
 
-def test_a_program_that_breaks_down_leaves_no_stage_running(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-
-    def defect() -> None:
-        raise ZeroDivisionError
-
-    bench.faults["exchange", 700] = defect
-    runner(bench)
-    assert [s.state for s in read_record(runner.folder).stages] == ["failed", "planned"]
-
-
 def test_a_lost_link_leaves_the_drive_unknown(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
 
@@ -193,12 +166,3 @@ def test_the_ending_of_the_stage_is_written_with_that_of_the_run(
     folder.record.stages[0].state = "running"
     folder.ended("tripped", "words", de_energised=True)
     assert json.loads((folder.path / "run.json").read_text())["stages"][0]["state"] == "tripped"
-
-
-@pytest.mark.parametrize(
-    ("run", "stage"), [*STAGE_ENDS.items(), ("done", "failed"), ("running", "failed")]
-)
-def test_only_the_stage_that_went_on_is_ended(stopped: RunRecord, run: str, stage: str) -> None:
-    stopped.stages[0].state, stopped.stages[1].state = "done", "running"
-    stopped.stage_ended(run)
-    assert [s.state for s in stopped.stages] == ["done", stage]

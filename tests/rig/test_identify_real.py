@@ -12,9 +12,9 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.ladder import climb, transfer
-from identification.model.ladder import LADDER
+from identification.model.parameters import LADDER
 from identification.result import Identification
-from rig.results.simulate.simulate import simulate_source
+from rig.results.identify.simulate import simulate_source
 from rig.sources import load_source
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"

@@ -4,7 +4,6 @@ written through.
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
@@ -15,7 +14,6 @@ from typing import Any
 import pytest
 
 from rig.cli.entry import status
-from rig.common import places
 
 SEQUENCE = """\
 sequence: 1
@@ -53,7 +51,7 @@ def test_a_missing_folder_is_bad_input_before_anything_is_done(
     def connected(*arguments: Any) -> None:
         raise AssertionError("a bench was connected to")
 
-    for name in ("rig.control.attendance", "rig.cli.commands.check"):
+    for name in ("rig.control.attendance", "rig.cli.commands.bench"):
         monkeypatch.setattr(f"{name}.connect", connected)
     assert status([*command, "--json", "missing/x.json"]) == 2
     assert "missing/x.json: the folder missing does not exist" in capsys.readouterr().err
@@ -69,11 +67,6 @@ def test_a_negative_seed_is_bad_input(
     assert not Path("out").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status([*RUN[:-1], "one.yaml/out"]) == 2
-    assert "one.yaml is a file; give --out another place" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER], ids=lambda c: c[0])
 def test_what_is_no_plain_file_is_written_through(command: tuple[str, ...]) -> None:
     """A pipe stands for every device node: one that is replaced is gone for the whole machine."""
@@ -85,27 +78,3 @@ def test_what_is_no_plain_file_is_written_through(command: tuple[str, ...]) -> N
     finally:
         os.close(reader)
     assert stat.S_ISFIFO(Path("pipe").stat().st_mode)
-
-
-def test_a_link_to_what_is_no_plain_file_is_written_through() -> None:
-    """As ``/dev/stdout`` is, which leads to a pipe that has no name of its own."""
-    ours, theirs = os.pipe()
-    try:
-        Path("link").symlink_to(f"/proc/self/fd/{theirs}")
-        assert status([*CHECK, "--json", "link"]) == 0
-        assert json.loads(os.read(ours, 1 << 16))["schema"] == "loadrig.check/1"
-    finally:
-        os.close(ours)
-        os.close(theirs)
-    assert Path("link").is_symlink()
-
-
-def test_a_disk_that_fills_up_is_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def full(*arguments: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(places, "write_text", full)
-    assert status([*CHECK, "--json", "x.json"]) == 2
-    assert "x.json: cannot be written: No space left on device" in capsys.readouterr().err

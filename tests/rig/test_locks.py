@@ -7,13 +7,14 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import signal
 import socket
 import stat
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -127,15 +128,6 @@ def test_the_second_program_is_told_who_the_first_is(kind: str, tmp_path: Path) 
         assert refused.match(f"^{words}$")
         first.tell("release", "released")
         assert free(kind, tmp_path)
-
-
-def test_a_refusal_disturbs_nothing(kind: str, tmp_path: Path) -> None:
-    with program(kind, tmp_path) as first:
-        before = lock_file(kind, tmp_path).read_bytes()
-        for _ in range(3):
-            with pytest.raises(InUseError, match=f"process {first.pid}"):
-                hold(kind, tmp_path)
-        assert lock_file(kind, tmp_path).read_bytes() == before
 
 
 def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: Path) -> None:
@@ -286,23 +278,6 @@ def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None
                 hold_bench("one", [part], "rig run", tmp_path)
 
 
-def test_parts_are_taken_in_one_order_by_everyone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    taken: list[str] = []
-    take = locks._take
-    monkeypatch.setattr(locks, "_take", lambda place: taken.append(place.file) or take(place))
-    for parts in ([PART, OTHER], [OTHER, PART]):
-        hold_bench("two", parts, "rig jog", tmp_path).release()
-    assert taken == [file_name(PART.key), file_name(OTHER.key)] * 2
-
-
-def test_a_bench_without_parts_locks_nothing(tmp_path: Path) -> None:
-    with hold_bench("mock", [], "rig run", tmp_path / "none") as lock:
-        assert lock.descriptors == ()
-    assert not (tmp_path / "none").exists()
-
-
 def test_the_folder_of_all_users_is_open_to_all_users(tmp_path: Path) -> None:
     folder = tmp_path / "locks"
     before = os.umask(0o077)
@@ -320,31 +295,21 @@ def test_the_folder_of_all_users_is_open_to_all_users(tmp_path: Path) -> None:
     assert stat.S_IMODE(lock_file("bench", folder).stat().st_mode) == 0o666
 
 
-def _link(file: Path, victim: Path) -> None:
-    file.symlink_to(victim)
+TRAPS: Mapping[str, Callable[[Path, Path], object]] = {
+    "link": lambda file, victim: file.symlink_to(victim),
+    "pipe": lambda file, victim: os.mkfifo(file),
+    "hard link": lambda file, victim: file.hardlink_to(victim),
+    "folder": lambda file, victim: file.mkdir(),
+}
 
 
-def _hard_link(file: Path, victim: Path) -> None:
-    file.hardlink_to(victim)
-
-
-def _pipe(file: Path, victim: Path) -> None:
-    os.mkfifo(file)
-
-
-def _directory(file: Path, victim: Path) -> None:
-    file.mkdir()
-
-
-@pytest.mark.parametrize("trap", [_link, _hard_link, _pipe, _directory])
-def test_what_somebody_put_in_the_place_of_a_file_is_refused(
-    tmp_path: Path, trap: Callable[..., None]
-) -> None:
+@pytest.mark.parametrize("trap", TRAPS)
+def test_what_somebody_put_in_the_place_of_a_file_is_refused(tmp_path: Path, trap: str) -> None:
     victim, folder = tmp_path / "victim", tmp_path / "locks"
     victim.write_text("precious")
     victim.chmod(0o600)
     folder.mkdir()
-    trap(lock_file("bench", folder), victim)
+    TRAPS[trap](lock_file("bench", folder), victim)
     with pytest.raises(
         StorageError,
         match=r"bench wired .* cannot be used: .* \(mode 1777\); remove or rename what",
@@ -354,50 +319,34 @@ def test_what_somebody_put_in_the_place_of_a_file_is_refused(
     assert stat.S_IMODE(victim.stat().st_mode) == 0o600
 
 
-@pytest.mark.parametrize("trap", [_link, _pipe])
-def test_what_somebody_put_in_the_place_of_the_folder_is_refused(
-    tmp_path: Path, trap: Callable[..., None]
-) -> None:
+@pytest.mark.parametrize("trap", ["link", "pipe"])
+def test_what_somebody_put_in_the_place_of_the_folder_is_refused(tmp_path: Path, trap: str) -> None:
     victim = tmp_path / "victim"
     victim.mkdir()
-    trap(tmp_path / "locks", victim)
+    TRAPS[trap](tmp_path / "locks", victim)
     with pytest.raises(StorageError, match=r"cannot be used: (Not a directory|Too many levels)"):
         hold("bench", tmp_path / "locks")
     assert not list(victim.iterdir())
 
 
-@pytest.mark.parametrize("reason", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EDQUOT])
-def test_a_folder_that_cannot_be_written_is_an_error_in_words(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: int
+@pytest.mark.parametrize(
+    ("reason", "broken"), [(errno.EROFS, "os.open"), (errno.ENOLCK, "fcntl.flock"), (0, "fcntl")]
+)
+def test_a_system_that_refuses_is_an_error_in_words(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: int, broken: str
 ) -> None:
     opened = os.open
 
     def refuse(path: Any, flags: int, *mode: int, **options: Any) -> int:
-        if flags & os.O_CREAT:
-            raise OSError(reason, os.strerror(reason))
-        return opened(path, flags, *mode, **options)
+        if broken == "os.open" and not flags & os.O_CREAT:
+            return opened(path, flags, *mode, **options)
+        raise OSError(reason, os.strerror(reason))
 
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(StorageError, match=f"cannot be used: {os.strerror(reason)}; .*folder"):
-        hold(kind, tmp_path)
-
-
-def test_a_file_system_without_locks_is_an_error_in_words(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(descriptor: int, operation: int) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    with pytest.raises(StorageError, match="No locks available"):
-        hold(kind, tmp_path)
-
-
-def test_a_system_without_locks_is_an_error_in_words(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    with pytest.raises(StorageError, match="this system cannot lock files; use Linux or macOS"):
+    if reason:
+        monkeypatch.setattr(broken, refuse)
+    else:
+        monkeypatch.setitem(sys.modules, broken, None)
+    with pytest.raises(StorageError, match=os.strerror(reason) if reason else "cannot lock files"):
         hold(kind, tmp_path)
 
 
@@ -549,6 +498,11 @@ def test_a_new_name_does_not_change_since_when(
         )
 
 
+@given(st.text())
+def test_every_channel_has_a_safe_file_name(key: str) -> None:
+    assert re.fullmatch(r"[A-Za-z0-9-]{1,93}\.lock", file_name(key))
+
+
 CONTEND = """
 import os, sys
 from pathlib import Path
@@ -556,7 +510,7 @@ from rig.common.errors import InUseError
 from rig.common.locks import hold_folder
 folder, mark, rounds, clashes = Path(sys.argv[1]), Path(sys.argv[2]), 0, 0
 sys.stdin.readline()
-while rounds < 150:
+while rounds < 60:
     try:
         lock = hold_folder(folder, "contender")
     except InUseError:
@@ -587,24 +541,3 @@ def test_never_two_at_once_though_each_removes_the_file(tmp_path: Path) -> None:
         rival.stdin.write("go\n")
         rival.stdin.flush()
     assert [rival.communicate()[0] for rival in rivals] == ["0\n"] * 3
-
-
-@given(st.text(), st.text())
-def test_every_channel_has_a_safe_file_name_of_its_own(one: str, other: str) -> None:
-    for key in (one, other):
-        name = file_name(key)
-        assert name.isascii()
-        assert set(name) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-.")
-        assert not name.startswith(".")
-        assert len(name) < 100
-    assert (file_name(one) == file_name(other)) is (one == other)
-    assert file_name(one).lower() != file_name(other).lower() or one == other
-
-
-@pytest.mark.parametrize(
-    "key", ["../../etc/passwd", "a\0b", "\ud800", "/", "x" * 5000, "ein Kanal: ü"]
-)
-def test_awkward_channels_can_be_locked(tmp_path: Path, key: str) -> None:
-    with hold_bench("odd", [Resource(key, "channel")], "rig run", tmp_path):
-        (file,) = tmp_path.iterdir()
-        assert Holder.parse(file.read_bytes()) is not None

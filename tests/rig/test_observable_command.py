@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from identification.diagnosis.score.observable import Observable
+from identification.diagnosis.observable import Observable
 from rig.cli.entry import status
 from rig.results.diagnose import document
 

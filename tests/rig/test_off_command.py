@@ -24,7 +24,7 @@ from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import State
-from rig.cli.commands.off import GOES_ON
+from rig.cli.commands.bench import GOES_ON
 from rig.cli.entry import DEVICE_FAILED, DONE, status
 from rig.common import locks
 from rig.common.errors import InUseError
@@ -357,7 +357,7 @@ def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
 def test_a_bench_whose_port_is_missing_is_not_proved_off(
     wired: PtyBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.cli.commands.off.make_off", _once)
+    monkeypatch.setattr("rig.cli.commands.bench.make_off", _once)
     file = tmp_path / "off.json"
     text = wired.path.read_text().replace(wired.port, str(tmp_path / "gone"))
     wired.path.write_text(text)

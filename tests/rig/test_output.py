@@ -50,8 +50,9 @@ stages:
 """
 
 
-@pytest.mark.parametrize("code", [0, 1, 3])
-@pytest.mark.parametrize("reader", ["head -1", "true", "head -c 100000 | tail -1"])
+@pytest.mark.parametrize(
+    ("code", "reader"), [(0, "head -1"), (1, "true"), (3, "head -c 100000 | tail -1")]
+)
 def test_a_reader_that_goes_away_changes_nothing(tmp_path: Path, code: int, reader: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=f"| {reader}", entry=ROWS)
     assert_in_words(ended)
@@ -60,7 +61,7 @@ def test_a_reader_that_goes_away_changes_nothing(tmp_path: Path, code: int, read
     assert (tmp_path / "made.txt").exists()
 
 
-@pytest.mark.parametrize(("code", "status"), [(0, 4), (1, 1), (3, 3)])
+@pytest.mark.parametrize(("code", "status"), [(0, 4), (1, 1)])
 def test_a_full_disk_behind_the_output_is_said(tmp_path: Path, code: int, status: int) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell="> /dev/full", entry=ROWS)
     assert_in_words(ended)
@@ -73,9 +74,9 @@ def test_a_full_disk_behind_the_output_is_said(tmp_path: Path, code: int, status
 
 
 @pytest.mark.parametrize(
-    "shell", [">&-", "2>&-", "<&-", "<&- >&-", ">&- 2>&-", "<&- >&- 2>&-", "2> /dev/full"]
+    ("code", "shell"),
+    [(0, ">&-"), (1, "2>&-"), (0, "<&-"), (1, "<&- >&- 2>&-"), (0, "2> /dev/full")],
 )
-@pytest.mark.parametrize("code", [0, 1])
 def test_a_stream_that_is_closed_changes_nothing(tmp_path: Path, code: int, shell: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=shell, entry=ROWS)
     assert_in_words(ended)
@@ -86,7 +87,7 @@ def test_a_stream_that_is_closed_changes_nothing(tmp_path: Path, code: int, shel
     )
 
 
-@pytest.mark.parametrize("shell", ["> /dev/full", "| true", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("shell", ["> /dev/full", "<&- >&- 2>&-"])
 def test_a_run_is_recorded_whatever_becomes_of_its_output(tmp_path: Path, shell: str) -> None:
     ended = rig("run", SHORT, "--yes", "--out", "made", folder=sequence_in(tmp_path), shell=shell)
     assert_in_words(ended)
@@ -102,25 +103,13 @@ def test_a_prompt_without_input_ends_the_run_in_words(tmp_path: Path) -> None:
     ended = rig("run", SHORT, "--out", "made", folder=sequence_in(tmp_path), shell="<&-")
     assert_in_words(ended)
     assert ended.returncode == 3
-    assert (
-        "stopped at the weight prompt: the input has ended; the drive is de-energised"
-        in ended.stderr
-    )
-
-
-def test_bad_input_is_said_where_the_output_is_full(tmp_path: Path) -> None:
-    ended = rig("run", "nothing", folder=tmp_path, shell="> /dev/full")
-    assert_in_words(ended)
-    assert ended.returncode == 2
-    assert "nothing: no such file" in ended.stderr
+    assert "the input has ended; the drive is de-energised" in ended.stderr
 
 
 @pytest.mark.parametrize(
     ("encoding", "shown"),
     [
         ("ascii", "µ ° ☃"),
-        ("utf-8", "µ ° ☃"),
-        ("latin-1", "\udcb5 \udcb0 \\u2603"),
         ("cp437", "\udce6 \udcf8 \\u2603"),
     ],
 )
@@ -179,15 +168,13 @@ def test_a_broken_disk_is_no_reader_that_went_away(number: int, terminal: bool, 
     assert reader_gone(OSError(number, os.strerror(number)), terminal=terminal) is gone
 
 
-def test_complaining_without_stderr_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", None)
-    complain("words")
-
-
-def test_complaining_to_a_closed_stderr_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("closed", [False, True])
+def test_complaining_without_stderr_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, closed: bool
+) -> None:
     stream = io.StringIO()
     stream.close()
-    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(sys, "stderr", stream if closed else None)
     complain("words")
 
 

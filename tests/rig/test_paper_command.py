@@ -8,9 +8,8 @@ import pytest
 
 from identification.recording import Dataset
 from rig.cli.entry import status
-from rig.results.paper import study as paper_study
+from rig.results.paper import loop
 from rig.results.paper import tables as paper
-from rig.results.paper import valve
 from rig.results.paper.tables import TABLE_1, TABLE_2
 
 
@@ -28,7 +27,7 @@ def folder(
     path = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "simulate_cases", lambda: cases)
-        patch.setattr(paper_study, "study", lambda seed, progress: [valve.exhibit()])
+        patch.setattr(paper, "study", lambda seed, progress: [loop.valve_exhibit()])
         assert (
             status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")])
             == 0

@@ -111,7 +111,7 @@ def first_cycle(runner: Any, fake_bench: Any) -> int:
     return inside + 1
 
 
-@pytest.mark.parametrize("count", range(1, 8))
+@pytest.mark.parametrize("count", [LEAST_SAMPLES - 1, LEAST_SAMPLES])
 def test_few_samples_make_a_recording_one_makes_none(
     runner: Any, fake_bench: Any, tmp_path: Path, count: int
 ) -> None:
@@ -191,21 +191,24 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("method", ["paper", pytest.param("default", marks=pytest.mark.proof)])
 def test_an_identification_of_what_was_recorded_says_so(
-    stopped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stopped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], method: str
 ) -> None:
     assert status(["identify", str(stopped), "--out", str(tmp_path)]) == 2
     assert "--partial uses the recorded part" in capsys.readouterr().err
-    assert status(["identify", str(stopped), "--partial", "--out", str(tmp_path)]) == 0
+    arguments = ["identify", str(stopped), "--method", method, "--partial", "--out", str(tmp_path)]
+    assert status(arguments) == 0
     assert (
-        "warning: default: partial result: the run stopped before empty (partial)"
+        f"warning: {method}: partial result: the run stopped before empty (partial)"
         in capsys.readouterr().out
     )
     record = json.loads((tmp_path / "identify.json").read_text())
     assert record["partial"] == ["empty (partial)"]
     assert any("partial result" in warning for warning in record["warnings"])
     assert record["corrections"]["empty (partial)"][0].startswith("partial: the run stopped after ")
-    assert record["parameters"]["Mc"]["value"] == pytest.approx(6.825, rel=0.02)
+    if method == "default":
+        assert record["parameters"]["Mc"]["value"] == pytest.approx(6.825, rel=0.02)
     assert (
         "partial result: the run stopped before empty (partial)"
         in (tmp_path / "report.html").read_text()
@@ -225,7 +228,7 @@ def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
         InputError, match="too short; without --partial, only finished excitations are used"
     ):
         identify.identify_source(
-            folder.path, identify.Request(["paper"], take_partial=True), lambda *_: None
+            folder.path, identify.Request(["paper"], partial=True), lambda *_: None
         )
     with pytest.raises(InputError, match=r"too short$"):
         identify.identify_source(folder.path, identify.Request(["paper"]), lambda *_: None)

@@ -10,7 +10,7 @@ from identification.design.simulated import NAMES
 from identification.model.parameters import NOMINAL
 from rig.common.errors import InputError
 from rig.common.provenance import IDENTIFY_SCHEMA
-from rig.results.design.experiment import nominal_values
+from rig.results.identify.design import nominal_values
 
 
 def result(folder: Path) -> Path:

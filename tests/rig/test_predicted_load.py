@@ -21,7 +21,6 @@ from rig.planning.plan import Plan, make_plan
 from rig.planning.predicted_load import (
     LOOP_S,
     FrictionModel,
-    PredictedPeak,
     friction_model,
     moves_to_start,
     peak_torque,
@@ -83,18 +82,8 @@ def test_inertia_counts_where_the_motion_turns() -> None:
     assert under(0.0, angle, heavy) == pytest.approx(P["Ms"] + 2.0 * acceleration, rel=0.02)
 
 
-def test_at_rest_nothing_is_asked_for() -> None:
-    assert under(100.0, np.full(100, 0.2)) == 0.0
-
-
 def test_what_two_cycles_make_is_finite() -> None:
     assert math.isfinite(under(10.0, np.array([0.0, 1e-4])))
-
-
-def test_the_working_load_grows_with_the_weight() -> None:
-    angle = constant(0.02, 0.01)
-    light, heavy = (under(PER_KG * kg, angle) for kg in (10.0, 30.0))
-    assert heavy - light == pytest.approx(PER_KG * 20.0 * P["mu_s"], rel=0.01)
 
 
 def planned(
@@ -121,13 +110,6 @@ def test_peaks_stand_beside_the_limits_in_force(tmp_path: Path) -> None:
     assert (whole.torque_limit_N_m, whole.current_limit_A) == (75.0, 25.0)
     assert whole.current_A == pytest.approx(whole.torque_N_m / 3.0)
     assert whole.torque_N_m >= P["Ms"] + 20 * PER_KG * P["mu_s"]
-
-
-@pytest.mark.parametrize(
-    ("torque", "current", "share"), [(60.0, 5.0, 0.8), (30.0, 25.0, 1.0), (90.0, 5.0, 1.2)]
-)
-def test_the_greater_share_counts(torque: float, current: float, share: float) -> None:
-    assert PredictedPeak("a", "stage", torque, 75.0, current, 25.0).share == pytest.approx(share)
 
 
 def test_the_moves_to_each_part_are_known(tmp_path: Path) -> None:

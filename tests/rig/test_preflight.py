@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import rig.wiring.connect
-from drivers.interfaces import RawFrame, ServoLimits
+from drivers.interfaces import Lacks, RawFrame, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen.dictionary import key
 from rig.cli.entry import status
@@ -338,7 +338,7 @@ def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> Non
 
         return Context()
 
-    monkeypatch.setattr("rig.cli.commands.check.connect", watched)
+    monkeypatch.setattr("rig.cli.commands.bench.connect", watched)
     assert status(["check", name]) == 0
     assert powered == [False]
     can = [frame for frame in frames if frame.identifier < 0x800]
@@ -397,7 +397,8 @@ def test_what_the_encoder_does_not_report_is_said_before_a_weight_is_asked_for(
             return weight_kg
 
     devices = dataclasses.replace(fake_bench().devices(), hang=None)
-    devices.encoder.lacks = lambda: iter(["joint encoder: not monitored: alarms (6503h)"])
+    words = ("joint encoder: not monitored: alarms (6503h)",)
+    devices.encoder.lacks = lambda cycle_s: Lacks(words=words)
     runner.folder.mkdir()
     arguments = Told(), StopButton(), lambda *_: None
     execute(runner.inputs, runner.plan, devices, runner.folder, *arguments)

@@ -144,57 +144,6 @@ def test_every_stop_signal_is_heard_at_the_prompt(
     assert signal.getsignal(number) is before
 
 
-@pytest.mark.parametrize("name", sorted(STOP_SIGNALS))
-def test_every_stop_signal_only_sets_the_flag_under_power(name: str) -> None:
-    with StopButton() as stop:
-        signal.raise_signal(getattr(signal, name))
-        assert stop.pressed
-        assert stop.presses == (2 if name == "SIGQUIT" else 1)
-        with pytest.raises(OperatorStopError, match="stopped by the operator"):
-            stop.check()
-
-
-def test_a_hangup_that_was_ignored_at_the_start_stays_ignored() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with StopButton() as stop:
-            signal.raise_signal(signal.SIGHUP)
-            assert not stop.pressed
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-def test_writing_from_the_background_does_not_suspend_the_program() -> None:
-    with StopButton():
-        assert signal.getsignal(signal.SIGTTOU) is signal.SIG_IGN
-    assert signal.getsignal(signal.SIGTTOU) is signal.SIG_DFL
-
-
-def test_a_stop_that_was_asked_for_before_is_heard_at_once() -> None:
-    stop = StopButton()
-    stop.press("SIGTERM")
-    stop.press("Ctrl-C")
-    with (
-        pytest.raises(OperatorStopError, match=r"stopped by the operator \(SIGTERM\)"),
-        stop.interruptible(),
-    ):
-        raise AssertionError("it was not heard")
-
-
-def test_an_interrupt_is_raised_once() -> None:
-    def interrupted(stop: StopButton) -> None:
-        with stop.interruptible():
-            try:
-                signal.raise_signal(signal.SIGINT)
-            finally:
-                signal.raise_signal(signal.SIGINT)
-
-    with StopButton() as stop:
-        with pytest.raises(KeyboardInterrupt):
-            interrupted(stop)
-        assert stop.presses == 2
-
-
 @pytest.mark.parametrize(
     ("text", "mass"),
     [

@@ -38,6 +38,8 @@ import click
 
 KERNEL = """\
 import numpy
+    from rig.cli.entry import find_kernel_folder
+    find_kernel_folder()
     from identification.numerics.series import sine_cosine
     print(sine_cosine(1.0, numpy.zeros(1)).sum())"""
 
@@ -91,7 +93,7 @@ def test_a_run_is_simulated_and_its_kernels_are_kept_among_the_temporary_files(
         assert ended.returncode == 0, ended.stderr
         assert ended.stderr == ""
         assert read_record(place / out).state == "done"
-    kept = list((place / "temporary").glob("loadrig-kernels-*/*.nbc"))
+    kept = list((place / "temporary").glob("loadrig-kernels-*/*/*.nbc"))
     assert kept
     assert not list(program.rglob("*.nb[ci]"))
 
@@ -100,7 +102,7 @@ def test_a_kernel_is_kept_among_the_temporary_files(program: Path) -> None:
     for _ in range(2):
         ended = start(program, body=KERNEL)
         assert (ended.returncode, ended.stdout, ended.stderr) == (0, "1.0\n", "")
-    kept = list((program.parent / "temporary").glob("loadrig-kernels-*/*.nbc"))
+    kept = list((program.parent / "temporary").glob("loadrig-kernels-*/*/*.nbc"))
     assert len(kept) == 1
     assert not list(program.rglob("*.nb[ci]"))
 

@@ -200,7 +200,7 @@ def test_the_eds_file_of_another_maker_is_refused(
     with connect(load_bench(name), 0, realtime=False) as devices:
         servo: Any = devices.servo
         servo._scales = dataclasses.replace(servo._scales, vendor_id=0xFB)
-        (found,) = servo.refusals(0.001)
+        (found,) = servo.problems(0.001)
     assert "the drive reports 9Ah, but the units are those of the vendor FBh" in str(found)
 
 
@@ -296,4 +296,4 @@ def test_objects_with_another_meaning_are_not_used(here: Path) -> None:
         assert servo._motion.mode == 1
         words = servo.lacks(0.001).words
         assert any("6083h" in text for text in words)
-        assert not list(servo.description_refusals())
+        assert not list(servo.description_problems())

@@ -17,6 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
@@ -28,7 +29,6 @@ from rig.runs.mcap.layout import (
     decode_samples,
     encode_frames,
     encode_sample,
-    sample_descriptor,
 )
 from rig.runs.mcap.reader import NotARecordingError, read_run
 from rig.runs.recorder import Recorder, open_recorder
@@ -115,60 +115,16 @@ def test_frames_round_trip(seen: list[RawFrame]) -> None:
     assert decode_frames(encode_frames(seen)) == seen
 
 
-def protobuf(data: bytes) -> list[tuple[int, bytes | int]]:
-    """Decode one protobuf message by hand: field number and content."""
-    fields: list[tuple[int, bytes | int]] = []
-    offset = 0
-
-    def varint() -> int:
-        nonlocal offset
-        value = shift = 0
-        while True:
-            byte = data[offset]
-            offset += 1
-            value |= (byte & 0x7F) << shift
-            shift += 7
-            if byte < 0x80:
-                return value
-
-    while offset < len(data):
-        key = varint()
-        if key & 7 == 0:
-            fields.append((key >> 3, varint()))
-            continue
-        length = 8 if key & 7 == 1 else varint()
-        fields.append((key >> 3, data[offset : offset + length]))
-        offset += length
-    return fields
-
-
-def test_the_schema_describes_the_message() -> None:
-    """Decode descriptor and message independently: names and numbers must meet."""
-    ((_, file),) = protobuf(sample_descriptor())
-    assert isinstance(file, bytes)
-    parts = dict(protobuf(file))
-    assert (parts[2], parts[12]) == (b"loadrig", b"proto3")
-    message = protobuf(parts[4])  # type: ignore[arg-type]
-    assert message[0] == (1, b"Sample")
-    described = [dict(protobuf(field)) for number, field in message if number == 2]  # type: ignore[arg-type]
-    assert all((d[4], d[5]) == (1, 1) for d in described)
-    values = dict(protobuf(encode_sample(row(3))))
-    for d in described:
-        name = d[1].decode()  # type: ignore[union-attr]
-        (value,) = struct.unpack("<d", values[d[3]])  # type: ignore[arg-type, index]
-        assert value == float(getattr(row(3), name))
-    assert {d[1].decode() for d in described} == set(Sample._fields)  # type: ignore[union-attr]
-
-
-def test_the_library_reads_it(tmp_path: Path) -> None:
+def test_the_library_reads_every_field_by_the_schema_in_the_file(tmp_path: Path) -> None:
     with open(write(tmp_path / "a.mcap", 250), "rb") as stream:
-        reader = make_reader(stream)
-        seen = list(reader.iter_messages(topics=[SAMPLE_TOPIC]))
-        assert [message.log_time for _, _, message in seen] == [k * 1_000_000 for k in range(250)]
-        schema, channel, _ = seen[0]
-        assert schema is not None
-        assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        seen = list(reader.iter_decoded_messages(topics=[SAMPLE_TOPIC]))
         assert [a.name for a in reader.iter_attachments()] == ["bench.yaml"]
+    assert [message.log_time for _, _, message, _ in seen] == [k * 1_000_000 for k in range(250)]
+    for k, (*_, decoded) in enumerate(seen):
+        fields = {field.name for field in decoded.DESCRIPTOR.fields}
+        assert fields == set(Sample._fields)
+        assert all(getattr(decoded, name) == getattr(row(k), name) for name in fields)
 
 
 def test_reading_back(whole: Path) -> None:
@@ -182,34 +138,19 @@ def test_reading_back(whole: Path) -> None:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-@given(share=st.floats(0, 1))
-def test_cut_off_anywhere(whole: Path, tmp_path: Path, share: float) -> None:
+@given(share=st.floats(0, 1), zeros=st.sampled_from([0, 4096]))
+def test_cut_off_anywhere(whole: Path, tmp_path: Path, share: float, zeros: int) -> None:
+    """After a power cut, zeros may follow."""
     path = tmp_path / "cut.mcap"
     content = whole.read_bytes()
-    path.write_bytes(content[: 8 + int(share * (len(content) - 9))])
+    path.write_bytes(content[: 8 + int(share * (len(content) - 9))] + bytes(zeros))
     log = read_run(path)
     n = len(log.samples["time"])
     np.testing.assert_array_equal(log.samples["time"], [row(k).time for k in range(n)])
     assert log.damage is not None
     assert f"{n} samples recovered" in log.damage
-
-
-@settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(share=st.floats(0, 1), value=st.integers(1, 255))
-def test_a_flipped_byte_never_gives_wrong_samples(
-    whole: Path, tmp_path: Path, share: float, value: int
-) -> None:
-    damaged = bytearray(whole.read_bytes())
-    damaged[min(8 + int(share * len(damaged)), len(damaged) - 1)] ^= value
-    path = tmp_path / "flipped.mcap"
-    path.write_bytes(damaged)
-    log = read_run(path)
-    times = {row(k).time for k in range(700)}
-    assert set(log.samples["time"].tolist()) <= times
 
 
 def chunks(content: bytes) -> list[tuple[int, int]]:
@@ -247,7 +188,7 @@ def test_reading_goes_on_behind_a_bad_chunk(long: Path, tmp_path: Path) -> None:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(share=st.floats(0, 1), value=st.integers(1, 255))
 def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
@@ -262,6 +203,7 @@ def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
     log = read_run(path)
     assert len(log.samples["time"]) >= 2000 - 130
     assert np.all(np.diff(log.samples["time"]) > 0)
+    assert set(log.samples["time"].tolist()) <= {row(k).time for k in range(2000)}
     if len(log.samples["time"]) < 2000 or not log.events:
         assert log.damage is not None
 
@@ -285,15 +227,6 @@ def test_a_record_that_vanished_is_missed(long: Path, tmp_path: Path) -> None:
     path = tmp_path / "bad.mcap"
     path.write_bytes(damaged)
     assert "messages are missing" in (read_run(path).damage or "")
-
-
-def test_zeros_at_the_end_after_a_power_cut(whole: Path, tmp_path: Path) -> None:
-    path = tmp_path / "zeros.mcap"
-    content = whole.read_bytes()
-    path.write_bytes(content[: len(content) // 2] + bytes(4096))
-    log = read_run(path)
-    assert log.damage is not None
-    assert len(log.samples["time"]) > 100
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n"])

@@ -15,7 +15,7 @@ from drivers.errors import DriveFault
 from drivers.interfaces import ServoState
 from rig.cli.entry import status
 from rig.runs.mcap.reader import read_run
-from rig.runs.resume import prepare
+from rig.runs.recover import prepare
 from rig.runs.run_record import Ending
 
 

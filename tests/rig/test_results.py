@@ -10,7 +10,7 @@ from identification.recording import Bench, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.places import write_json
 from rig.common.provenance import Provenance, finite
-from rig.results.identify.record import identification_record
+from rig.results.identify.identify import identification_record
 
 
 def result() -> Identification:

@@ -18,7 +18,8 @@ from rig.cli.entry import status
 from rig.common.errors import StorageError
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
-from rig.results.acceptance import pdf
+from rig.results.acceptance import certificate
+from rig.results.document import Document
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder
 from rig.runs.run import load_run, read_record
@@ -55,12 +56,28 @@ def stop_in(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
     monkeypatch.setattr(RunProgress, "__call__", press)
 
 
-def stopped_in_b(monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as context:
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run that Ann started and that was stopped in its second stage."""
+    folder = tmp_path_factory.mktemp("stopped")
+    (folder / "three.yaml").write_text(STAGES)
+    with pytest.MonkeyPatch.context() as context:
+        context.chdir(folder)
         stop_in(context, "b")
         assert start("--operator", "Ann") == 3
+    return folder
 
 
+@pytest.fixture
+def stopped(once: Path) -> None:
+    """Put a copy of the stopped run into the present folder."""
+    shutil.copytree(once / "out", "out")
+    record = Path("out/run.json")
+    text = record.read_text().replace(str(once / "three.yaml"), str(Path("three.yaml").resolve()))
+    record.write_text(text)
+
+
+@pytest.mark.usefixtures("stopped")
 def test_the_time_left_does_not_count_stages_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
     left: dict[str, float] = {}
     advance = RunProgress.__call__
@@ -71,10 +88,8 @@ def test_the_time_left_does_not_count_stages_that_are_done(monkeypatch: pytest.M
 
     with monkeypatch.context() as context:
         context.setattr(RunProgress, "__call__", note)
-        assert start() == 0
+        assert status(["run", "three.yaml", "--yes", "--out", "whole"]) == 0
     whole = dict(left)
-    shutil.rmtree("out")
-    stopped_in_b(monkeypatch)
     left.clear()
     monkeypatch.setattr(RunProgress, "__call__", note)
     assert status(["resume", "out", "--yes"]) == 0
@@ -83,10 +98,10 @@ def test_the_time_left_does_not_count_stages_that_are_done(monkeypatch: pytest.M
     assert left["b"] < 0.8 * whole["a"]
 
 
+@pytest.mark.usefixtures("stopped")
 def test_a_stopped_run_goes_on_at_its_stage(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stopped_in_b(monkeypatch)
     first = Path("out/recording.mcap").read_bytes()
     assert status(["resume", "out", "--yes", "--operator", "Bob", "--json", "copy.json"]) == 0
     assert "three: 1 of 2 stages done; stopped: " in capsys.readouterr().out
@@ -115,17 +130,6 @@ def test_a_stopped_run_goes_on_at_its_stage(
     assert json.loads(Path("copy.json").read_text()) == json.loads(Path("out/run.json").read_text())
 
 
-def test_a_run_can_be_resumed_more_than_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    stopped_in_b(monkeypatch)
-    with monkeypatch.context() as context:
-        stop_in(context, "b")
-        assert status(["resume", "out", "--yes"]) == 3
-    assert status(["resume", "out", "--yes"]) == 0
-    record = read_record(Path("out"))
-    assert [p.state for p in record.parts] == ["stopped", "stopped", "done"]
-    assert len(load_run(Path("out")).recordings) == 3
-
-
 def crash(part: str, keep: float) -> None:
     """Leave the folder as a killed writer does."""
     path = Path("out") / part
@@ -137,10 +141,10 @@ def crash(part: str, keep: float) -> None:
     Path("out/run.json").write_text(json.dumps(record))
 
 
+@pytest.mark.usefixtures("stopped")
 def test_a_run_that_died_is_mended_and_goes_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stopped_in_b(monkeypatch)
     crash("recording.mcap", 0.9)
     assert status(["resume", "out", "--yes"]) == 0
     assert "recording.mcap: whole up to byte" in capsys.readouterr().out
@@ -148,8 +152,8 @@ def test_a_run_that_died_is_mended_and_goes_on(
     assert [r.name for r in load_run(Path("out")).recordings] == ["a[1]", "a[2]", "b"]
 
 
+@pytest.mark.usefixtures("stopped")
 def test_a_resumed_run_that_died_is_mended_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    stopped_in_b(monkeypatch)
     with monkeypatch.context() as context:
         stop_in(context, "b")
         assert status(["resume", "out", "--yes"]) == 3
@@ -157,13 +161,14 @@ def test_a_resumed_run_that_died_is_mended_too(monkeypatch: pytest.MonkeyPatch) 
     assert status(["resume", "out", "--yes"]) == 0
     assert Path("out/recording-2.damaged.mcap").exists()
     record = read_record(Path("out"))
+    assert [p.state for p in record.parts][::2] == ["stopped", "done"]
     assert [s.index for s in record.segments] == sorted({s.index for s in record.segments})
     assert len(load_run(Path("out")).recordings) == 3
 
 
 @pytest.mark.parametrize("left", ["nothing", "an empty file"])
+@pytest.mark.usefixtures("stopped")
 def test_a_part_that_never_began_is_forgotten(monkeypatch: pytest.MonkeyPatch, left: str) -> None:
-    stopped_in_b(monkeypatch)
     with monkeypatch.context() as context:
         stop_in(context, "b")
         assert status(["resume", "out", "--yes"]) == 3
@@ -185,10 +190,10 @@ def test_a_finished_run_has_nothing_to_go_on_with(capsys: pytest.CaptureFixture[
     assert Path("out/run.json").read_bytes() == before
 
 
+@pytest.mark.usefixtures("stopped")
 def test_a_changed_sequence_is_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stopped_in_b(monkeypatch)
     Path("three.yaml").write_text(STAGES.replace("weight_kg: 10", "weight_kg: 12"))
     assert status(["resume", "out", "--yes"]) == 2
     assert "three.yaml: changed since out was run with this file" in capsys.readouterr().err
@@ -331,24 +336,21 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
     assert judged() == expected
 
 
+@pytest.mark.usefixtures("stopped")
 def test_the_certificate_states_a_stop_and_the_continuation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stopped_in_b(monkeypatch)
-    drawn: list[str] = []
-    write = pdf._Sheet.text
-
-    def note(self: Any, x: float, y: float, words: str, *rest: Any, **kept: Any) -> None:
-        drawn.append(words)
-        write(self, x, y, words, *rest, **kept)
-
-    monkeypatch.setattr(pdf._Sheet, "text", note)
+    made: list[Document] = []
+    write = certificate.certificate_pdf
+    monkeypatch.setattr(
+        certificate, "certificate_pdf", lambda found: made.append(found) or write(found)
+    )
     given = limits("given.yaml", "lost samples < 1")
     resume = ["resume", "out", "--yes", "--operator", "Bob", "--acceptance", given]
     assert status(resume) == 0
     first, second = read_record(Path("out")).parts
     page = Path("out/certificate.html").read_text()
-    on_paper = " ".join(drawn)
+    on_paper = "\n".join(certificate.certificate_lines(made[-1]))
     for shown in (page, on_paper):
         for words in ("Course of the run", "continued", "Ann", "Bob"):
             assert words in shown
@@ -371,10 +373,10 @@ def test_the_certificate_of_a_run_without_a_stop_says_so() -> None:
     assert "Course of the run" not in page
 
 
+@pytest.mark.usefixtures("stopped")
 def test_a_record_without_the_ends_of_its_recordings_is_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stopped_in_b(monkeypatch)
     path = Path("out/run.json")
     raw = json.loads(path.read_text())
     for name in ("ended", "message"):
@@ -385,10 +387,10 @@ def test_a_record_without_the_ends_of_its_recordings_is_read(
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("stopped")
 def test_a_run_is_resumed_with_limits_of_its_own(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stopped_in_b(monkeypatch)
     wrong = limits("wrong.yaml", "Mx: 1..2")
     assert status(["resume", "out", "--yes", "--acceptance", wrong]) == 2
     assert "wrong.yaml:3:5" in capsys.readouterr().err
@@ -423,10 +425,10 @@ def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("resumed", [False, True])
 def test_a_file_of_limits_that_changes_during_the_run_changes_no_verdict(
-    monkeypatch: pytest.MonkeyPatch, resumed: bool
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, resumed: bool
 ) -> None:
     if resumed:
-        stopped_in_b(monkeypatch)
+        request.getfixturevalue("stopped")
     given = limits("given.yaml", "current worst < 1 mA")
 
     def change(*_: Any) -> None:

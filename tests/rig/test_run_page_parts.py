@@ -1,12 +1,12 @@
-"""What the page of a run is put together from: bins that lose no extreme, phases, and charts that
-can be read.
+"""What the page of a run is put together from: channels, phases, limits, and charts that lose no
+extreme.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
-import re
 from itertools import pairwise
 from typing import Any
 
@@ -18,80 +18,27 @@ from hypothesis import strategies as st
 from identification.recording import Array, Bench
 from rig.common.sample import Sample
 from rig.control.safety import Check
-from rig.results.run.page.channels import ENABLED, NAMES, STATES, Deriver
-from rig.results.run.page.chart import (
-    Bins,
-    Bound,
-    Chart,
-    Curve,
-    Envelope,
-    Flags,
-    Mark,
-    Shade,
-    TimeAxis,
-    draw,
-    in_columns,
-    of_samples,
+from rig.results.run.charts import PANELS, Frame, Panel, Plots, Shade, TimeAxis, chart
+from rig.results.run.recorded import (
+    BRAKING,
+    COLUMNS,
+    ENABLED,
+    MOVING,
+    NAMES,
+    STATES,
+    Derived,
+    Deriver,
+    Moment,
+    Series,
+    Span,
+    Traces,
+    Tripped,
+    _gathered,
+    spans,
+    with_braking,
 )
-from rig.results.run.page.panels import PANELS, Panel, Tripped, chart
-from rig.results.run.page.phases import BRAKING, MOVING, Moment, Span, spans, with_braking
+from rig.runs.mcap.reader import Block, Happening
 from rig.runs.run_record import SegmentRecord
-
-
-def samples(values: Array, broken: Flags | None = None) -> Bins:
-    time = np.arange(len(values)) * 1e-3
-    return of_samples(
-        time, values[:, None], np.zeros(len(values), dtype=bool) if broken is None else broken
-    )
-
-
-@given(
-    values=st.lists(st.floats(-1e6, 1e6) | st.just(math.nan), min_size=1, max_size=300),
-    sizes=st.lists(st.integers(1, 40), min_size=1, max_size=40),
-    gaps=st.sets(st.integers(0, 299), max_size=12),
-    most=st.integers(4, 32),
-)
-def test_no_extreme_is_lost_and_no_bin_lies_across_a_gap(
-    values: list[float], sizes: list[int], gaps: set[int], most: int
-) -> None:
-    given_values = np.array(values)
-    broken = np.isin(np.arange(len(values)), list(gaps)) | (np.arange(len(values)) == 0)
-    whole, envelope, at = samples(given_values, broken), Envelope(most), 0
-    for size in sizes * (1 + len(values) // sum(sizes)):
-        if at < len(values):
-            envelope.add(Bins(*(field[at : at + size] for field in whole)))
-            at += size
-    bins = envelope.bins()
-    assert bins is not None
-    assert len(bins.start) <= max(2 * most, 4 * int(broken.sum()) + 2)
-    edges = [round(1e3 * t) for t in bins.start], [round(1e3 * t) + 1 for t in bins.stop]
-    assert edges[0] == [0, *edges[1][:-1]]
-    assert edges[1][-1] == len(values)
-    for k, (first, stop) in enumerate(zip(*edges, strict=True)):
-        inside = given_values[first:stop]
-        finite = inside[np.isfinite(inside)]
-        expected = (finite.min(), finite.max()) if len(finite) else (math.nan, math.nan)
-        np.testing.assert_equal((bins.low[k, 0], bins.high[k, 0]), expected)
-        assert bool(bins.broken[k]) is bool(broken[first])
-        assert not broken[first + 1 : stop].any()
-
-
-def test_bins_of_a_long_recording_are_about_equally_wide() -> None:
-    envelope, blocks = Envelope(64), 400
-    for k in range(blocks):
-        block = samples(np.zeros(100))
-        envelope.add(block._replace(start=block.start + 0.1 * k, stop=block.stop + 0.1 * k))
-    bins = envelope.bins()
-    assert bins is not None
-    widths = bins.stop - bins.start
-    assert 16 <= len(widths) <= 128
-    assert widths.max() <= 1.1 * np.median(widths)
-
-
-def test_columns_hold_the_least_and_the_greatest() -> None:
-    bins = in_columns(samples(np.array([1.0, 5.0, -2.0, 4.0])), np.array([0.0, 0.2, 0.5, 0.9]), 2)
-    assert bins.low[:, 0].tolist() == [1.0, -2.0]
-    assert bins.high[:, 0].tolist() == [5.0, 4.0]
 
 
 def taken(count: int, **fields: Any) -> dict[str, Array]:
@@ -213,10 +160,53 @@ def test_what_comes_after_the_end_is_braking() -> None:
     ]
 
 
-def current(*values: float) -> Bins:
-    matrix = np.full((len(values), len(NAMES)), math.nan)
-    matrix[:, NAMES.index("current")] = values
-    return of_samples(np.arange(len(values)) * 1e-3, matrix, np.zeros(len(values), dtype=bool))
+@given(
+    count=st.integers(2, 9000),
+    pause=st.sampled_from([0, 100_000]),
+    seed=st.integers(0, 9),
+)
+def test_a_recording_is_reduced_without_the_loss_of_an_extreme(
+    count: int, pause: int, seed: int
+) -> None:
+    cycles, half = np.arange(count), count // 2
+    cycles[half:] += pause
+    current = np.random.default_rng(seed).normal(size=count)
+    whole = taken(count, time=cycles * 1e-3, current=current)
+    first, second = (
+        Block({name: values[part] for name, values in whole.items()})
+        for part in (slice(half), slice(half, None))
+    )
+    start = Happening({"event": "stage start", "time": float(whole["time"][half])})
+    traces = _gathered([first, start, second], BENCH, 1e-3)
+    assert traces.reduced is not None
+    assert traces.reduced.extremes("current") == (current.min(), current.max())
+    assert len(traces.reduced.time) <= 2 * COLUMNS + 3
+    assert (np.diff(traces.reduced.time) >= 0.0).all()
+    ends = whole["time"][[0, half - 1, half, -1]].tolist()
+    assert traces.powered == [tuple(ends[:2]), tuple(ends[2:])]
+    # No line is drawn across a pause.
+    row = traces.reduced.low[NAMES.index("current")]
+    assert np.isnan(row).sum() == (1 if pause else 0)
+
+
+def test_the_last_samples_have_gaps_and_keep_every_extreme() -> None:
+    values = np.zeros((6000, len(NAMES)))
+    values[1234, 0], values[4321, 0] = 7.0, -7.0
+    broken = np.arange(6000) == 3000
+    tail = Derived(np.arange(6000) * 1e-3, values, broken, np.zeros(6000))
+    few, many = (Traces(tail=tail).samples(first, 6.0) for first in (4.3, 0.0))
+    assert few.extremes(NAMES[0]) == (-7.0, 0.0)
+    assert len(few.time) == 1700
+    assert many.extremes(NAMES[0]) == (-7.0, 7.0)
+    assert len(many.time) <= 2 * 2000
+    assert np.isnan(many.low).any(axis=0).sum() == 1
+    assert not np.isnan(few.low).any()
+
+
+def current(*values: float) -> Series:
+    matrix = np.full((len(NAMES), len(values)), math.nan)
+    matrix[NAMES.index("current")] = values
+    return Series(np.arange(len(values)) * 1e-3, matrix, matrix)
 
 
 def panel_of(check: Check) -> Panel:
@@ -231,7 +221,7 @@ def with_limit(limit: float) -> Panel:
 def test_a_limit_far_away_is_written_and_not_drawn(limit: float, shown: bool) -> None:
     made = chart(with_limit(limit), current(0.0, 1.0), [(-math.inf, None)], None, tall=False)  # type: ignore[list-item]
     assert made is not None
-    assert bool(made.bounds) is shown
+    assert bool(made.limits) is shown
     assert f"limit -{limit:g} and {limit:g} A" in made.reading
     assert ("outside this chart" in made.reading) is not shown
 
@@ -243,46 +233,20 @@ def test_what_is_beyond_a_limit_is_said(value: float, beyond: bool) -> None:
     made = chart(with_limit(5.0), current(0.0, value), [(-math.inf, None)], None, tall=False)  # type: ignore[list-item]
     assert made is not None
     assert made.beyond is beyond
-    assert ("BEYOND THE LIMIT" in draw(made, TimeAxis([(0.0, 1e-3)]))) is beyond
+    html = Plots().figure(made, Frame(TimeAxis([(0.0, 1e-3)]), ""))
+    assert ("BEYOND THE LIMIT" in html) is beyond
 
 
 def test_the_limit_of_a_trip_is_drawn_where_no_other_is_known() -> None:
     tripped = Tripped(Check.CURRENT, 12.0, 11.0)
     made = chart(panel_of(Check.CURRENT), current(0.0, -12.0), [], tripped, tall=True)
     assert made is not None
-    assert sorted(bound.steps[0][1] for bound in made.bounds) == [-11.0, 11.0]
+    assert sorted(limit[0][1] for limit in made.limits) == [-11.0, 11.0]
     assert made.beyond
 
 
 def test_a_channel_that_was_not_recorded_has_no_chart() -> None:
     assert chart(panel_of(Check.PRESSURE), current(1.0), [], None, tall=False) is None
-
-
-def drawn(values: Array, **more: Any) -> str:
-    curve = Curve("x", samples(values))
-    return draw(
-        Chart("title", "A", [curve], **more), TimeAxis([(0.0, 1e-3 * max(len(values) - 1, 1))])
-    )
-
-
-@given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=50))
-def test_any_values_can_be_drawn(values: list[float]) -> None:
-    html = drawn(np.array(values))
-    assert html.count("<figure") == html.count("</figure>") == 1
-    assert "nan" not in html
-    assert "inf" not in html
-
-
-def test_text_from_files_is_escaped() -> None:
-    html = draw(
-        Chart("<t>", "<u>", [Curve("<c>", samples(np.array([0.0, 1.0])))], reading="<r>"),
-        TimeAxis([(0.0, 1.0)]),
-        [Shade(0.0, 1.0, "<s>", 0)],
-        Mark(0.5, "<m>"),
-    )
-    for name in "tucrsm":
-        assert f"<{name}>" not in html.replace("<svg", "")
-        assert f"&lt;{name}&gt;" in html
 
 
 def test_long_pauses_are_drawn_short_and_short_ones_to_scale() -> None:
@@ -313,13 +277,64 @@ def test_labels_of_the_time_axis_leave_room_for_one_another(
     assert all(after - before >= 0.12 for before, after in pairwise(places))
 
 
-def test_a_limit_that_changes_is_drawn_in_steps() -> None:
-    bound = Bound([(-math.inf, 5.0), (0.5, 3.0)])
-    html = draw(
-        Chart("t", "A", [Curve("x", samples(np.array([0.0, 1.0])))], [bound]),
-        TimeAxis([(0.0, 1.0)]),
-    )
-    paths = re.findall(r'<path d="(M[^"]*)" stroke="#a30000"', html)
-    assert len(re.findall(r"M[\d.]+ [\d.]+H[\d.]+", paths[0])) == 2
-    assert "limit 5 A" in html
-    assert "limit 3 A" in html
+def data_of(plots: Plots) -> Any:
+    """Return the data of the charts as a browser reads them."""
+    return json.loads(plots.script().partition(">")[2].removesuffix("</script>"))
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=50))
+def test_any_values_can_be_drawn(values: list[float]) -> None:
+    plots = Plots()
+    made = chart(panel_of(Check.CURRENT), current(*values), [], None, tall=False)
+    if made is not None:
+        plots.figure(made, Frame(TimeAxis([(0.0, 1.0)]), ""))
+    assert "NaN" not in plots.script()
+    assert "Infinity" not in plots.script()
+    for each in data_of(plots)["charts"]:
+        assert each["range"][0] < each["range"][1]
+
+
+def test_text_from_files_is_escaped() -> None:
+    plots = Plots()
+    panel = Panel("<t>", "<u>", 1.0, {"current": "<c>"})
+    made = chart(panel, current(0.0, 1.0), [], None, tall=False)
+    assert made is not None
+    made = dataclasses.replace(made, reading="<r>")
+    shades = [Shade(0.0, 1.0, "</script><s>", 0)]
+    html = plots.figure(made, Frame(TimeAxis([(0.0, 1.0)]), "<k>", shades, (0.5, "<m>")))
+    for name in "tucr":
+        assert f"<{name}>" not in html
+        assert f"&lt;{name}&gt;" in html
+    assert "<" not in plots.script().removesuffix("</script>").partition(">")[2]
+    assert data_of(plots)["charts"][0]["frame"]["shades"][0][2] == "</script><s>"
+
+
+def test_a_limit_that_changes_is_drawn_in_steps_and_judged_by_the_wider() -> None:
+    plots = Plots()
+    steps: Any = [(-math.inf, 5.0), (0.5e-3, 3.0)]
+    panel = dataclasses.replace(panel_of(Check.CURRENT), upper=lambda value: value)
+    series = current(4.0, 2.0)
+    made = chart(panel, series, steps, None, tall=False)
+    assert made is not None
+    assert not made.beyond
+    plots.figure(made, Frame(TimeAxis([(0.0, 1e-3)]), ""))
+    upper, lower = data_of(plots)["charts"][0]["limits"]
+    assert upper == [[0.0, 0.5, 5.0], [0.5, 1.0, 3.0]]
+    assert lower == [[0.0, 0.5, -5.0], [0.5, 1.0, -3.0]]
+    late = current(4.0, 4.0)
+    assert chart(panel, late, steps, None, tall=False).beyond  # type: ignore[union-attr]
+    wide = late._replace(width_s=1.5e-3)
+    assert not chart(panel, wide, steps, None, tall=False).beyond  # type: ignore[union-attr]
+
+
+def test_a_series_is_stored_once_with_the_channels_that_are_drawn() -> None:
+    plots, series = Plots(), current(0.0, 123456.789)
+    for _ in range(2):
+        made = chart(panel_of(Check.CURRENT), series, [], None, tall=False)
+        assert made is not None
+        plots.figure(made, Frame(TimeAxis([(0.0, 1e-3)]), ""))
+    data = data_of(plots)
+    assert [each["series"] for each in data["charts"]] == [0, 0]
+    assert data["series"] == [
+        {"time": [0.0, 1.0], "low": {"current": [0.0, 123460.0]}, "high": None}
+    ]

@@ -14,10 +14,8 @@ from drivers.interfaces import RawFrame
 from rig.common.errors import InputError
 from rig.common.sample import Sample
 from rig.runs import run
-from rig.runs.mcap import stream as mcap_stream
-from rig.runs.mcap.reader import read_run
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import sample_blocks
+from rig.runs.mcap import reader as mcap_stream
+from rig.runs.mcap.reader import DamageError, read_run, sample_blocks
 from rig.runs.recorder import open_recorder
 from rig.runs.run_record import Load, SegmentRecord
 

@@ -70,14 +70,6 @@ def on(terminal: Terminal, clock: Any = None) -> Screen:
     return Screen(clock or SimulatedClock(), terminal.stream, terminal.stream)
 
 
-def test_messages_come_out_in_order(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.say("first")
-    screen.say("second", err=False)
-    assert terminal.shown() == "first\nsecond\n"
-    screen.close()
-
-
 def test_a_stopped_terminal_takes_no_time_and_gets_everything_later(terminal: Terminal) -> None:
     screen = on(terminal)
     terminal.stall()
@@ -92,15 +84,6 @@ def test_a_stopped_terminal_takes_no_time_and_gets_everything_later(terminal: Te
         screen.pump()
         shown += terminal.shown()
     assert shown.splitlines() == [f"line {number}" for number in range(2000)]
-    screen.close()
-
-
-def test_a_terminal_that_nobody_reads_takes_no_time(terminal: Terminal) -> None:
-    screen = on(terminal)
-    began = time.monotonic()
-    for _ in range(100):
-        screen.say("x" * 1000)
-    assert time.monotonic() - began < 1.0
     screen.close()
 
 

@@ -111,81 +111,27 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "named"),
     [
-        (
-            {"schema": "loadrig.paper/1"},
-            "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.paper/1')",
-        ),
-        ({"parameters": {}}, "parameters: no parameter has a value"),
-        ({"parameters": {"J": "much"}}, "parameters.J: must be a finite number (got 'much')"),
-        (
-            {"effects": [{"name": "witchcraft", "parameters": {}}]},
-            "witchcraft is not an effect of the catalogue",
-        ),
-        ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
-        (
-            {"motion": "linear"},
-            "motion: the result is of a linear bench, but the recordings are of a rotary bench",
-        ),
-        (
-            {
-                "parameters": {
-                    "J": {"value": 95.1, "unit": "kg"},
-                    "Mc": {"value": 20.4, "unit": "N"},
-                }
-            },
-            "motion: the result is of a linear bench",
-        ),
+        ({"schema": "loadrig.paper/1"}, ["schema:", "'loadrig.paper/1'"]),
+        ({"parameters": {}}, ["parameters:"]),
+        ({"parameters": {"J": "much"}}, ["parameters.J:", "'much'"]),
+        ({"effects": [{"name": "witchcraft", "parameters": {}}]}, ["witchcraft"]),
+        ({"effects": [{"name": "backlash", "parameters": {}}]}, ["backlash", "gap_rad"]),
+        ({"motion": "linear"}, ["motion:", "linear", "rotary"]),
+        ({"parameters": {"J": {"value": 95.1, "unit": "kg"}}}, ["motion:", "linear"]),
     ],
 )
 def test_a_file_that_is_no_result(
     more: dict[str, Any],
-    said: str,
+    named: list[str],
     campaign: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     found = result(tmp_path, **more)
-    assert (
-        status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "out")])
-        == 2
-    )
+    out = tmp_path / "out"
+    assert status(["simulate", str(campaign), "--result", str(found), "--out", str(out)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(str(found))
-    assert said in error
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_diagnosis_says_which_motion_it_is_of(campaign: Path, tmp_path: Path) -> None:
-    """And a rotary one is refused for a linear bench, where its numbers mean something else."""
-    found = tmp_path / "diagnosed.json"
-    arguments = [
-        "diagnose",
-        str(campaign),
-        "--out",
-        str(tmp_path / "out"),
-        "--json",
-        str(found),
-    ]
-    assert status(arguments) == 0
-    assert json.loads(found.read_text())["motion"] == "rotary"
-    assert (
-        status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "same")])
-        == 0
-    )
-    linear = tmp_path / "linear.yaml"
-    linear.write_text(
-        campaign.read_text().replace(
-            "torque_constant: 0.03,", "torque_constant: 0.03, motion: linear,"
-        )
-    )
-    assert (
-        status(["simulate", str(linear), "--result", str(found), "--out", str(tmp_path / "other")])
-        == 2
-    )
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["simulate", "--help"]) == 0
-    assert "rig simulate later.yaml --result found.json" in capsys.readouterr().out
+    assert all(name in error for name in named)

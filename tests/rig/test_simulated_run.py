@@ -28,14 +28,6 @@ def sequence(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_recordings_come_back(
-    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    dataset = run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")
-    assert [r.name for r in dataset.recordings] == ["empty"]
-    assert capsys.readouterr() == ("", "")
-
-
 def test_a_real_bench_does_not_run_unattended(sequence: Path, tmp_path: Path) -> None:
     text = resolve("practical", "benches").read_text()
     path = tmp_path / "bench.yaml"

@@ -114,38 +114,6 @@ def test_missing_column_lists_what_is_there(tmp_path: Path) -> None:
     assert "has 4 columns, index 0 to 3 (got 9)" in lines[2]
 
 
-def test_nan_in_time(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, put("t", [7, 9], np.nan))
-    assert line.startswith(f"{tmp_path}/a.csv:9: time is not a number in 2 rows")
-
-
-def test_isolated_nan_is_interpolated_and_noted(tmp_path: Path) -> None:
-    (recording,) = load(tmp_path, put("a", [10, 11, 500, N - 1], np.nan))
-    assert recording.notes == ("`angle`: 4 missing samples interpolated",)
-    np.testing.assert_allclose(recording.channels["angle"], motion()["a"], atol=0.01)
-
-
-@pytest.mark.parametrize(("run", "refused"), [(5, False), (6, True)])
-def test_the_longest_run_that_is_interpolated(tmp_path: Path, run: int, refused: bool) -> None:
-    change = put("m", slice(100, 100 + run), np.nan)
-    if not refused:
-        assert load(tmp_path, change)[0].notes == (f"`torque`: {run} missing samples interpolated",)
-        return
-    (line,) = problems(tmp_path, change)
-    assert line.startswith(
-        f"{tmp_path}/a.csv:102: `torque`: 6 of 2000 samples are missing, the longest run 6"
-    )
-
-
-@pytest.mark.parametrize(("step", "refused"), [(20, False), (19, True)])
-def test_the_largest_share_that_is_interpolated(tmp_path: Path, step: int, refused: bool) -> None:
-    change = put("m", slice(0, N, step), np.inf)
-    if refused:
-        assert "106 of 2000 samples are missing" in problems(tmp_path, change)[0]
-    else:
-        assert load(tmp_path, change)[0].notes == ("`torque`: 100 missing samples interpolated",)
-
-
 def test_several_bad_channels_and_files_are_all_reported(tmp_path: Path) -> None:
     write_csv(tmp_path / "b.csv", {**motion(), "t": np.full(N, np.nan)})
 
@@ -163,11 +131,6 @@ def test_several_bad_channels_and_files_are_all_reported(tmp_path: Path) -> None
     assert "recordings[2].file: no such file in" in lines[0]
 
 
-def test_time_backwards(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, put("t", [1000], 0.5))
-    assert line.startswith(f"{tmp_path}/a.csv:1002: time runs backwards, from 0.999 to 0.5 s")
-
-
 def repeat(count: int) -> Callable[[Columns], object]:
     def change(columns: Columns) -> None:
         rows = 1 + 2 * np.arange(count)
@@ -176,25 +139,121 @@ def repeat(count: int) -> Callable[[Columns], object]:
     return change
 
 
-def test_repeated_stamps(tmp_path: Path) -> None:
-    (recording,) = load(tmp_path, repeat(20))
-    assert recording.notes[0] == "20 samples with a repeated time stamp dropped"
-    assert len(recording.time) == N - 20
-    np.testing.assert_allclose(
-        recording.channels["angle"], np.sin(2 * np.pi * recording.time), atol=1e-6
-    )
-    (line,) = problems(tmp_path, repeat(21))
-    assert line.startswith(
-        f"{tmp_path}/a.csv:3: 21 repeated time stamps (1.1 % of the rows, at most 1 %)"
-    )
-
-
 def shift(*starts: int) -> Callable[[Columns], object]:
     def change(columns: Columns) -> None:
         for start in starts:
             columns["t"][start:] += 1.0
 
     return change
+
+
+def times(name: str, factor: float) -> Callable[[Columns], object]:
+    return lambda columns: columns.update({name: factor * columns[name]})
+
+
+def geared(factor: float) -> Callable[[Columns], object]:
+    return lambda columns: columns.update(w=factor * columns["a"])
+
+
+def opposed_in_steps(columns: Columns) -> None:
+    columns["a"], columns["m"] = np.round(columns["a"], 2), -columns["m"]
+
+
+def inertial(columns: Columns) -> None:
+    columns["m"] = -20 * columns["a"] - 0.2 * columns["w"]
+
+
+def shuffled(columns: Columns) -> None:
+    columns["a"] = np.random.default_rng(1).permutation(columns["a"])
+
+
+def sparse(columns: Columns) -> None:
+    columns["w"] = np.where(np.arange(N) % 100 == 0, 20 + columns["t"], np.nan)
+
+
+def power_off(columns: Columns) -> None:
+    columns["on"] = np.ones(N)
+    columns["on"][500:900] = 0
+    columns["u"] = columns["m"].copy()
+    columns["u"][500:900] = columns["u"][1200] = np.nan
+
+
+def power_unknown(columns: Columns) -> None:
+    power_off(columns)
+    columns["on"][3] = np.nan
+
+
+MOTOR = "{file: a.csv, channels: {motor_angle: {column: w, scale: 1}}}"
+HOT = "{file: a.csv, channels: {temperature: w}}"
+SPEED = "{file: a.csv, channels: {velocity: w}}"
+VOLTAGE = "{file: a.csv, channels: {voltage: u}}"
+SWITCHED = "{file: a.csv, channels: {voltage: u, enabled: 'on'}}"
+PLAIN = "file: a.csv"
+
+
+@pytest.mark.parametrize(
+    ("change", "item", "notes"),
+    [
+        (put("a", [10, 11, 500, N - 1], np.nan), PLAIN, ["`angle`: 4 missing samples"]),
+        (put("m", slice(100, 105), np.nan), PLAIN, ["`torque`: 5 missing samples interpolated"]),
+        (put("m", slice(0, N, 20), np.inf), PLAIN, ["`torque`: 100 missing samples interpolated"]),
+        (sparse, HOT, ["`temperature`: 1980 missing samples interpolated"]),
+        (power_off, SWITCHED, ["`voltage`: 1 missing samples interpolated"]),
+        (repeat(20), PLAIN, ["20 samples with a repeated time stamp dropped"]),
+        (times("t", 0.49 / PERIOD), PLAIN, []),
+        (times("t", 0.5 / PERIOD), PLAIN, ["median period 0.5 s: if `time` is in ms or us"]),
+        (put("w", slice(None), 21.0), HOT, ["`temperature` is constant (21)"]),
+        (geared(1.04), MOTOR, []),
+        (geared(1.06), MOTOR, ["motor_angle / angle is 1.06, bench.gear_ratio is 1"]),
+        (inertial, PLAIN, []),
+        (times("m", -1), "{file: a.csv, channels: {torque: {column: m, scale: -1}}}", []),
+        (times("m", -1), "{file: a.csv, gravity: {mass: 1, length: 1}}", []),
+    ],
+)
+def test_what_is_mended_or_doubted_is_noted(
+    tmp_path: Path, change: Callable[[Columns], object], item: str, notes: list[str]
+) -> None:
+    (recording,) = load(tmp_path, change, item)
+    assert len(recording.notes) == len(notes)
+    assert all(map(str.startswith, recording.notes, notes))
+
+
+@pytest.mark.parametrize(
+    ("change", "item", "place", "words"),
+    [
+        (put("t", [7, 9], np.nan), PLAIN, ":9", "time is not a number in 2 rows"),
+        (put("t", [1000], 0.5), PLAIN, ":1002", "time runs backwards, from 0.999 to 0.5 s"),
+        (put("m", slice(100, 106), np.nan), PLAIN, ":102", "`torque`: 6 of 2000 samples"),
+        (put("m", slice(0, N, 19), np.inf), PLAIN, ":2", "`torque`: 106 of 2000 samples"),
+        (repeat(21), PLAIN, ":3", "21 repeated time stamps (1.1 % of the rows, at most 1 %)"),
+        (shift(*range(40, N, 40)), PLAIN, ":42", "49 gaps leave no span of 50 samples"),
+        (power_off, VOLTAGE, ":502", "`voltage`: 401 of 2000 samples are missing"),
+        (power_unknown, SWITCHED, ":5", "`enabled` is missing in 1 rows"),
+        (times("m", -1), PLAIN, "", "`torque` opposes the motion (correlation -1.00"),
+        (opposed_in_steps, PLAIN, "", "`torque` opposes the motion"),
+        (times("w", -1), SPEED, "", "`velocity` runs against `angle` (correlation -1.00)"),
+        (geared(-1), MOTOR, "", "`motor_angle` runs against `angle`"),
+        (shuffled, PLAIN, "", "`angle` jumps from sample to sample"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_its_line(
+    tmp_path: Path, change: Callable[[Columns], object], item: str, place: str, words: str
+) -> None:
+    assert problems(tmp_path, change, item)[0].startswith(f"{tmp_path}/a.csv{place}: {words}")
+
+
+def test_what_is_mended_is_near_the_truth(tmp_path: Path) -> None:
+    (recording,) = load(tmp_path, put("a", [10, 11, 500, N - 1], np.nan))
+    np.testing.assert_allclose(recording.channels["angle"], motion()["a"], atol=0.01)
+    (recording,) = load(tmp_path, repeat(20))
+    assert len(recording.time) == N - 20
+    truth = np.sin(2 * np.pi * recording.time)
+    np.testing.assert_allclose(recording.channels["angle"], truth, atol=1e-6)
+    (recording,) = load(tmp_path, sparse, HOT)
+    heat = recording.channels["temperature"][:1901]
+    np.testing.assert_allclose(heat, 20 + recording.time[:1901])
+    voltage = load(tmp_path, power_off, SWITCHED)[0].channels["voltage"]
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(voltage)), np.arange(500, 900))
 
 
 def test_gaps_split_and_short_spans_go(tmp_path: Path) -> None:
@@ -207,11 +266,6 @@ def test_gaps_split_and_short_spans_go(tmp_path: Path) -> None:
         "1 spans shorter than 50 samples dropped (49 samples)",
     )
     assert [r.name for r in load(tmp_path, shift(600, 650))] == ["a[1]", "a[2]", "a[3]"]
-
-
-def test_nothing_but_gaps(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, shift(*range(40, N, 40)))
-    assert line.startswith(f"{tmp_path}/a.csv:42: 49 gaps leave no span of 50 samples")
 
 
 def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:
@@ -228,112 +282,7 @@ def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:
     assert np.ptp(np.diff(recording.time)) > 1e-4
 
 
-def test_milliseconds_are_suspected(tmp_path: Path) -> None:
-    def milliseconds(columns: Columns) -> None:
-        columns["t"] *= 5000
-
-    (recording,) = load(tmp_path, milliseconds)
-    assert "set its scale to 0.001" in recording.notes[0]
-
-
-def test_constant_channel_is_noted(tmp_path: Path) -> None:
-    (recording,) = load(
-        tmp_path, nothing, "{file: a.csv, channels: {temperature: {column: m, scale: 1e-300}}}"
-    )
-    assert recording.notes == ()
-    (recording,) = load(
-        tmp_path, put("w", slice(None), 21.0), "{file: a.csv, channels: {temperature: w}}"
-    )
-    assert recording.notes == ("`temperature` is constant (21)",)
-
-
-def test_slow_channel_is_filled_whatever_its_rate(tmp_path: Path) -> None:
-    def sparse(columns: Columns) -> None:
-        columns["w"] = np.where(np.arange(N) % 100 == 0, 20 + columns["t"], np.nan)
-
-    (recording,) = load(tmp_path, sparse, "{file: a.csv, channels: {temperature: w}}")
-    assert recording.notes == ("`temperature`: 1980 missing samples interpolated",)
-    np.testing.assert_allclose(recording.channels["temperature"][:1901], 20 + recording.time[:1901])
-
-
-def test_voltage_is_missing_by_right_while_the_power_is_off(tmp_path: Path) -> None:
-    def off(columns: Columns) -> None:
-        columns["on"] = np.ones(N)
-        columns["on"][500:900] = 0
-        columns["u"] = columns["m"].copy()
-        columns["u"][500:900] = np.nan
-        columns["u"][1200] = np.nan
-
-    item = "{file: a.csv, channels: {voltage: u, enabled: 'on'}}"
-    (recording,) = load(tmp_path, off, item)
-    assert recording.notes == ("`voltage`: 1 missing samples interpolated",)
-    np.testing.assert_array_equal(
-        np.flatnonzero(np.isnan(recording.channels["voltage"])), np.arange(500, 900)
-    )
-    (line,) = problems(tmp_path, off, "{file: a.csv, channels: {voltage: u}}")
-    assert line.startswith(f"{tmp_path}/a.csv:502: `voltage`: 401 of 2000 samples are missing")
-    assert "state this with an `enabled` channel" in line
-    (line,) = problems(tmp_path, lambda c: (off(c), put("on", [3], np.nan)(c)), item)
-    assert line.startswith(f"{tmp_path}/a.csv:5: `enabled` is missing in 1 rows")
-
-
-def flip(name: str) -> Callable[[Columns], object]:
-    def change(columns: Columns) -> None:
-        columns[name] *= -1
-
-    return change
-
-
-def test_torque_of_the_wrong_sign(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, flip("m"))
-    assert line.startswith(f"{tmp_path}/a.csv: `torque` opposes the motion (correlation -1.00")
-    assert "negate the scale of `torque` or of `angle`" in line
-    (recording,) = load(
-        tmp_path, flip("m"), "{file: a.csv, channels: {torque: {column: m, scale: -1}}}"
-    )
-    assert recording.channels["torque"][0] > 0
-    assert load(tmp_path, flip("m"), "{file: a.csv, gravity: {mass: 1, length: 1}}")
-
-
-def test_inertia_and_a_weak_opposition_are_not_mistaken_for_a_wrong_sign(tmp_path: Path) -> None:
-    def inertial(columns: Columns) -> None:
-        columns["m"] = -20 * columns["a"] - 0.2 * columns["w"]
-
-    assert load(tmp_path, inertial)[0].notes == ()
-
-
-def test_sign_is_seen_through_encoder_steps(tmp_path: Path) -> None:
-    def coarse(columns: Columns) -> None:
-        columns["a"] = np.round(columns["a"], 2)
-        columns["m"] *= -1
-
-    assert "opposes the motion" in problems(tmp_path, coarse)[0]
-
-
-def test_velocity_against_angle(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, flip("w"), "{file: a.csv, channels: {velocity: w}}")
-    assert "`velocity` runs against `angle` (correlation -1.00)" in line
-
-
-def test_motor_angle_against_angle(tmp_path: Path) -> None:
-    item = "{file: a.csv, channels: {motor_angle: {column: w, scale: 1}}}"
-
-    def geared(factor: float) -> Callable[[Columns], object]:
-        def change(columns: Columns) -> None:
-            columns["w"] = factor * columns["a"]
-
-        return change
-
-    assert load(tmp_path, geared(1.04), item)[0].notes == ()
-    assert load(tmp_path, geared(1.06), item)[0].notes == (
-        "motor_angle / angle is 1.06, bench.gear_ratio is 1",
-    )
-    assert "`motor_angle` runs against `angle`" in problems(tmp_path, geared(-1), item)[0]
-
-
 def test_a_joint_at_rest_tells_nothing_of_signs(tmp_path: Path) -> None:
-    item = "{file: a.csv, channels: {motor_angle: {column: w, scale: 1}}}"
-
     def flickering(columns: Columns) -> None:
         """Let two encoders flicker between three counts, by chance against each other."""
         rng = np.random.default_rng(4)
@@ -341,7 +290,7 @@ def test_a_joint_at_rest_tells_nothing_of_signs(tmp_path: Path) -> None:
         columns["a"] = 1e-4 * joint
         columns["w"] = 1e-4 * np.where(rng.uniform(size=N) < 0.3, -joint, other)
 
-    assert "motor_angle" in load(tmp_path, flickering, item)[0].channels
+    assert "motor_angle" in load(tmp_path, flickering, MOTOR)[0].channels
 
 
 def test_globs_names_and_roles(tmp_path: Path) -> None:
@@ -441,24 +390,3 @@ def test_a_file_is_not_counted_twice(tmp_path: Path) -> None:
     assert (
         len(load_source(both).recordings) == 2
     )  # another column, another scale: another axis of one log
-
-
-def test_shuffled_rows_under_a_rate_are_refused(tmp_path: Path) -> None:
-    def shuffle(columns: Columns) -> None:
-        order = np.random.default_rng(1).permutation(N)
-        columns.update({name: values[order] for name, values in columns.items()})
-
-    section = "{file: a.csv, rate: 1000, channels: {angle: a, torque: m}}"
-    path = campaign(tmp_path, section)
-    path.write_text(path.read_text().replace(CHANNELS, "{}"))
-    columns = motion()
-    shuffle(columns)
-    write_csv(tmp_path / "a.csv", columns)
-    with pytest.raises(InputError, match="`angle` jumps from sample to sample"):
-        load_source(path)
-
-
-@pytest.mark.parametrize(("period", "noted"), [(0.49, False), (0.5, True), (1.0, True)])
-def test_time_in_milliseconds_is_asked_for(tmp_path: Path, period: float, noted: bool) -> None:
-    (recording,) = load(tmp_path, lambda c: c.update(t=c["t"] * period / PERIOD))
-    assert any("if `time` is in ms or us" in note for note in recording.notes) is noted

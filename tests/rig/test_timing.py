@@ -32,7 +32,7 @@ def test_quantiles(share: float, expected: float) -> None:
     assert histogram.quantile_us(share) == pytest.approx(expected, rel=RESOLUTION)
 
 
-@pytest.mark.parametrize("true_us", np.geomspace(1.1, 900_000.0, 40))
+@pytest.mark.parametrize("true_us", np.geomspace(1.1, 900_000.0, 12))
 def test_no_quantile_is_off_by_more_than_the_resolution(true_us: float) -> None:
     """Judged by a bin's end, a true 11 ms was 20 ms."""
     histogram = Histogram()
@@ -53,10 +53,6 @@ def test_quantiles_of_spread_durations_are_not_biased() -> None:
         )
 
 
-def test_the_ends_of_the_bins() -> None:
-    assert EDGES_US == (0, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
-
-
 def test_nothing_is_recorded_before_a_cycle() -> None:
     nothing = {
         "edges_us": list(EDGES_US),
@@ -74,32 +70,6 @@ def test_nothing_is_recorded_before_a_cycle() -> None:
         "lost_encoder": 0,
         "oldest_sample_s": 0.0,
     }
-
-
-def test_what_is_recorded() -> None:
-    histogram = Histogram()
-    for duration_ns in [15_000] * 98 + [3_000_000, 400_000]:
-        histogram.note(duration_ns)
-    assert histogram.record() == {
-        "edges_us": list(EDGES_US),
-        "counts": [0, 98, 0, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0],
-        "p50_us": pytest.approx(15.0, rel=RESOLUTION),
-        "p99_us": pytest.approx(400.0, rel=RESOLUTION),
-        "resolution": 0.01,
-        "worst_us": 3000.0,
-    }
-    assert isinstance(histogram.quantile_us(0.5), float)
-
-
-def test_a_share_is_never_beyond_the_worst() -> None:
-    histogram = Histogram()
-    histogram.note(60_000)
-    assert histogram.quantile_us(1.0) == 60.0
-
-
-def test_nothing_counted() -> None:
-    assert Histogram().quantile_us(0.5) is None
-    assert summary(Timing().record()) == "no cycle was completed"
 
 
 def test_a_first_cycle_that_failed_is_no_cycle() -> None:

@@ -12,22 +12,20 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.catalogue.compare import (
+    FALSE_ALARMS,
     Compared,
     _short,
+    alarms,
     compare_document,
     compare_record,
-    differences,
-    require_comparable,
-)
-from rig.results.catalogue.listing import courses as drawn
-from rig.results.catalogue.trend import (
-    FALSE_ALARMS,
-    alarms,
     courses,
+    differences,
     histories,
+    require_comparable,
     trend_document,
     trend_record,
 )
+from rig.results.catalogue.listing import courses as drawn
 from rig.results.document import Table, page, text
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
 

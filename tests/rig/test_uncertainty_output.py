@@ -15,14 +15,14 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
-from rig.results.identify.record import uncertainty_record
-from rig.results.identify.uncertainty import (
+from rig.results.identify.document import (
     bootstrap_table,
     profile_table,
     uncertainty_notes,
     uncertainty_pictures,
     uncertainty_tables,
 )
+from rig.results.identify.identify import uncertainty_record
 
 RESULT = Identification(
     "default",

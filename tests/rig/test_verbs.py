@@ -96,14 +96,6 @@ def test_repeat_at_the_prompt_goes_back_one_stage(runner: Any, fake_bench: Any) 
     assert bench.hung == [0.0, 0.0, 10.0]
 
 
-def test_there_is_nothing_before_the_first_stage(runner: Any, fake_bench: Any) -> None:
-    operator = Scripted(prompts=[Verb.REPEAT])
-    _, outcome = runner(fake_bench(), operator)
-    assert outcome.ending is Ending.DONE
-    assert operator.asked == ["empty", "empty", "heavy"]
-    assert operator.told == ["there is no stage before this one"]
-
-
 def test_recovery_knows_which_attempt_counts(runner: Any, fake_bench: Any) -> None:
     bench, stop = fake_bench(), StopButton()
     pausing(bench, stop, 700)
@@ -126,13 +118,6 @@ def test_the_automatic_operator_waits_for_the_second_signal() -> None:
     stop.pause()
     assert AutomaticOperator(clock=clock).paused("empty", stop) is Verb.GO_ON
     assert clock.now_ns() >= 3_000_000_000
-
-
-def test_a_pause_names_only_what_the_operator_has(capsys: pytest.CaptureFixture[str]) -> None:
-    clock, stop = SimulatedClock(), StopButton()
-    AutomaticOperator(clock=clock).paused("empty", stop)
-    words = "Paused after stage empty; the drive is off. To continue, send SIGUSR1; to stop the run"
-    assert words in capsys.readouterr().err
 
 
 @pytest.mark.skipif(PAUSE_SIGNAL is None, reason="no SIGUSR1 here")

@@ -13,10 +13,12 @@ from time import perf_counter
 import numpy as np
 from scipy import stats
 
+from identification.diagnosis.comparison import probability
 from identification.diagnosis.gas.burns import CONSTANTS, VOLUME, Burn, burns, noise
 from identification.diagnosis.gas.fit import Fitted, fit, nominal_model
 from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded_rows
 from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Selected, search
+from identification.diagnosis.locate import Axis, curve, map_over, ranges
 from identification.diagnosis.result import (
     Diagnosis,
     Estimate,
@@ -30,9 +32,7 @@ from identification.diagnosis.result import (
     Verdict,
 )
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.locate import Axis, curve, map_over, ranges
-from identification.diagnosis.selection.comparison import probability
-from identification.diagnosis.verdict.statement import finding
+from identification.diagnosis.statement import finding
 from identification.effects.effect import title
 from identification.effects.gas_generator import GasEffect
 from identification.numerics.spread import CONFIDENCE

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from identification.diagnosis.fit.rows import GREATEST_BLOCK_S, LEAST_BLOCK_S, Equation, edges
-from identification.diagnosis.fit.stack import Candidate, Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, simulate, simulated_burn
+from identification.diagnosis.rows import GREATEST_BLOCK_S, LEAST_BLOCK_S, Equation, edges
+from identification.diagnosis.stack import Candidate, Stack
 from identification.effects import GAS
 from identification.effects.gas_generator import GasEffect, GasGeneratorEffect
 from identification.estimate.equation_error import BLOCK_CORRELATION_TIMES

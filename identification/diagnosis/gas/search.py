@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, fit, nominal_model
 from identification.diagnosis.gas.rows import candidates, families, padded_rows, stack_of, starts
+from identification.diagnosis.removal import LEAST_FURTHER
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.significance import sign_flip_p_value
-from identification.diagnosis.selection.removal import LEAST_FURTHER
+from identification.diagnosis.significance import sign_flip_p_value
+from identification.diagnosis.stack import Stack
 from identification.effects import GAS
 from identification.effects.gas_generator import GasEffect, GasGeneratorEffect
 from identification.recording import Array

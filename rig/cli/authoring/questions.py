@@ -1,80 +1,48 @@
-"""Questions whose answers define a file; the answers come from the terminal, from options or from
+"""Questions whose answers fill a template; the answers come from the terminal, from options or from
 defaults.
 """
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import click
 
+from rig.cli.options import Number
 from rig.common.errors import InputError
 from rig.terminal.prompt import Asker, InputEndedError
 
-if TYPE_CHECKING:
-    Kind = click.ParamType[Any]
-else:
-    # Older versions of click have no type argument.
-    Kind = click.ParamType
-
 Answers = dict[str, Any]
+POSITIVE = Number(min=0.0, min_open=True)
 
 
-class Number(Kind):
-    """A finite number above a bound; a decimal comma is accepted.
+class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of click have no type argument
+    """Values separated by commas, numbers also by blanks; `none` and an empty answer are an empty
+    list.
 
     Args:
-        above: Exclusive lower bound, or None for no bound.
-        at_least: Inclusive lower bound, or None for no bound.
-        not_zero: Whether zero is refused.
+        each: Type of a value.
     """
 
-    name = "number"
+    name = "list"
 
-    def __init__(
-        self, above: float | None = 0.0, at_least: float | None = None, not_zero: bool = False
-    ) -> None:
-        self._above = above if at_least is None else None
-        self._at_least = at_least
-        self._not_zero = not_zero
+    def __init__(self, each: click.ParamType = POSITIVE) -> None:  # type: ignore[type-arg]
+        self._each = each
+        self._separator = r"[,\s]+" if isinstance(each, Number) else r"\s*,\s*"
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return the number, or fail with a message."""
-        try:
-            number = float(str(value).strip().replace(",", "."))
-        except ValueError:
-            self.fail(f"{value!r} is not a number", param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is not finite", param, ctx)
-        if self._above is not None and not number > self._above:
-            self.fail(f"{number:g} must be above {self._above:g}", param, ctx)
-        if self._at_least is not None and number < self._at_least:
-            self.fail(f"{number:g} must be at least {self._at_least:g}", param, ctx)
-        if self._not_zero and number == 0.0:
-            self.fail("a scale of 0 makes all samples 0", param, ctx)
-        return number
-
-
-class Numbers(Kind):
-    """Positive numbers separated by commas or blanks; an empty answer is an empty list."""
-
-    name = "numbers"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """Return the numbers in the order given, or fail with a message."""
+    ) -> tuple[Any, ...]:
+        """Return the values in the order given, or fail with a message."""
         if isinstance(value, tuple):
             return value
-        words = str(value).replace(",", " ").split()
+        words = [word for word in re.split(self._separator, str(value).strip()) if word]
         if words == ["none"]:
             return ()
-        return tuple(Number().convert(word, param, ctx) for word in words)
+        return tuple(self._each.convert(word, param, ctx) for word in words)
 
 
 @dataclass(frozen=True)
@@ -85,40 +53,34 @@ class Question:
         name: Name of the answer; with dashes, name of the option.
         words: Text for the prompt and the help of the option.
         unit: Unit of the answer; empty for none.
-        kind: Reads the answer.
         default: Default: a value, or a function of the earlier answers, or None if an answer is
             required.
-        when: Function of the earlier answers that decides whether the question is asked.
-        why: Advice in the message if the question has no default.
-        refusal: Function of an answer and the earlier answers; returns why the answer is refused,
-            or None if the answer is accepted.
+        kind: Reads the answer.
+        when: Function of the earlier answers that decides whether the question applies.
+        refusal: Function of an answer that returns why the answer is refused, or None.
     """
 
     name: str
     words: str
     unit: str = ""
-    kind: Kind = field(default_factory=Number)
     default: Any = None
+    kind: click.ParamType = POSITIVE  # type: ignore[type-arg]
     when: Callable[[Mapping[str, Any]], bool] = lambda answers: True
-    why: str = "the value has no default"
-    refusal: Callable[[Any, Mapping[str, Any]], str | None] = lambda answer, answers: None
+    refusal: Callable[[Any], str | None] = lambda answer: None
 
     @property
     def option(self) -> str:
         """Name of the option that answers the question."""
         return f"--{self.name.replace('_', '-')}"
 
+    @property
+    def text(self) -> str:
+        """The question with the unit of the answer."""
+        return f"{self.words}, {self.unit}" if self.unit else self.words
+
     def default_for(self, answers: Mapping[str, Any]) -> Any:
         """Return the default after the earlier answers, or None if the question has no default."""
         return self.default(answers) if callable(self.default) else self.default
-
-    def prompt(self, default: Any) -> str:
-        """Return the prompt for the terminal."""
-        unit = f", {self.unit}" if self.unit else ""
-        choices = (
-            f" ({', '.join(self.kind.choices)})" if isinstance(self.kind, click.Choice) else ""
-        )
-        return f"{self.words}{unit}{choices}{'' if default is None else f' [{shown(default)}]'}: "
 
 
 def shown(value: Any) -> str:
@@ -128,44 +90,16 @@ def shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def assumed(
-    questions: Iterable[Question], given: Mapping[str, Any], answers: Answers, names: Iterable[str]
-) -> str:
-    """Return a note on the named values that no option gave, and that are therefore defaults; empty
-    if there are none.
-
-    Args:
-        questions: The questions of the file.
-        given: Answers given as options, by name, or None for options not given.
-        answers: The answers, defaults included.
-        names: Names of the answers that only a data sheet or a measurement can state.
-    """
-    wanted = frozenset(names)
-    found = [
-        f"{q.option} {shown(answers[q.name])} {q.unit}".rstrip()
-        for q in questions
-        if q.name in wanted and q.name in answers and given.get(q.name) is None
-    ]
-    if not found:
-        return ""
-    return (
-        f"note: assumed, because no option states it: {', '.join(found)}; compare with the data "
-        "sheet"
-    )
-
-
 def options(questions: Iterable[Question]) -> Callable[[Any], Any]:
     """Return a decorator that gives a command an option for each question."""
 
     def decorate(command: Any) -> Any:
         for question in reversed(tuple(questions)):
-            unit = f", {question.unit}" if question.unit else ""
             static = question.default is not None and not callable(question.default)
             default = f" [default: {shown(question.default)}]" if static else ""
-            text = f"{question.words}{unit}.{default}"
-            command = click.option(question.option, question.name, type=question.kind, help=text)(
-                command
-            )
+            command = click.option(
+                question.option, question.name, type=question.kind, help=question.text + default
+            )(command)
         return command
 
     return decorate
@@ -176,7 +110,7 @@ def ask_all(
     given: Mapping[str, Any],
     asker: Asker | None,
     tell: Callable[[str], None],
-    before: Mapping[str, Any] | None = None,
+    before: Mapping[str, Any],
 ) -> Answers:
     """Return the answer to every question that applies.
 
@@ -192,91 +126,55 @@ def ask_all(
         InputError: A question without default is not answered, or an option is refused or does not
             apply, in which case the message lists all; or the input ended.
     """
-    asked = tuple(questions)
-    before = before or {}
     answers: Answers = {}
     problems: list[str] = []
     refuse = problems.append if asker is None else tell
-    for place, question in enumerate(asked):
+    for question in questions:
         value = given.get(question.name)
         if not question.when(answers):
             if value is not None:
                 refuse(f"{question.option}: does not apply to the other choices; leave it out")
             continue
         default = before.get(question.name, question.default_for(answers))
-        if value is not None and (reason := question.refusal(value, answers)) is not None:
+        reason = None if value is None else question.refusal(value)
+        if reason is not None:
             refuse(f"{question.option}: {reason}")
-            value = None if asker is not None else value
-        if value is None and asker is not None:
-            try:
-                value = _ask(question, default, asker, tell, answers)
-            except InputEndedError as error:
-                remedy = _remedy(_without_default(asked[place:], given, answers))
-                raise InputError(
-                    f"{question.option}: {error} before this question was answered; {remedy}"
-                ) from error
+        if asker is None:
+            value = default if value is None else value
+        elif value is None or reason is not None:
+            value = _ask(question, default, asker, tell)
         if value is None:
-            value = default
-        if value is None:
-            problems.append(f"{question.option}: missing; {question.why}")
-            value = _stand_in(question)
+            problems.append(f"{question.option}: missing; state: {question.text}")
+            # The later questions are checked as well.
+            value = 1.0 if isinstance(question.kind, Number) else ""
         answers[question.name] = value
     if problems:
         raise InputError(problems)
     return answers
 
 
-def _stand_in(question: Question) -> Any:
-    """Return a placeholder answer, so that the later questions can be checked as well."""
-    return 1.0 if isinstance(question.kind, Number) else ""
-
-
-def _without_default(
-    questions: Iterable[Question], given: Mapping[str, Any], answers: Mapping[str, Any]
-) -> list[str]:
-    """Return the options that are required if all other questions take their defaults."""
-    found, known = [], dict(answers)
-    for question in questions:
-        if not question.when(known):
-            continue
-        value = given.get(question.name)
-        value = question.default_for(known) if value is None else value
-        if value is None:
-            found.append(question.option)
-            value = _stand_in(question)
-        known[question.name] = value
-    return found
-
-
-def _remedy(required: list[str]) -> str:
-    if not required:
-        return "give the option, or --yes for the defaults"
-    return f"give the options; --yes takes the defaults, but {', '.join(required)} must be given"
-
-
-def _ask(
-    question: Question,
-    default: Any,
-    asker: Asker,
-    tell: Callable[[str], None],
-    answers: Mapping[str, Any],
-) -> Any:
-    """Ask one question until a valid answer is given.
-
-    Raises:
-        InputEndedError: The input has ended.
-    """
+def _ask(question: Question, default: Any, asker: Asker, tell: Callable[[str], None]) -> Any:
+    """Ask one question until a valid answer is given."""
+    kind = question.kind
+    choices = f" ({', '.join(kind.choices)})" if isinstance(kind, click.Choice) else ""
+    proposed = "" if default is None else f" [{shown(default)}]"
     while True:
-        typed = asker.ask(question.prompt(default))
+        try:
+            typed = asker.ask(f"{question.text}{choices}{proposed}: ")
+        except InputEndedError as error:
+            raise InputError(
+                f"{question.option}: {error} before this question was answered; give the options, "
+                "or --yes for the defaults"
+            ) from error
         if not typed and default is None:
-            tell(f"an answer is needed: {question.why}")
+            tell("an answer is needed, because the value has no default")
             continue
         try:
-            answer = question.kind.convert(typed, None, None) if typed else default
+            answer = kind.convert(typed, None, None) if typed else default
         except click.BadParameter as error:
             tell(error.message)
             continue
-        reason = question.refusal(answer, answers)
+        reason = question.refusal(answer)
         if reason is None:
             return answer
         tell(reason)

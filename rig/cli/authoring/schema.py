@@ -9,18 +9,16 @@ every row of a table, overrides.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import re
-import typing
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 
 from drivers.mock.plant.effects.pack import GAS_KNOWN, KNOWN
 from drivers.mock.plant.parts.constants import Machine
-from identification.model.ladder import LADDER
+from identification.model.parameters import LADDER
 from identification.recording import CHANNELS
 from rig.config.bench import Bench
 from rig.config.campaign import Campaign
@@ -89,9 +87,9 @@ class Meaning(NamedTuple):
     unit: str
 
 
-def summary(record: type) -> str:
+def summary(docstring: str) -> str:
     """Return the description of a record: its docstring before the list of fields."""
-    lines = inspect.cleandoc(record.__doc__ or "").split("\n")
+    lines = inspect.cleandoc(docstring).split("\n")
     end = next((n for n, line in enumerate(lines) if _SECTION.match(line)), len(lines))
     return "\n".join(lines[:end]).strip()
 
@@ -100,13 +98,12 @@ def meanings(record: type) -> dict[str, Meaning]:
     """Return the meanings of a record's fields, including inherited fields, from the docstrings."""
     found: dict[str, Meaning] = {}
     for base in reversed(record.__mro__):
-        for name, text in _attributes(base.__dict__.get("__doc__") or "").items():
-            found[name] = _meaning(name, text)
+        found |= _attributes(base.__dict__.get("__doc__") or "")
     return found
 
 
-def _attributes(docstring: str) -> dict[str, str]:
-    """Return the text of each field in the section ``Attributes:``."""
+def _attributes(docstring: str) -> dict[str, Meaning]:
+    """Return the meaning of each field in the section ``Attributes:``."""
     found: dict[str, str] = {}
     name, inside = "", False
     for line in inspect.cleandoc(docstring).split("\n"):
@@ -120,7 +117,7 @@ def _attributes(docstring: str) -> dict[str, str]:
                 found[name] = entry[2]
             elif name:
                 found[name] += f" {line.strip()}"
-    return found
+    return {name: _meaning(name, text) for name, text in found.items()}
 
 
 def _meaning(name: str, text: str) -> Meaning:
@@ -130,8 +127,6 @@ def _meaning(name: str, text: str) -> Meaning:
     before, _, unit = head.rpartition(", ")
     if unit in UNITS:
         return Meaning(before + text[len(head) :], unit)
-    if head in UNITS:
-        return Meaning(text, head)
     return Meaning(text, unit_of(name))
 
 
@@ -179,11 +174,10 @@ def json_schema(kind: str) -> Tree:
     Args:
         kind: One of :data:`KINDS`.
     """
-    root = KINDS[kind]
-    tree = root.model_json_schema(mode="validation", ref_template="#/definitions/{model}")
+    tree = KINDS[kind].model_json_schema(ref_template="#/definitions/{model}")
     definitions: Tree = tree.pop("$defs", {})
-    for name, record in records(root).items():
-        _describe(tree if record is root else definitions[name], record)
+    for node in (tree, *definitions.values()):
+        _describe(node)
     _REFINED[kind](tree, definitions)
     schema = {
         "$schema": DIALECT,
@@ -196,30 +190,12 @@ def json_schema(kind: str) -> Tree:
     return schema
 
 
-def records(root: type) -> dict[str, type]:
-    """Return the record of a file and all records inside it, by name."""
-    found: dict[str, type] = {}
-    waiting: list[Any] = [root]
-    while waiting:
-        annotation = waiting.pop()
-        if isinstance(annotation, type) and _is_record(annotation):
-            if annotation.__name__ not in found:
-                found[annotation.__name__] = annotation
-                waiting.extend(typing.get_type_hints(annotation, include_extras=True).values())
-        else:
-            waiting.extend(typing.get_args(annotation))
-    return found
-
-
-def _is_record(annotation: type) -> bool:
-    return dataclasses.is_dataclass(annotation) or issubclass(annotation, BaseModel)
-
-
-def _describe(node: Tree, record: type) -> None:
-    """Add descriptions and units to a record and its keys, and forbid unknown keys."""
-    node["description"] = _plain(summary(record))
+def _describe(node: Tree) -> None:
+    """Add descriptions and units from a record's docstring, and forbid unknown keys."""
+    docstring = node.get("description", "")
+    node["description"] = _plain(summary(docstring))
     node["additionalProperties"] = False
-    known = meanings(record)
+    known = _attributes(docstring)
     for name, key in node.get("properties", {}).items():
         if name in known:
             key["description"] = describe(known[name])
@@ -265,11 +241,9 @@ def _tidy(node: Tree) -> None:
 
 
 def _bench(tree: Tree, definitions: Tree) -> None:
-    for name, record in records(Machine).items():
-        hints = typing.get_type_hints(record)
+    for name in ("Machine", *TypeAdapter(Machine).json_schema()["$defs"]):
         for key, node in definitions[name]["properties"].items():
-            if hints[key] in (int, float, float | None):
-                _bound(node, may_be(key))
+            _bound(node, may_be(key))
     definitions["Machine"]["properties"]["effects"] = _effects()
     # The interface distinguishes the kinds of bus; as free text, it would match every kind.
     definitions["Bus"]["properties"]["interface"]["not"] = {"const": "epos_serial"}
@@ -280,10 +254,9 @@ def _bench(tree: Tree, definitions: Tree) -> None:
 
 
 def _bound(node: Tree, sign: str) -> None:
-    targets = [
-        item for item in node.get("anyOf", [node]) if item.get("type") in ("number", "integer")
-    ]
-    for target in targets:
+    for target in node.get("anyOf", [node]):
+        if target.get("type") not in ("number", "integer") or "enum" in target:
+            continue
         if sign == "> 0":
             target["exclusiveMinimum"] = 0
         elif sign:

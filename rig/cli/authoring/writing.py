@@ -1,18 +1,21 @@
-"""Writes a new file: the file is validated before it gets its name, and never replaces an existing
-file.
+"""Writes a new file from its template: the file is validated before it gets its name, and never
+replaces an existing file.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from rig.cli.authoring.schema import json_schema
 from rig.common.errors import InputError
 from rig.common.places import replacing, require_file, require_folder, write_text
+from rig.common.yaml_tree import scalar
 
 FOLDER: Final = "schemas"
 """Subfolder for schemas in the folder of a file."""
@@ -61,6 +64,34 @@ def require_schema_place(path: Path) -> None:
             )
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; move the file away") from error
+
+
+def fill(kind: str, values: Mapping[str, Any]) -> str:
+    """Return the text of a file from the template of its kind, without its first line."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).with_name("templates")),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        finalize=flow,
+    )
+    text = environment.get_template(f"{kind}.yaml.j2").render(values)
+    return text if text.endswith("\n") else f"{text}\n"
+
+
+_PLAIN: Final = re.compile(r"[A-Za-z_][\w./+-]*")
+
+
+def flow(value: Any) -> str:
+    """Return plain data in the flow style of YAML; numbers have twelve digits."""
+    if isinstance(value, float):
+        return f"{value:.12g}"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{flow(key)}: {flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(flow, value)) + "]"
+    if isinstance(value, str) and _PLAIN.fullmatch(value) and scalar(value) == value:
+        return value
+    return json.dumps(value, ensure_ascii=False)
 
 
 class RefusedError(InputError):

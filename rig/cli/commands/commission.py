@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -162,35 +161,46 @@ def command(
     if new_file.exists():
         raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
     home = _home(document, home_method, home_deg, home_time_s)
-    plan = _Plan(document, folder, new_file, seed, mistake, operator_name, fastest_deg_s, home)
-    status, record = _carry_out(plan, yes, angle_deg)
+    screen = Screen()
+    screen.silence()
+    with (
+        noting_folder(folder),
+        closing(screen),
+        StopButton(screen.say) as stop,
+        stoppable(stop, screen, document.value, "commissioning") as control,
+    ):
+        interview: Interview = AutomaticInterview(screen, angle_deg)
+        if not yes:
+            interview = TypedInterview(screen, Prompt(screen, control=control), stop, angle_deg)
+        with create_folder(folder, "rig commission"):
+            result = commission(
+                document,
+                _connections(stop, seed, mistake, screen),
+                interview,
+                stop,
+                lambda number: open_recorder(folder / part_file(number)),
+                fastest_deg_s,
+                home,
+            )
+            written = _keep(result, document, folder, new_file)
+            record = commission_record(result, document, seed, operator_name, written)
+            write_record(record, folder / RECORD_FILE, None)
+        protocol = commission_document(result, document, operator_name, written)
+        screen.say(shown(protocol), err=False)
+        write_page(protocol, folder / PAGE_FILE)
+        screen.say(f"protocol: {folder / PAGE_FILE}", err=False)
+    if result.error is not None:
+        note_drive(result.error, "never energised" if result.safe is None else result.safe.message)
+        raise result.error
+    status = _status(result)
     write_asked(json_file, record)
     return status
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """Steps of the commissioning, and the places of the results."""
-
-    document: Document[Bench]
-    folder: Path
-    new_file: Path
-    seed: int
-    mistake: str | None
-    operator: str | None
-    fastest_deg_s: float
-    home: HomeRequest | None
 
 
 def _home(
     document: Document[Bench], method: int | None, angle_deg: float | None, time_s: float | None
 ) -> HomeRequest | None:
-    """Return the requested homing, or None without ``--home``.
-
-    Raises:
-        InputError: An option of a homing is given without --home, or the home position is outside
-            the angle limits of the bench.
-    """
+    """Return the requested homing, or None without ``--home``."""
     for given, name in ((angle_deg, "--home-angle"), (time_s, "--home-time")):
         if method is None and given is not None:
             raise InputError(f"{name}: is an option of a homing; give --home METHOD as well")
@@ -204,43 +214,6 @@ def _home(
     return None if method is None else HomeRequest(method, angle_deg, time_s)
 
 
-def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, dict[str, Any]]:
-    """Carry out the steps, and store and show the protocol; return exit status and record."""
-    folder = plan.folder
-    screen = Screen()
-    screen.silence()
-    with (
-        noting_folder(folder),
-        closing(screen),
-        StopButton(screen.say) as stop,
-        stoppable(stop, screen, plan.document.value, "commissioning") as control,
-    ):
-        interview: Interview = AutomaticInterview(screen, angle_deg)
-        if not yes:
-            interview = TypedInterview(screen, Prompt(screen, control=control), stop, angle_deg)
-        with create_folder(folder, "rig commission"):
-            result = commission(
-                plan.document,
-                _connections(stop, plan.seed, plan.mistake, screen),
-                interview,
-                stop,
-                lambda number: open_recorder(folder / part_file(number)),
-                plan.fastest_deg_s,
-                plan.home,
-            )
-            written = _keep(result, plan.document, folder, plan.new_file)
-            record = commission_record(result, plan.document, plan.seed, plan.operator, written)
-            write_record(record, folder / RECORD_FILE, None)
-        protocol = commission_document(result, plan.document, plan.operator, written)
-        screen.say(shown(protocol), err=False)
-        write_page(protocol, folder / PAGE_FILE)
-        screen.say(f"protocol: {folder / PAGE_FILE}", err=False)
-    if result.error is not None:
-        note_drive(result.error, "never energised" if result.safe is None else result.safe.message)
-        raise result.error
-    return _status(result), record
-
-
 def _status(result: Commissioning) -> int:
     """Return the exit status; a requested homing that was not done is a bad verdict."""
     if result.safe is not None and not result.safe.verified:
@@ -252,11 +225,7 @@ def _status(result: Commissioning) -> int:
 
 
 def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) -> None:
-    """Refuse options that only a simulated bench permits, and refuse a real bench without a person.
-
-    Raises:
-        InputError: An option is not permitted, or nobody attends a real bench.
-    """
+    """Refuse options for simulated benches only, and a real bench without a person."""
     if document.value.simulated:
         any_drive = mistake is None or MISTAKES[mistake].any_drive
         if not any_drive and document.value.servo.kind != "canopen":
@@ -277,9 +246,7 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
 
 
 def _new_file(document: Document[Bench], folder: Path) -> Path:
-    """Return the path of the corrected bench file: beside the original file, because a bench file
-    names other files by relative paths; for a packaged bench, in the folder of the protocol.
-    """
+    """Return the path of the corrected bench file, beside a file of the user."""
     path = document.path
     if path == packaged(path.stem, "benches"):
         return folder / "bench.yaml"
@@ -322,9 +289,7 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
 
 
 def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_file: Path) -> str:
-    """Write the corrections; return the path of the new bench file, or an empty text if nothing was
-    corrected.
-    """
+    """Write the corrections; return the path of the new bench file, empty if there is none."""
     before = document.path.read_text(encoding="utf-8-sig")
     if not result.changes:
         write_texts({"bench.yaml": before}, folder)

@@ -49,7 +49,7 @@ def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """
     require_folder(runs, "--runs")
     shown = frozenset(load_bench(bench).value.name for bench in benches)
-    from rig.console.serve import serve  # the server is imported only where it is needed
+    from rig.console.app import serve  # the server is imported only where it is needed
 
     click.echo("STOP in the page is a software stop, not an emergency stop.")
     # The bench that `rig run` takes by default is offered first.

@@ -15,14 +15,13 @@ from rig.results.document import reading_notes
 from rig.runs.export import (
     FORMATS,
     TRAFFIC,
-    beside,
     export,
-    export_beside,
     export_traffic,
     extension,
     files,
     with_ending,
 )
+from rig.runs.exported import sidecar
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
@@ -65,14 +64,10 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     dataset = load_source(source, partial=partial)
     run = (source, read_record(source)) if is_file(source / RUN_FILE) else None
     wanted = files(dataset, path, kind)
-    descriptions = {place: beside(place, kind) for place in wanted}
-    _require_free([*wanted, *filter(None, descriptions.values())])
+    _require_free([*wanted, *(sidecar(place) for place in wanted if kind == "csv")])
     for place, part in wanted.items():
         try:
-            with replacing(place) as draft:
-                export(part, draft, kind, run)
-            if (description := descriptions[place]) is not None:
-                export_beside(part, description)
+            export(part, place, kind, run)
         except OSError as error:
             raise InputError(f"{place}: cannot be written: {error.strerror}") from error
         count = sum(len(recording.time) for recording in part.recordings)
@@ -110,8 +105,6 @@ def _require_free(places: Iterable[Path]) -> None:
     Raises:
         InputError: A file exists; the message names every file that exists.
     """
-    taken = [
-        f"{place}: exists already; give --out another name" for place in places if place.exists()
-    ]
+    taken = [place for place in places if place.exists()]
     if taken:
         raise InputError(f"{place}: exists already; give --out another name" for place in taken)

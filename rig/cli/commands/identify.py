@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import click
 
@@ -91,7 +90,19 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "./SEQUENCE-planned]"
 )
 @shared.result_file
-def command(**options: Any) -> None:
+def command(
+    source: Path | None,
+    sequence: str | None,
+    method: str,
+    compared: bool,
+    out: Path | None,
+    json_file: Path | None,
+    bench: str,
+    nominal: Path | None,
+    current_noise: float | None,
+    bandwidth: float | None,
+    **options: Any,
+) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
     With --plan, nothing is identified: the command predicts which parameters a sequence determines,
@@ -109,127 +120,87 @@ def command(**options: Any) -> None:
       rig identify monday.yaml --score friday.yaml
       rig identify runs/stopped --partial
     """
-    _identify(_Options(**options))
-
-
-@dataclass(frozen=True)
-class _Options:
-    """Argument and options of the command; click sets names and types."""
-
-    source: Path | None
-    method: Literal["default", "paper", "both"]
-    compared: bool
-    profile: bool
-    draws: int | None
-    sequence: str | None
-    bench: str
-    nominal: Path | None
-    current_noise: float | None
-    bandwidth: float | None
-    partial: bool
-    ladder: bool
-    score: Path | None
-    seed: int
-    out: Path | None
-    json_file: Path | None
-
-
-def _identify(options: _Options) -> None:
-    """Identify SOURCE, or plan with ``--plan``.
-
-    Raises:
-        click.UsageError: The options contradict one another.
-    """
-    if (options.source is None) is (options.sequence is None):
+    if (source is None) is (sequence is None):
         raise click.UsageError(
             "give either SOURCE, the recordings, or --plan SEQUENCE, a planned experiment"
         )
-    if options.sequence is not None:
-        _plan(options, options.sequence)
+    if sequence is not None:
+        _plan(sequence, bench, nominal, current_noise, options["seed"], out, json_file)
         return
-    assert options.source is not None
-    if options.compared and options.method == "paper":
+    assert source is not None
+    if compared and method == "paper":
         raise click.UsageError(
             "--compare compares the other methods with the default method; leave out --method paper"
         )
-    if options.method == "paper" and (
-        options.ladder or options.score or options.profile or options.draws
-    ):
+    if method == "paper" and any(options[n] for n in ("ladder", "score", "profile", "draws")):
         raise click.UsageError(
             "--ladder, --score, --profile and --bootstrap need the default method; leave "
             "--method paper out"
         )
-    _identify_source(options, options.source)
-
-
-def _identify_source(options: _Options, source: Path) -> None:
-    """Identify a run or a campaign, write the report and print the tables."""
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import is_folder, require_file, require_folder, source_name
     from rig.common.provenance import RESULT_FILE
-    from rig.common.start_up import imported_ahead
     from rig.results.document import PAGE_FILE, text, write_page, write_record
-    from rig.results.identify.identify import Request, compare_methods, identify_source
-    from rig.results.identify.record import outcome_record
+    from rig.results.identify.document import identify_document
+    from rig.results.identify.identify import (
+        Request,
+        compare_methods,
+        identify_source,
+        outcome_record,
+    )
     from rig.results.measured import facts_of
     from rig.runs.recorded_inputs import truth_of
     from rig.terminal.output import ShareBar
 
-    folder = options.out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
+    folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
-    require_file(options.json_file, "--json")
-    request = Request(
-        _METHODS[options.method],
-        options.bandwidth,
-        options.seed,
-        options.ladder,
-        options.score,
-        options.profile,
-        options.draws or 0,
-        options.partial,
-    )
+    require_file(json_file, "--json")
+    request = Request(_METHODS[method], bandwidth, **options)
     with ShareBar() as bar:
-        with imported_ahead("rig.results.identify.document"):  # imports the plotting library
-            outcome = identify_source(source, request, bar)
-        from rig.results.identify.document import identify_document
-
+        outcome = identify_source(source, request, bar)
         truth = truth_of(source)
-        if options.compared:
+        if compared:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
-        write_record(outcome_record(outcome), folder / RESULT_FILE, options.json_file)
+        write_record(outcome_record(outcome), folder / RESULT_FILE, json_file)
         document = identify_document(source_name(source), outcome, truth, facts_of(source))
         write_page(document, folder / PAGE_FILE)
     click.echo(text(document))
     click.echo(f"report: {folder / PAGE_FILE}")
 
 
-def _plan(options: _Options, sequence: str) -> None:
+def _plan(
+    sequence: str,
+    bench: str,
+    nominal: Path | None,
+    current_noise: float | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
     """Report which parameters a sequence would determine, and write a better sequence."""
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
-    from rig.results.design.document import (
+    from rig.results.document import text, write_record, write_texts
+    from rig.results.identify.design import (
         PROPOSAL_FILE,
         RESULT_FILE,
         plan_document,
+        plan_experiment,
         plan_record,
         proposal_text,
     )
-    from rig.results.design.experiment import plan_experiment
-    from rig.results.document import text, write_record, write_texts
     from rig.terminal.output import ShareBar
 
-    folder = options.out or Path(f"{Path(sequence).stem}-planned")
+    folder = out or Path(f"{Path(sequence).stem}-planned")
     require_folder(folder, "--out")
-    require_file(options.json_file, "--json")
-    bench_file, sequence_file = load_bench(options.bench), load_sequence(sequence)
+    require_file(json_file, "--json")
+    bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     with ShareBar() as bar:
-        experiment = plan_experiment(
-            sequence_file, bench_file, options.nominal, options.current_noise, options.seed, bar
-        )
+        experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise, seed, bar)
     name = bench_file.value.name
-    write_record(plan_record(experiment, name), folder / RESULT_FILE, options.json_file)
+    write_record(plan_record(experiment, name), folder / RESULT_FILE, json_file)
     write_texts({PROPOSAL_FILE: proposal_text(experiment, name)}, folder)
     click.echo(text(plan_document(experiment)))
     click.echo(f"proposal: {folder / PROPOSAL_FILE}")

@@ -108,7 +108,7 @@ def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
     from pydantic import ValidationError
 
     from rig.common.places import is_folder
-    from rig.config.campaign_columns import ReadSection
+    from rig.config.campaign_sections import ReadSection
     from rig.sources import load_source
     from rig.sources.look import look_at_file, look_at_recording
 
@@ -132,7 +132,8 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
     Raises:
         InputError: The source is not one log, or the guesses give no valid file.
     """
-    from rig.cli.authoring.campaign import ASKED, NONE, DataFile, answer, campaign_text
+    from rig.cli.authoring.campaign import ASKED, NONE, DataFile, campaign_text, questions
+    from rig.cli.authoring.questions import ask_all
     from rig.cli.authoring.writing import RefusedError, require_new, write_new
     from rig.config.campaign import load_campaign
     from rig.sources.columns import guess_mass
@@ -159,7 +160,7 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
         stand_in["rate"] = 1000.0
     if given["voltage"] != NONE and given["current"] == given["torque"] == NONE:
         stand_in["resistance"] = 1.0
-    answers = answer([file], given | stand_in, None, lambda _: None)
+    answers = ask_all(questions([file]), given | stand_in, None, lambda _: None, {})
     told = {key: value for key, value in read.items() if value not in (None, 0, ".")}
     told |= _beside(campaign, told)
     try:

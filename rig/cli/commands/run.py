@@ -1,25 +1,26 @@
-"""``rig run``: runs a sequence on a bench."""
+"""``rig run`` and ``rig resume``: run a sequence on a bench, and continue a run that stopped."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import click
 
 from rig.cli import options as shared
-from rig.cli.accepting import accept_at_the_end, given_acceptance, limits_before
-from rig.cli.aftermath import conclude
+from rig.cli.aftermath import accept_at_the_end, conclude, given_acceptance, limits_before
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
-from rig.common.locks import OWNER_FILE
+from rig.common.errors import InputError
+from rig.common.locks import OWNER_FILE, hold_folder
 from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
-from rig.config.bench import Bench, load_bench
+from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.control.attendance import carry_out, require_attendance
-from rig.control.sequencer import Outcome
+from rig.control.attendance import connected, require_attendance
+from rig.control.operator import operator_for
+from rig.control.remote import RunProgress, observed, reachable
 from rig.control.session import Inputs, execute
 from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
@@ -33,10 +34,20 @@ from rig.planning.predicted_load import (
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
-from rig.runs.run import RunFolder, bench_constants, create_folder, require_space, require_unused
+from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
+from rig.runs.recover import prepare, stopped_words
+from rig.runs.run import (
+    bench_constants,
+    create_folder,
+    first_unfinished,
+    require_space,
+    require_unused,
+)
+from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
-from rig.wiring.devices import bench_line, until_the_end
+from rig.terminal.stop_button import StopButton
+from rig.wiring.devices import bench_line, say_taken_over, until_the_end
 from rig.wiring.preflight import require_startable
 
 
@@ -90,7 +101,26 @@ from rig.wiring.preflight import require_startable
 @shared.acceptance("those of the sequence")
 @shared.junit
 @shared.record_file("Also write run.json, or the result of --dry-run, to this file.")
-def command(**options: Any) -> int:
+def run(
+    sequence: str,
+    bench: str,
+    out: Path | None,
+    yes: bool,
+    realtime: bool,
+    dry_run: bool,
+    seed: int,
+    fault_file: Path | None,
+    operator_name: str | None,
+    identification: Path | None,
+    feedforward_file: Path | None,
+    first_pass: bool | None,
+    reset_fault: bool,
+    prompt_timeout_s: float | None,
+    in_console: bool,
+    acceptance: Path | None,
+    junit_file: Path | None,
+    json_file: Path | None,
+) -> int:
     """Run SEQUENCE, a file or the name of a packaged sequence, and record the run.
 
     Before each stage the drive is de-energised, and the program asks for the weight; `repeat` and
@@ -108,127 +138,186 @@ def command(**options: Any) -> int:
       rig run figure10 --yes --out runs/demo
       rig run slow_ramp --yes --feedforward runs/demo/identify.json --out runs/compensated
     """
-    return _run(_Options(**options))
-
-
-@dataclass(frozen=True)
-class _Options:
-    """Argument and options of the command; click sets names and types."""
-
-    sequence: str
-    bench: str
-    out: Path | None
-    yes: bool
-    realtime: bool
-    dry_run: bool
-    seed: int
-    fault_file: Path | None
-    operator_name: str | None
-    identification: Path | None
-    feedforward_file: Path | None
-    first_pass: bool | None
-    reset_fault: bool
-    prompt_timeout_s: float | None
-    in_console: bool
-    acceptance: Path | None
-    junit_file: Path | None
-    json_file: Path | None
-
-    def patience_s(self, bench: Bench) -> float | None:
-        """Return the time to wait for an answer of the operator, s, or None for unlimited time."""
-        return self.prompt_timeout_s or bench.prompt_timeout_s
-
-
-def _run(options: _Options) -> int:
-    """Check everything that can be checked before any motion, then run; return the exit status."""
-    require_file(options.json_file, "--json")
-    require_file(options.junit_file, "--junit")
-    bench, sequence = load_bench(options.bench), load_sequence(options.sequence)
-    click.echo(bench_line(bench))
-    constants = bench_constants(bench.value)
-    identification, feedforward_file = options.identification, options.feedforward_file
+    # Everything that can be checked before any motion is checked first.
+    require_file(json_file, "--json")
+    require_file(junit_file, "--junit")
+    bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    click.echo(bench_line(bench_file))
+    constants = bench_constants(bench_file.value)
     feedforward = (
         None if feedforward_file is None else load_feedforward(feedforward_file, constants)
     )
-    low = True if options.first_pass is None and identification else options.first_pass
-    plan = make_plan(sequence, bench, low, feedforward)
-    load = PredictedLoad.of(
-        plan, bench.value, friction_model(constants, identification or feedforward_file)
-    )
-    if not options.dry_run:
-        load.require_within(sequence)
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(sequence_file, bench_file, low, feedforward)
+    model = friction_model(constants, identification or feedforward_file)
+    load = PredictedLoad.of(plan, bench_file.value, model)
+    if not dry_run:
+        load.require_within(sequence_file)
     if feedforward is not None and feedforward.remark:
         click.echo(feedforward.remark, err=True)
-    path = options.out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
+    path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
     # If another program uses the folder, the message of the lock is more helpful.
     if not (path / OWNER_FILE).exists():
         require_unused(path)
     require_space(path, plan.cycles)
-    reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(
-        bench,
-        sequence,
-        options.seed,
-        options.realtime,
-        options.operator_name,
-        reference,
-        options.reset_fault,
+        bench_file,
+        sequence_file,
+        seed,
+        realtime,
+        operator_name,
+        None if identification is None else load_reference(identification, constants),
+        reset_fault,
         feedforward,
-        acceptance=given_acceptance(options.acceptance),
+        acceptance=given_acceptance(acceptance),
         load=load,
     )
-    injector = (
-        None
-        if options.fault_file is None
-        else fault_injector(options.fault_file, bench, sequence, options.patience_s(bench.value))
-    )
-    require_startable(bench, utc_now().date(), lambda words: click.echo(words, err=True))
-    asked = options.dry_run or options.in_console or at_terminal()
-    require_attendance(plan, bench, options.yes, asked)
-    for words in (
-        of_another_bench(file, constants) for file in (identification, feedforward_file) if file
-    ):
-        if words is not None:
+    patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
+    injector = None
+    if fault_file is not None:
+        injector = fault_injector(fault_file, bench_file, sequence_file, patience_s)
+    require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
+    require_attendance(plan, bench_file, yes, dry_run or in_console or at_terminal())
+    for file in filter(None, (identification, feedforward_file)):
+        if (words := of_another_bench(file, constants)) is not None:
             click.echo(f"warning: {words}", err=True)
-    if options.dry_run:
-        return _dry_run(options, inputs, load)
-    return _carry_out(options, inputs, plan, path, injector)
+    if dry_run:
+        limits = limits_before(acceptance, sequence_file.value)
+        computed = compute_dry_run(bench_file, load, not yes, *limits)
+        click.echo(describe_dry_run(computed))
+        write_asked(json_file, dry_run_record(computed))
+        return BAD_VERDICT if load.problems else DONE
+    status = _carry_out(inputs, plan, path, yes, patience_s, in_console, json_file, injector)
+    return accept_at_the_end(path, junit_file) if status == DONE else status
+
+
+@click.command("resume")
+@click.argument("run", type=click.Path(path_type=Path))
+@shared.yes
+@shared.operator_name
+@shared.identification
+@shared.first_pass
+@shared.reset_fault(
+    " If the program died during the run, the fault is always cleared, because the watchdog of "
+    "the drive has then tripped."
+)
+@shared.in_console
+@shared.acceptance("those of the run")
+@shared.junit
+@shared.record_file("Also write run.json to this file.")
+def resume(
+    run: Path,
+    yes: bool,
+    operator_name: str | None,
+    identification: Path | None,
+    first_pass: bool | None,
+    reset_fault: bool,
+    in_console: bool,
+    acceptance: Path | None,
+    junit_file: Path | None,
+    json_file: Path | None,
+) -> int:
+    """Continue RUN at its first unfinished stage, after a crash, a stop or a trip, in the same run
+    folder.
+
+    A recording whose writer died is repaired first. The unfinished stage is repeated from its
+    beginning; earlier samples of this stage stay in the recording but are not used. Bench and
+    sequence file must be unchanged since the start of the run. The complete run is judged by the
+    limits of --acceptance, else by the limits of the file given to `rig run`, else by the limits of
+    the sequence. Ctrl-C acts as in `rig run`.
+
+    \b
+    Example:
+      rig resume runs/20261120T101500Z-figure10
+    """
+    require_file(json_file, "--json")
+    require_file(junit_file, "--junit")
+    given = given_acceptance(acceptance)
+    until_the_end(hold_folder(run, "rig resume"))
+    try:
+        resumed = prepare(run)
+    except OSError as error:
+        raise InputError(f"{run}: cannot be written: {error.strerror}") from error
+    for problem in resumed.mended:
+        click.echo(problem)
+    click.echo(stopped_words(resumed.record))
+    require_startable(resumed.bench, utc_now().date(), lambda words: click.echo(words, err=True))
+    constants = bench_constants(resumed.bench.value)
+    reference = None if identification is None else load_reference(identification, constants)
+    record, feedforward = resumed.record, None
+    if (stated := record.inputs.get(FEEDFORWARD_INPUT)) is not None:
+        feedforward = load_feedforward(recorded_input(run, stated), constants)
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
+    first = first_unfinished(record) or 0
+    left = dataclasses.replace(plan, stages=plan.stages[first:])
+    source = None if feedforward is None else Path(feedforward.source)
+    load = PredictedLoad.of(
+        left, resumed.bench.value, friction_model(constants, identification or source)
+    )
+    load.require_within(resumed.sequence)
+    inputs = Inputs(
+        resumed.bench,
+        resumed.sequence,
+        record.seed + len(record.parts),  # each recording gets its own noise
+        record.realtime,
+        operator_name,
+        reference,
+        reset_fault or resumed.died,
+        feedforward,
+        record,
+        given or recorded_acceptance(run, record),
+        load,
+    )
+    require_space(run, left.cycles)
+    require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
+    patience_s = resumed.bench.value.prompt_timeout_s
+    status = _carry_out(inputs, plan, run, yes, patience_s, in_console, json_file)
+    return accept_at_the_end(run, junit_file) if status == DONE else status
+
+
+def _left(plan: Plan, inputs: Inputs) -> Plan:
+    """Return the part of a plan that is not finished yet."""
+    first = 0 if inputs.resumed is None else first_unfinished(inputs.resumed) or 0
+    return dataclasses.replace(plan, stages=plan.stages[first:])
 
 
 def _carry_out(
-    options: _Options, inputs: Inputs, plan: Plan, path: Path, injector: FaultInjector | None
+    inputs: Inputs,
+    plan: Plan,
+    path: Path,
+    yes: bool,
+    patience_s: float | None,
+    in_console: bool,
+    json_file: Path | None,
+    injector: FaultInjector | None = None,
 ) -> int:
-    """Run into a new folder; return the exit status."""
-    ended: list[Outcome] = []
-
-    def concluded(folder: RunFolder, outcome: Outcome, screen: Screen) -> int:
-        ended.append(outcome)
-        return conclude(folder, outcome, inputs.reference, options.json_file, screen)
-
-    with noting_folder(path):
-        status = carry_out(
-            inputs,
-            plan,
-            path,
-            "rig run",
-            yes=options.yes,
-            in_console=options.in_console,
-            left_s=plan.duration_s,
-            patience_s=options.patience_s(inputs.bench.value),
-            conclude=concluded,
-            begin=lambda: until_the_end(create_folder(path, "rig run")),
-            attach=None if injector is None else injector.attach,
-            run=execute if injector is None else injector.execute,
-        )
+    """Connect, run or continue, and report the outcome; return the exit status."""
+    bench, purpose = inputs.bench, "rig run" if inputs.resumed is None else "rig resume"
+    screen = Screen()
+    screen.silence()
+    with (
+        noting_folder(path),
+        closing(screen),
+        StopButton(screen.say) as stop,
+        reachable(stop, screen, inputs, plan, path, in_console) as control,
+    ):
+        attach = None if injector is None else injector.attach
+        offset = inputs.feedforward is not None
+        with connected(
+            stop, bench, inputs.seed, inputs.realtime, attach, offset, purpose
+        ) as devices:
+            say_taken_over(devices.lock, screen)
+            if inputs.resumed is None:
+                until_the_end(create_folder(path, purpose))
+            tolerance = bench.value.weight_tolerance
+            operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
+            carry_out = execute if injector is None else injector.execute
+            progress = RunProgress(plan.cycle_s, _left(plan, inputs).duration_s, screen)
+            devices = observed(devices, control, progress)
+            folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
+        status = conclude(folder, outcome, inputs.reference, json_file, screen)
     if injector is not None:
-        click.echo(describe_findings(injector.conclude(status, ended[-1].message)))
-    return accept_at_the_end(path, options.junit_file) if status == DONE else status
-
-
-def _dry_run(options: _Options, inputs: Inputs, load: PredictedLoad) -> int:
-    limits = limits_before(options.acceptance, inputs.sequence.value)
-    computed = compute_dry_run(inputs.bench, load, not options.yes, *limits)
-    click.echo(describe_dry_run(computed))
-    write_asked(options.json_file, dry_run_record(computed))
-    return BAD_VERDICT if load.problems else DONE
+        click.echo(describe_findings(injector.conclude(status, outcome.message)))
+    return status

@@ -123,7 +123,7 @@ def list_(
     from rig.results.catalogue.listing import listing_document, listing_record
     from rig.runs.catalogue.entry import latest
 
-    entries, wanted = _chosen(folder, given, details=False)
+    entries, wanted = _chosen(folder, given)
     shown = latest(wanted, last)
     hidden = len(entries) - len(shown)
     _write(json_file, lambda: listing_record(folder, shown))
@@ -142,7 +142,7 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
     Example:
       rig runs show runs/demo
     """
-    from rig.results.catalogue.show import show_document, show_record
+    from rig.results.catalogue.listing import show_document, show_record
 
     entry = _one(run)
     _write(json_file, lambda: show_record(run, entry))
@@ -216,10 +216,10 @@ def trend(
       rig runs trend --bench practical --since 2026-10-01 --out trend
       rig runs trend --constant Mc --last 30
     """
-    from rig.results.catalogue.trend import histories, trend_document, trend_record
+    from rig.results.catalogue.compare import histories, trend_document, trend_record
     from rig.runs.catalogue.entry import latest
 
-    _, wanted = _chosen(folder, given, details=True)
+    _, wanted = _chosen(folder, given)
     found = histories(folder, latest(wanted, last), seed, constant)
     if constant is not None and not found:
         raise InputError(
@@ -246,7 +246,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
       rig runs verify runs/demo
       rig runs verify runs
     """
-    from rig.results.catalogue.show import verification_document, verification_record
+    from rig.results.catalogue.listing import verification_document, verification_record
     from rig.runs.catalogue.index import find_runs
     from rig.runs.catalogue.verify import verify as verified
 
@@ -281,10 +281,9 @@ def accept(
     Example:
       rig runs accept runs/demo --acceptance limits.yaml --junit junit.xml
     """
-    from rig.cli.accepting import accept_run
+    from rig.cli.aftermath import accept_run, limits_for
     from rig.common.locks import hold_folder
     from rig.common.places import require_file, write_asked
-    from rig.results.acceptance.limits import limits_for
     from rig.wiring.devices import until_the_end
 
     require_file(json_file, "--json")
@@ -304,18 +303,14 @@ def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
         raise InputError(f"{folder}: cannot be searched: {error.strerror}") from error
 
 
-def _chosen(
-    folder: Path, given: Mapping[str, Any], *, details: bool
-) -> tuple[list[Entry], list[Entry]]:
+def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[Entry]]:
     """Return all runs of a folder, and the runs that the options choose."""
     from rig.runs.catalogue.entry import Wanted, chosen
     from rig.runs.catalogue.index import list_runs
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
-        listing = list_runs(
-            folder, lambda done, of: bar("reading run folders", done / of), details=details
-        )
+        listing = list_runs(folder, lambda done, of: bar("reading run folders", done / of))
     if listing.note:
         click.echo(f"note: {listing.note}", err=True)
     wanted = Wanted(**{name: given[name] for name in _NAMES})

@@ -49,8 +49,13 @@ def command(
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder, source_name
     from rig.results.document import PAGE_FILE, text, write_page, write_record, write_texts
-    from rig.results.simulate.document import simulate_document, simulation_record
-    from rig.results.simulate.simulate import RESULT_FILE, as_bench, simulate_source
+    from rig.results.identify.simulate import (
+        RESULT_FILE,
+        as_bench,
+        simulate_document,
+        simulate_source,
+        simulation_record,
+    )
     from rig.terminal.output import ShareBar
 
     folder = out or Path(f"{source_name(source)}-simulated")

@@ -12,7 +12,7 @@ import click
 from rig.cli import options as shared
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
-from rig.runs.live import HOST, Offer, layout, sdk, serve
+from rig.runs.live import HOST, Offer, layout, serve
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
@@ -77,7 +77,6 @@ def command(
     recording = run / record.parts[number - 1].file
     if not recording.is_file():
         raise InputError(f"{recording}: no such file; the run folder is incomplete")
-    sdk()
     offer = Offer(
         recording=recording,
         name=_name(run, record, number),

@@ -1,17 +1,8 @@
-// Charts of the channels: minimum and maximum of each interval, with the limits.
+// Charts of the channels over time, and of torque against speed; /static/chart.js has what they
+// have in common with the charts of a run's page.
 
 const HEIGHT = 150;
-const DASH = [6, 4];
 const OUT_OF_SIGHT = 10; // drawings of the charts in sight for each drawing of all charts
-
-export function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
-
-export function axisStyle() {
-  return { stroke: colour("--soft"), grid: { stroke: colour("--line"), width: 0.5 },
-    ticks: { stroke: colour("--line") }, font: "12px system-ui", labelFont: "12px system-ui" };
-}
 
 export function shownNumber(value, unit) {
   if (value === null || value === undefined || Number.isNaN(value)) return "not reported";
@@ -110,6 +101,9 @@ export class Charts {
 
   options(channel, place) {
     const axis = axisStyle();
+    const drawn = envelope(1, colour("--chart"));
+    const limits = [channel.low, channel.high].filter((limit) => limit !== null)
+      .map((limit) => [[-Infinity, Infinity, limit]]);
     return {
       width: Math.max(this.holder.clientWidth ? place.clientWidth : 300, 200),
       height: HEIGHT,
@@ -118,11 +112,13 @@ export class Charts {
       scales: { x: { time: false }, y: { range: (plot, low, high) => range(low, high) } },
       axes: [{ ...axis, size: 28, values: (plot, ticks) => ticks.map((t) => `${t} s`) },
         { ...axis, size: 56, space: 24 }],
-      series: [{},
-        { stroke: colour("--chart"), width: 1, points: { show: false } },
-        { stroke: colour("--chart"), width: 1, points: { show: false } }],
-      bands: [{ series: [2, 1], fill: colour("--chart") }],
-      hooks: { draw: [(plot) => drawLimits(plot, channel), (plot) => drawContinued(plot, this.continued)] },
+      series: [{}, ...drawn.series],
+      bands: [drawn.band],
+      hooks: { draw: [(plot) => {
+        limits.forEach((limit) => drawLimit(plot, limit, () => "limit"));
+        // A line where a continued run begins again, on the time axis of all recordings.
+        this.continued.forEach((time) => drawMark(plot, time, "continued"));
+      }] },
     };
   }
 
@@ -241,43 +237,130 @@ function range(low, high) {
   return [low - margin, high + margin];
 }
 
-function drawLimits(plot, channel) {
-  const { ctx, bbox } = plot;
-  ctx.save();
-  ctx.strokeStyle = colour("--second");
-  ctx.fillStyle = colour("--second");
-  ctx.lineWidth = 2 * devicePixelRatio;
-  ctx.setLineDash(DASH.map((each) => each * devicePixelRatio));
-  ctx.font = `${11 * devicePixelRatio}px sans-serif`;
-  for (const limit of [channel.low, channel.high]) {
-    if (limit === null || limit < plot.scales.y.min || limit > plot.scales.y.max) continue;
-    const y = plot.valToPos(limit, "y", true);
-    ctx.beginPath();
-    ctx.moveTo(bbox.left, y);
-    ctx.lineTo(bbox.left + bbox.width, y);
-    ctx.stroke();
-    ctx.fillText("limit", bbox.left + 4, y - 3);
-  }
-  ctx.restore();
-}
+// Torque against speed: points of the excitations by mass, and the curves of the last identification.
 
-// A line where a continued run begins again, on the time axis of all recordings.
-function drawContinued(plot, times) {
-  const { ctx, bbox } = plot;
-  ctx.save();
-  ctx.strokeStyle = colour("--ink");
-  ctx.fillStyle = colour("--ink");
-  ctx.lineWidth = devicePixelRatio;
-  ctx.font = `${11 * devicePixelRatio}px sans-serif`;
-  for (const time of times) {
-    if (time < plot.scales.x.min || time > plot.scales.x.max) continue;
-    const x = plot.valToPos(time, "x", true);
-    ctx.beginPath();
-    ctx.moveTo(x, bbox.top);
-    ctx.lineTo(x, bbox.top + bbox.height);
-    ctx.stroke();
-    ctx.textAlign = x > bbox.left + bbox.width / 2 ? "right" : "left";
-    ctx.fillText(" continued ", x, bbox.top + 11 * devicePixelRatio);
+const COLOURS = ["--chart", "--second", "--green", "--purple"];
+const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
+const FRICTION_HEIGHT = 300;
+
+export class Friction {
+  constructor(holder, legend, words) {
+    this.holder = holder;
+    this.legend = legend;
+    this.words = words;
+    this.signature = "";
+    this.masses = {};
+    this.waiting = false;
+    this.reset();
+    new ResizeObserver(() => this.schedule()).observe(holder);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      this.signature = "";
+      this.schedule();
+    });
   }
-  ctx.restore();
+
+  reset() {
+    this.rows = [];
+    this.curves = null;
+    this.schedule();
+  }
+
+  take(points) {
+    this.rows.length = Math.min(this.rows.length, points.from);
+    this.rows.push(...points.rows);
+    this.schedule();
+  }
+
+  // Takes the mass of each excitation, by its number.
+  weigh(masses) {
+    this.masses = masses;
+    this.schedule();
+  }
+
+  use(curves) {
+    this.curves = curves;
+    this.words.textContent = `Points are means of 10 samples in excitations. ${curves
+      ? `Lines: friction by ${curves.source}.` : "No identification of this bench was found beside the run."}`;
+    this.schedule();
+  }
+
+  schedule() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => {
+      this.waiting = false;
+      this.draw();
+    });
+  }
+
+  // Returns the masses that are drawn, kg, in order; null for points whose mass is not known yet.
+  loads() {
+    const found = new Set(this.rows.map(([, , segment]) => this.masses[segment] ?? null));
+    for (const line of this.curves?.lines || []) found.add(line.mass_kg);
+    return [...found].sort((a, b) => (a ?? Infinity) - (b ?? Infinity));
+  }
+
+  draw() {
+    const width = this.holder.clientWidth;
+    if (!width) return;
+    const loads = this.loads();
+    const lines = (this.curves?.lines || []).flatMap((line) => [-1, 1].map((sign) => ({ line, sign })));
+    const signature = JSON.stringify([loads, lines.map(({ line }) => line.mass_kg)]);
+    if (signature !== this.signature) {
+      this.signature = signature;
+      this.plot?.destroy();
+      this.plot = new uPlot(this.options(loads, lines, width), [[]], this.holder);
+      this.showLegend(loads);
+    }
+    if (this.plot.width !== width) this.plot.setSize({ width, height: FRICTION_HEIGHT });
+    // One axis of speeds for all series, as uPlot draws them; the other series have gaps there.
+    const all = this.rows.map(([speed, torque, segment]) =>
+      [speed, torque, loads.indexOf(this.masses[segment] ?? null)]);
+    const fastest = this.rows.reduce((most, [speed]) => Math.max(most, Math.abs(speed)), 1);
+    lines.forEach(({ line, sign }, i) => this.curves.speed.forEach((speed, k) => {
+      if (speed <= 1.05 * fastest) all.push([sign * speed, sign * line.torque[k], loads.length + i]);
+    }));
+    all.sort((a, b) => a[0] - b[0]);
+    const data = [all.map(([speed]) => speed)];
+    for (let s = 0; s < loads.length + lines.length; s += 1) {
+      data.push(all.map(([, torque, series]) => (series === s ? torque : null)));
+    }
+    this.plot.setData(data);
+    const most = (column) => this.rows.reduce((a, row) => Math.max(a, Math.abs(row[column])), 0).toFixed(1);
+    this.holder.setAttribute("aria-label", `Torque against speed: ${this.rows.length} points, speeds up to ${most(0)} deg/s, torques up to ${most(1)} N m`);
+  }
+
+  options(loads, lines, width) {
+    const paint = (load) => colour(COLOURS[loads.indexOf(load) % COLOURS.length]);
+    const symmetric = (share) => (plot, low, high) => {
+      const most = share * Math.max(Math.abs(low ?? 0), Math.abs(high ?? 0), 1);
+      return [-most, most];
+    };
+    return {
+      width, height: FRICTION_HEIGHT,
+      legend: { show: false },
+      cursor: { show: false },
+      scales: { x: { time: false, range: symmetric(1.05) }, y: { range: symmetric(1.1) } },
+      axes: [{ ...axisStyle(), label: "joint speed, deg/s", labelSize: 20, size: 32 },
+        { ...axisStyle(), label: "joint torque, N m", labelSize: 20, size: 52 }],
+      series: [{},
+        ...loads.map((load, i) => ({ paths: () => null, stroke: paint(load),
+          points: { show: true, size: 4, width: 1, fill: i % 2 ? "transparent" : paint(load) } })),
+        ...lines.map(({ line }) => ({ stroke: colour("--ink"), width: 1.5, spanGaps: true,
+          dash: DASHES[loads.indexOf(line.mass_kg) % DASHES.length], points: { show: false } }))],
+    };
+  }
+
+  showLegend(loads) {
+    const lines = new Set((this.curves?.lines || []).map((line) => line.mass_kg));
+    this.legend.replaceChildren(...loads.map((load, i) => {
+      const item = document.createElement("li");
+      const key = document.createElement("span");
+      key.className = `load load-${i % COLOURS.length}${i % 2 ? " hollow" : ""}`;
+      const words = load === null ? "mass not known yet" : `${load} kg`;
+      const dash = ["solid", "dashed", "dotted", "dash-dotted"][i % DASHES.length];
+      item.append(key, lines.has(load) ? `${words}; ${dash} line` : words);
+      return item;
+    }));
+  }
 }

@@ -1,12 +1,9 @@
 // The page: shows the state of a run, and sends the operator's commands.
 
-import { Charts } from "./charts.js";
-import { Friction } from "./friction.js";
+import { Charts, Friction } from "./charts.js";
 import { Link } from "./link.js";
-import { Recorded } from "./recorded.js";
-import { setUpStart } from "./start.js";
-import { showTables } from "./tables.js";
-import { activityWords, driveWords, headlineOf, PHASES, timeWords, whenWords } from "./words.js";
+import { Recorded, setUpStart } from "./runs.js";
+import { activityWords, driveWords, headlineOf, PHASES, showTables, timeWords, whenWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press

@@ -1,63 +1,67 @@
-"""Collects the content of the certificate of a run as text; the certificate is then written as HTML
-and as PDF.
+"""Makes the certificate of a run: its content as a document, as one HTML page that prints on one
+sheet, and as a PDF of one page.
 """
 
 from __future__ import annotations
 
+import io
+import re
+import textwrap
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import jinja2
+import matplotlib.image
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.figure import Figure as Sheet
 
-from rig.common.tables import interval, number
-from rig.results.acceptance.evidence import Check, Evidence, accepted
-from rig.results.acceptance.figure import overview
-from rig.results.document import Picture, Table
-from rig.runs.run_record import Ending, RunRecord
+from identification.plots.style import BLUE, VERMILION, Figure, figure, thinned
+from identification.recording import Dataset
+from rig.common.errors import InputError
+from rig.common.places import replacing
+from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
+from rig.common.provenance import sha256_file, utc_now, versions
+from rig.common.tables import interval, number, table
+from rig.common.text import valid
+from rig.config.acceptance import Limit
+from rig.results.acceptance.evidence import (
+    DIAGNOSIS_FOLDER,
+    Check,
+    Evidence,
+    Progress,
+    accepted,
+    gather,
+    judge,
+)
+from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
+from rig.results.document import (
+    Block,
+    Document,
+    Note,
+    Picture,
+    Section,
+    SideBySide,
+    Table,
+    Verdict,
+    write_record,
+    write_texts,
+)
+from rig.results.run.go_on import CERTIFICATE_PAGE, CERTIFICATE_PDF
+from rig.results.run.report import REPORT_FILE, write_verdict
+from rig.runs.catalogue.index import bench_name
+from rig.runs.run_file import seal, seal_run
+from rig.runs.run_record import RUN_FILE, Ending, RunRecord
 
 FRICTION_FIGURE = "figures/stribeck_default.png"
 """Name of the figure that shows the result of an identified run."""
+RULE = "A constant passes if its whole 90 % interval is within the limits."
 _ROLES = ("servo", "encoder", "pressure")
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """Content of one certificate page.
-
-    Attributes:
-        title: Heading.
-        accepted: Whether the run is accepted.
-        facts: Name and value of each fact on run, bench, time and operator.
-        checks: Limits, found values and verdicts.
-        course: Recordings of a run that was interrupted, with its stops and continuations; None
-            for a run without an interruption.
-        constants: Identified constants, or None if no limit is on a constant.
-        masses: Stages with their masses.
-        devices: Identities of the devices.
-        calibrations: Calibrations and due dates, or None if the bench file names none.
-        digests: Files and their SHA-256.
-        figure: Figure that shows the result.
-        made: Program and time.
-    """
-
-    title: str
-    accepted: bool
-    facts: tuple[tuple[str, str], ...]
-    checks: Table
-    course: Table | None
-    constants: Table | None
-    masses: Table
-    devices: Table
-    calibrations: Table | None
-    digests: Table
-    figure: Picture | None
-    made: str
-
-    @property
-    def headline(self) -> str:
-        """The verdict as one word."""
-        return "ACCEPTED" if self.accepted else "REJECTED"
 
 
 def make_certificate(
@@ -67,8 +71,9 @@ def make_certificate(
     checks: Sequence[Check],
     digests: Mapping[str, str],
     made: str,
-) -> Certificate:
-    """Return the certificate of a run.
+) -> Document:
+    """Return the certificate of a run: verdict and figure as its summary, and a section for each
+    table.
 
     Args:
         folder: The run folder.
@@ -79,23 +84,32 @@ def make_certificate(
         made: Program and time.
     """
     record = evidence.record
-    return Certificate(
+    good = accepted(checks)
+    verdict = Verdict(
+        "ACCEPTED" if good else "REJECTED", f"{made}. {RULE}", "good" if good else "open"
+    )
+    picture = _figure(folder, evidence)
+    limits = Table(
+        ("limit", "found", "verdict"),
+        tuple((c.limit, c.words, "passed" if c.passed else "FAILED") for c in checks),
+        (),
+    )
+    masses = Section("Masses", (_masses(evidence),))
+    constants = _constants(evidence)
+    course = _course(record)
+    return Document(
         f"Certificate of run {record.name}",
-        accepted(checks),
-        tuple(_facts(folder, bench, record)),
-        Table(
-            ("limit", "found", "verdict"),
-            tuple((c.limit, c.words, "passed" if c.passed else "FAILED") for c in checks),
-            (),
+        "",
+        (Section("", (verdict, *([picture] if picture else ()))),),
+        (
+            Section("Limits", (limits,)),
+            *([Section("Course of the run", (course,))] if course else ()),
+            Section("", (SideBySide(constants, masses),)) if constants else masses,
+            Section("Devices", (_devices(record),)),
+            Section("Calibrations", (_calibrations(record),)),
+            Section("Files", (Table(("file", "SHA-256"), tuple(digests.items()), ()),)),
         ),
-        _course(record),
-        _constants(evidence),
-        _masses(evidence),
-        _devices(record),
-        _calibrations(record),
-        Table(("file", "SHA-256"), tuple(digests.items()), ()),
-        _figure(folder, evidence),
-        made,
+        tuple(_facts(folder, bench, record)),
     )
 
 
@@ -153,14 +167,13 @@ def _course(record: RunRecord) -> Table | None:
     return Table(("recording", "time, UTC", "operator", "how it ended"), rows, ())
 
 
-def _constants(evidence: Evidence) -> Table | None:
-    if not evidence.constants:
-        return None
+def _constants(evidence: Evidence) -> Section | None:
     rows = tuple(
         (name, number(each.value), interval(each.low, each.high), each.unit)
         for name, each in evidence.constants.items()
     )
-    return Table(("constant", "value", "90 % interval", "unit"), rows, (1, 2))
+    cells = Table(("constant", "value", "90 % interval", "unit"), rows, (1, 2))
+    return Section("Constants", (cells,)) if rows else None
 
 
 def _masses(evidence: Evidence) -> Table:
@@ -193,9 +206,9 @@ def _devices(record: RunRecord) -> Table:
     return Table(("device", "name", "serial number", "revision", "software"), rows, ())
 
 
-def _calibrations(record: RunRecord) -> Table | None:
+def _calibrations(record: RunRecord) -> Table | Note:
     if not record.calibrations:
-        return None
+        return Note("The bench file names no calibrations.")
     rows = tuple(
         (str(c["device"]), str(c["id"]), str(c["due"]), "OVERDUE" if c["overdue"] else "valid")
         for c in record.calibrations
@@ -207,21 +220,37 @@ def _figure(folder: Path, evidence: Evidence) -> Picture | None:
     """Return the figure of friction against speed if the run was identified, else the traces of the
     run.
     """
-    if evidence.constants:
-        try:
-            data = (folder / FRICTION_FIGURE).read_bytes()
-        except OSError:
-            data = b""
-        if data:
-            caption = "Friction against speed, measured (dots) and identified (black)"
-            return Picture("result", caption, data)
+    if evidence.constants and (folder / FRICTION_FIGURE).is_file():
+        caption = "Friction against speed, measured (dots) and identified (black)"
+        return Picture("result", caption, (folder / FRICTION_FIGURE).read_bytes())
     if evidence.dataset is None:
         return None
     caption = "Tracking error and current of the excitations"
-    return Picture.of("result", caption, overview(evidence.dataset))
+    return Picture.of("result", caption, _overview(evidence.dataset))
 
 
-def certificate_html(certificate: Certificate) -> str:
+def _overview(dataset: Dataset) -> Figure:
+    """Draw tracking error and current of all excitations, one after the other."""
+    made, (upper, lower) = figure(2, height=5.0, sharex=True)
+    begun = 0.0
+    for recording in dataset.recordings:
+        few = thinned(len(recording.time))
+        time = begun + recording.time[few] - recording.time[0]
+        channels = recording.channels
+        if "command" in channels and "angle" in channels:
+            error = np.rad2deg(channels["command"] - channels["angle"])
+            upper.plot(time, error[few], color=BLUE, linewidth=0.8)
+        if "current" in channels:
+            lower.plot(time, channels["current"][few], color=VERMILION, linewidth=0.8)
+        upper.annotate(recording.name, (float(time[0]), 1.0), xycoords=("data", "axes fraction"))
+        begun = float(time[-1])
+    upper.set_ylabel("tracking error (deg)")
+    lower.set_ylabel("motor current (A)")
+    lower.set_xlabel("time of the excitations (s)")
+    return made
+
+
+def certificate_html(certificate: Document) -> str:
     """Return the certificate as one self-contained HTML page; all text is escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
@@ -231,3 +260,284 @@ def certificate_html(certificate: Certificate) -> str:
         lstrip_blocks=True,
     )
     return environment.get_template("certificate.html.j2").render(it=certificate)
+
+
+_WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210.0, 297.0, 15.0
+_PICTURE_MM = 62.0
+_ROW_MM = 4.2
+_POINTS_PER_MM = 72.0 / 25.4
+_ADVANCE = 0.602
+"""Width of a character of the font (DejaVu Sans Mono), relative to its size."""
+_LONGEST_CELL = 64
+"""Longest line of a cell, characters: that of a digest."""
+_BAD, _GOOD = "#b00020", "#00713d"
+
+
+def certificate_lines(certificate: Document) -> list[str]:
+    """Return the certificate as lines of text; long cells of a table have several lines."""
+    lines = [certificate.title, ""]
+    for name, value in certificate.facts:
+        lines += [f"{name + ':':<15}{line}" for line in textwrap.wrap(value, 44)]
+    return lines + [line for section in certificate.sections for line in _lines(section)]
+
+
+def _lines(block: Block) -> Iterator[str]:
+    match block:
+        case Section():
+            yield from ("", block.title, "") if block.title else ()
+            for inner in block.blocks:
+                yield from _lines(inner)
+        case SideBySide():
+            yield from _lines(block.left)
+            yield from _lines(block.right)
+        case Table():
+            yield from _table_lines(block)
+        case Note():
+            yield block.text
+
+
+def _table_lines(cells: Table) -> list[str]:
+    rows = [
+        line
+        for row in cells.rows
+        for line in zip_longest(
+            *(textwrap.wrap(cell, _LONGEST_CELL) or [""] for cell in row), fillvalue=""
+        )
+    ]
+    return table(cells.header, rows, cells.right).splitlines()
+
+
+def certificate_pdf(certificate: Document) -> bytes:
+    """Return the certificate as a PDF of one page (A4, portrait) in a font of equal widths; longer
+    content gets smaller text.
+    """
+    (opening,) = certificate.summary
+    verdict = next(block for block in opening.blocks if isinstance(block, Verdict))
+    lines = [*certificate_lines(certificate), "", *textwrap.wrap(verdict.statement, 100)]
+    lines += ["", "", f"date {'_' * 30}    signature {'_' * 40}"]
+    sheet = Sheet(figsize=(_WIDTH_MM / 25.4, _HEIGHT_MM / 25.4))
+    FigureCanvasPdf(sheet)
+    top = _MARGIN_MM + 14.0
+    row_mm = min(_ROW_MM, (_HEIGHT_MM - _MARGIN_MM - top) / len(lines))
+    room = (_WIDTH_MM - 2.0 * _MARGIN_MM) / (_ADVANCE * max(map(len, lines)))
+    size = min(0.72 * row_mm, room) * _POINTS_PER_MM
+
+    def write(y_mm: float, words: str, size: float, colour: str, weight: str = "normal") -> None:
+        place = _MARGIN_MM / _WIDTH_MM, 1.0 - y_mm / _HEIGHT_MM
+        # Without formulas, so that a dollar sign in a name is drawn as a dollar sign.
+        sheet.text(
+            *place, words, fontsize=size, color=colour, weight=weight, family="monospace",
+            va="top", parse_math=False,
+        )  # fmt: skip
+
+    colour = _GOOD if verdict.tone == "good" else _BAD
+    write(_MARGIN_MM, verdict.headline, 18.0, colour, "bold")
+    for k, line in enumerate(lines):
+        failed = line.endswith(("FAILED", "OVERDUE"))
+        heading = lines[k - 1 : k + 2] == ["", line, ""]
+        write(
+            top + k * row_mm,
+            line,
+            size,
+            _BAD if failed else "black",
+            "bold" if failed or heading else "normal",
+        )
+    for picture in (block for block in opening.blocks if isinstance(block, Picture)):
+        height = min(_PICTURE_MM, row_mm * (len(certificate.facts) + 6))
+        right = _WIDTH_MM - _MARGIN_MM
+        left = max(right - 75.0, _MARGIN_MM + size / _POINTS_PER_MM * _ADVANCE * 62)
+        axes = sheet.add_axes(
+            (left / _WIDTH_MM, 1.0 - (_MARGIN_MM + height) / _HEIGHT_MM,
+             (right - left) / _WIDTH_MM, height / _HEIGHT_MM)
+        )  # fmt: skip
+        axes.imshow(matplotlib.image.imread(io.BytesIO(picture.data), format="png"))
+        axes.set_axis_off()
+        axes.set_anchor("NE")
+    buffer = io.BytesIO()
+    metadata = {"Title": f"{certificate.title}: {verdict.headline}", "Creator": "loadrig"}
+    with rc_context({"pdf.fonttype": 42}):
+        sheet.savefig(buffer, format="pdf", metadata=metadata)
+    return buffer.getvalue()
+
+
+ACCEPTANCE_SCHEMA = "loadrig.acceptance/1"
+RESULT_FILE = "acceptance.json"
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 does not allow."""
+
+
+def acceptance_record(
+    record: RunRecord, source: str, checks: Sequence[Check], inputs: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the record of ``rig runs accept --json``.
+
+    Args:
+        record: The run.
+        source: Origin of the limits.
+        checks: The limits, and whether the run met them.
+        inputs: SHA-256 of the files of the run folder, by file name.
+    """
+    known = versions()
+    return {
+        "schema": ACCEPTANCE_SCHEMA,
+        "version": known["loadrig"],
+        "versions": known,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "run": record.name,
+        "begun": record.created,
+        "verdict": "accepted" if accepted(checks) else "rejected",
+        "limits": source,
+        "checks": [_check_record(check) for check in checks],
+        "inputs": [{"file": file, "sha256": digest} for file, digest in inputs.items()],
+    }
+
+
+def _check_record(check: Check) -> dict[str, Any]:
+    return {
+        "limit": check.limit,
+        "passed": check.passed,
+        "words": check.words,
+        "value": check.value,
+        "low": check.low,
+        "high": check.high,
+        "unit": check.unit,
+    }
+
+
+def junit(record: RunRecord, bench: str, checks: Sequence[Check]) -> bytes:
+    """Return the checks as JUnit XML in UTF-8: one test suite with one test case for each limit.
+
+    The form is that of https://github.com/testmoapp/junitxml; times are zero, because a check takes
+    no measurable time.
+    """
+    failed = sum(not check.passed for check in checks)
+    counts = {
+        "tests": str(len(checks)),
+        "failures": str(failed),
+        "errors": "0",
+        "skipped": "0",
+        "time": f"{record.seconds:.3f}",
+    }
+    name = _xml(f"{record.name} on {bench}")
+    root = ET.Element("testsuites", {"name": "rig acceptance", **counts})
+    stamp = record.created.partition("+")[0]
+    suite = ET.SubElement(root, "testsuite", {"name": name, **counts, "timestamp": stamp})
+    properties = ET.SubElement(suite, "properties")
+    for key, value in _properties(record, bench).items():
+        ET.SubElement(properties, "property", {"name": key, "value": _xml(value)})
+    for check in checks:
+        told = {"name": _xml(check.limit), "classname": name, "time": "0.000"}
+        case = ET.SubElement(suite, "testcase", told)
+        if not check.passed:
+            words = _xml(check.words)
+            failure = {"message": words, "type": "limit"}
+            ET.SubElement(case, "failure", failure).text = f"{_xml(check.limit)}: {words}"
+        else:
+            ET.SubElement(case, "system-out").text = _xml(check.words)
+    ET.indent(root)
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def _xml(text: str) -> str:
+    """Return a text without the characters that XML does not allow."""
+    return _NOT_XML.sub("?", valid(text))
+
+
+def _properties(record: RunRecord, bench: str) -> dict[str, str]:
+    return {
+        "bench": bench,
+        "simulated": str(record.simulated).lower(),
+        "operator": record.operator or "",
+        "begun": record.created,
+        "state": record.state,
+        **{f"mass of {s.name}, kg": f"{s.mass_kg:g}" for s in record.stages},
+        **{f"sha256 of {name}": entry["sha256"] for name, entry in record.inputs.items()},
+    }
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """Result of an acceptance.
+
+    Attributes:
+        checks: The limits, judged.
+        record: The result file.
+        junit: The checks as JUnit XML.
+        folder: The run folder.
+    """
+
+    checks: tuple[Check, ...]
+    record: Mapping[str, Any]
+    junit: bytes
+    folder: Path
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the run is accepted."""
+        return accepted(self.checks)
+
+
+def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progress) -> Acceptance:
+    """Judge a run, and write result file, certificate and seal into its folder.
+
+    Args:
+        folder: The run folder.
+        limits: The acceptance limits of the run.
+        source: Origin of the limits.
+        progress: Called with the current step and the completed share.
+
+    Raises:
+        InputError: The folder is not a run folder, or cannot be written.
+    """
+    evidence = gather(folder, limits, progress)
+    progress("writing the certificate", 1.0)
+    checks = judge(limits, evidence)
+    record, bench = evidence.record, bench_name(folder, evidence.record)
+    names = [RUN_FILE, IDENTIFY_FILE, f"{DIAGNOSIS_FOLDER}/{DIAGNOSIS_FILE}"]
+    used = {n: sha256_file(folder / n) for n in names if (folder / n).is_file()}
+    inputs = {**evidence.digests, **used}
+    result = acceptance_record(record, source, checks, inputs)
+    write_record(result, folder / RESULT_FILE, None)
+    digests = {**inputs, RESULT_FILE: sha256_file(folder / RESULT_FILE)}
+    made = f"loadrig {result['version']}, {result['created'].replace('+00:00', ' UTC')}"
+    certificate = make_certificate(folder, bench, evidence, checks, digests, made)
+    write_texts({CERTIFICATE_PAGE: certificate_html(certificate)}, folder)
+    write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
+    seal_run(folder, record)
+    seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])
+    try:
+        write_verdict(folder, record)
+    except OSError as error:
+        raise InputError(f"{folder / REPORT_FILE}: cannot be written: {error.strerror}") from error
+    return Acceptance(checks, result, junit(record, bench, checks), folder)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file in one step.
+
+    Raises:
+        InputError: The file cannot be written; an earlier version is kept.
+    """
+    try:
+        with replacing(path) as draft:
+            draft.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def acceptance_document(found: Acceptance) -> Document:
+    """Return an acceptance as a document; its page is the certificate."""
+    rows = tuple((c.limit, "passed" if c.passed else "FAILED", c.words) for c in found.checks)
+    failed = sum(not check.passed for check in found.checks)
+    headline = "ACCEPTED" if found.accepted else "REJECTED"
+    statement = (
+        f"{failed} of {len(rows)} checks failed."
+        if failed
+        else f"The run passed all {len(rows)} checks."
+    )
+    blocks = (
+        Table(("limit", "verdict", "found"), rows, ()),
+        Verdict(headline, statement, "good" if found.accepted else "open"),
+        Note(f"certificate: {found.folder / CERTIFICATE_PAGE}, {CERTIFICATE_PDF}"),
+    )
+    return Document("Acceptance", "", (Section("", blocks),))

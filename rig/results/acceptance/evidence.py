@@ -1,6 +1,4 @@
-"""Collects the values of a run that the acceptance limits apply to; identifies and diagnoses the
-run if needed.
-"""
+"""Acceptance of a finished run: compares the run with its limits, and writes the certificate."""
 
 from __future__ import annotations
 
@@ -14,7 +12,8 @@ from typing import Any
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import is_file
-from rig.common.provenance import RESULT_FILE, sha256_file
+from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
+from rig.common.provenance import sha256_file
 from rig.common.tables import number
 from rig.config.acceptance import NOTHING_MISSING, WEIGHT_CHECK, Bound, Limit, Range, Required
 from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
@@ -23,15 +22,15 @@ from rig.results.diagnose.document import diagnose_document
 from rig.results.diagnose.exports import exports
 from rig.results.document import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.identify.document import identify_document
-from rig.results.identify.identify import Request, identify_source
-from rig.results.identify.record import outcome_record
+from rig.results.identify.identify import Request, identify_source, outcome_record
 from rig.results.measured import QUANTITIES, clock_words, facts_of
 from rig.runs.catalogue.entry import Constant
 from rig.runs.catalogue.index import constants_of
 from rig.runs.recorded_inputs import truth_of
 from rig.runs.run import load_run
 from rig.runs.run_file import read_record
-from rig.runs.run_record import Ending, RunRecord, Verdict
+from rig.runs.run_record import Ending, RunRecord
+from rig.runs.run_record import Verdict as WeightVerdict
 from rig.weighing.weight_check import comparable, off_label
 
 Progress = Callable[[str, float], None]
@@ -81,7 +80,7 @@ def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidenc
     }
     problems: list[str] = []
     dataset = _tried(lambda: load_run(folder), problems)
-    identified = _current(folder / RESULT_FILE, digests)
+    identified = _current(folder / IDENTIFY_FILE, digests)
     if not identified and dataset is not None and any(map(_needs_constants, limits)):
         identified = _tried(lambda: _identify(folder, progress), problems) or {}
     diagnosed: Mapping[str, Any] = {}
@@ -135,7 +134,7 @@ def _identify(folder: Path, progress: Progress) -> dict[str, Any]:
     """Identify a run as ``rig identify`` does; returns the record."""
     outcome = identify_source(folder, Request(), progress)
     record = outcome_record(outcome)
-    write_record(record, folder / RESULT_FILE, None)
+    write_record(record, folder / IDENTIFY_FILE, None)
     document = identify_document(folder.name, outcome, truth_of(folder), facts_of(folder))
     write_page(document, folder / PAGE_FILE)
     return record
@@ -162,7 +161,7 @@ def _weights(record: RunRecord, dataset: Dataset | None) -> dict[str, tuple[str,
     wrong = off_label(dataset)
     words = "the friction of the stages agrees with their masses"
     loaded = _loaded(record)
-    return {name: (Verdict.RIGHT.value, words) for name in loaded} | {
+    return {name: (WeightVerdict.RIGHT.value, words) for name in loaded} | {
         each.stage: (each.verdict.value, each.message) for each in wrong
     }
 
@@ -308,6 +307,6 @@ def _weight(limit: Limit, evidence: Evidence) -> Check:
             "two masses and with the empty lever"
         )
         return Check(limit.text, False, words)
-    bad = {s: each for s, each in evidence.weights.items() if each[0] != Verdict.RIGHT.value}
+    bad = {s: each for s, each in evidence.weights.items() if each[0] != WeightVerdict.RIGHT.value}
     listed = "; ".join(f"{stage}: {verdict}, {text}" for stage, (verdict, text) in bad.items())
     return Check(limit.text, not bad, listed or f"right in {', '.join(evidence.weights)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,38 +11,41 @@ from pathlib import Path
 from typing import Any
 
 from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figure, figure
+from rig.common.errors import InputError
+from rig.common.places import is_file
 from rig.common.provenance import utc_now, versions
-from rig.results.document import Document, Note, Section, Table
-from rig.runs.catalogue.entry import Constant, Entry, Head, state_of
+from rig.common.tables import interval, number
+from rig.results.document import Block, Document, Items, Note, Picture, Section, Table, Verdict
+from rig.runs.catalogue.entry import Constant, Details, Entry, state_of
+from rig.runs.catalogue.verify import Verification
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RunRecord
+
+COLUMNS = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "state", "verdict")
+"""Columns of every table of runs."""
 
 
-def begun(head: Head) -> str:
-    """Return the start time of a run to the minute, UTC."""
-    return head.created[:16].replace("T", " ")
-
-
-def operators(head: Head) -> str:
-    """Return the operators of a run."""
-    return ", ".join(head.operators) or "-"
-
-
-def masses(head: Head) -> str:
-    """Return the masses that hung on the lever, kg."""
-    return ", ".join(f"{mass:g}" for mass in head.masses_kg) or "-"
-
-
-def state(root: Path, entry: Entry) -> str:
-    """Return how a run ended; for a folder without a complete run, the kind of the folder."""
-    if entry.head.kind == "commissioning":
-        return f"commissioning {entry.head.state}"
-    return state_of(root, entry) if entry.head.kind == "run" else entry.head.kind.upper()
-
-
-def verdict(head: Head) -> str:
-    """Return acceptance, diagnosis and weight checks of a run as a short text."""
-    weights = [f"weight {word}" for word in head.weights]
-    words = [head.acceptance, head.diagnosis.replace("_", " "), *weights]
-    return ", ".join(filter(None, words)) or "-"
+def cells(root: Path, entry: Entry) -> dict[str, str]:
+    """Return the facts of a run as text by :data:`COLUMNS`: times to the minute, the masses that
+    hung on the lever; for a folder without a complete run, the kind of the folder as its state.
+    """
+    head = entry.head
+    state = state_of(root, entry) if head.kind == "run" else head.kind.upper()
+    if head.kind == "commissioning":
+        state = f"commissioning {head.state}"
+    verdicts = [head.acceptance, head.diagnosis.replace("_", " ")]
+    verdicts += [f"weight {word}" for word in head.weights]
+    values = (
+        place(root, entry),
+        head.created[:16].replace("T", " "),
+        head.bench + ("" if head.simulated in (True, None) else " (REAL)"),
+        head.sequence,
+        ", ".join(head.operators),
+        ", ".join(f"{mass:g}" for mass in head.masses_kg),
+        state,
+        ", ".join(filter(None, verdicts)),
+    )
+    return {name: value or "-" for name, value in zip(COLUMNS, values, strict=True)}
 
 
 def place(root: Path, entry: Entry) -> str:
@@ -61,7 +65,6 @@ def head_record(schema: str) -> dict[str, Any]:
 
 
 LIST_SCHEMA = "loadrig.runs/1"
-_HEADER = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "state", "verdict")
 _MOST_PROBLEMS = 10
 
 
@@ -73,8 +76,8 @@ def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> D
         entries: The runs to show, the earliest first.
         hidden: Number of runs that the selection leaves out.
     """
-    header, rows = _HEADER, [_row(root, entry) for entry in entries]
-    cells = Table(header, tuple(rows), ())
+    rows = tuple(tuple(cells(root, entry).values()) for entry in entries)
+    listed = Table(COLUMNS, rows, ())
     notes = [Note(line) for line in _count(entries, hidden)]
     problems = [
         Note(f"{place(root, e)}: {text}", "warning")
@@ -85,31 +88,17 @@ def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> D
     few = problems[:_MOST_PROBLEMS]
     if len(problems) > len(few):
         few.append(Note(f"{len(problems) - len(few)} more problems; --json lists all", "warning"))
-    shown = (cells,) if rows else (Note(f"{root}: no runs"),)
+    shown = (listed,) if rows else (Note(f"{root}: no runs"),)
     return Document(
         f"Runs in {root}",
         "",
         (Section("", shown), Section("", (*notes, *few, *copies))),
-        (Section("Runs", (cells, *notes)), *_problem_section((*problems, *copies))),
+        (Section("Runs", (listed, *notes)), *_problem_section((*problems, *copies))),
     )
 
 
 def _problem_section(notes: Sequence[Note]) -> list[Section]:
     return [Section("Problems and copies", tuple(notes))] if notes else []
-
-
-def _row(root: Path, entry: Entry) -> tuple[str, ...]:
-    head = entry.head
-    return (
-        place(root, entry),
-        begun(head) or "-",
-        head.bench + ("" if head.simulated in (True, None) else " (REAL)") or "-",
-        head.sequence or "-",
-        operators(head),
-        masses(head),
-        state(root, entry),
-        verdict(head),
-    )
 
 
 def _count(entries: Sequence[Entry], hidden: int) -> Iterator[str]:
@@ -145,7 +134,7 @@ def listing_record(root: Path, entries: Sequence[Entry]) -> dict[str, Any]:
 def run_record(root: Path, entry: Entry) -> dict[str, Any]:
     """Return the record of one run in a list."""
     head = dataclasses.asdict(entry.head)
-    return {"run": place(root, entry), **head, "state": state(root, entry).lower()}
+    return {"run": place(root, entry), **head, "state": cells(root, entry)["state"].lower()}
 
 
 _COLUMNS = 3
@@ -161,7 +150,7 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
     made, (axis,) = figure(1, width=_LEAD_WIDTH, height=height)
     first = next(iter(runs.values()))
     offset = 0.6 / len(runs)
-    for number, (run, constants) in enumerate(runs.items()):
+    for k, (run, constants) in enumerate(runs.items()):
         places, values, below, above = [], [], [], []
         for row, name in enumerate(names):
             base, each = first[name].value, constants.get(name)
@@ -169,12 +158,12 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
                 continue
             low = each.value if each.low is None else each.low
             high = each.value if each.high is None else each.high
-            places.append(row + (number - 0.5 * (len(runs) - 1)) * offset)
+            places.append(row + (k - 0.5 * (len(runs) - 1)) * offset)
             values.append(100.0 * (each.value / base - 1.0))
             ends = sorted(100.0 * (end / base - 1.0) for end in (low, high))
             below.append(max(0.0, values[-1] - ends[0]))
             above.append(max(0.0, ends[1] - values[-1]))
-        colour = CYCLE[number % len(CYCLE)]
+        colour = CYCLE[k % len(CYCLE)]
         axis.errorbar(
             values, places, xerr=(below, above), fmt="o", color=colour, capsize=3, label=run
         )
@@ -218,3 +207,186 @@ def courses(
         axis.set_axis_off()
     made.supxlabel("run", fontsize=9)
     return made
+
+
+SHOW_SCHEMA = "loadrig.run_shown/1"
+PAGES = (
+    ("run.html", "how it ended, and its recordings"),
+    ("report.html", "identification"),
+    ("diagnosis/report.html", "diagnosis"),
+    ("certificate.html", "certificate"),
+    ("certificate.pdf", "certificate, for paper"),
+)
+"""Pages that a run folder may contain, and their content."""
+FIGURE = "figures/stribeck_default.png"
+"""Name of the figure that shows the result of an identified run."""
+
+
+def show_document(root: Path, entry: Entry) -> Document:
+    """Return all known properties of one run as a document."""
+    folder = root / entry.folder
+    details, record = entry.parsed(), _record(folder)
+    blocks = [
+        Section("", (_facts(root, entry, details),)),
+        *([Section("Stages", (_stages(record),))] if record else []),
+        *_weights(record),
+        *_identified(entry, details),
+        *_remarks(entry, record),
+    ]
+    pages = tuple((str(folder / name), text) for name, text in PAGES if is_file(folder / name))
+    if pages:
+        blocks.append(Section("Pages", (Items(pages),)))
+    return Document(f"Run {place(root, entry)}", "", tuple(blocks), (*_figure(folder), *blocks))
+
+
+def _record(folder: Path) -> RunRecord | None:
+    try:
+        return read_record(folder)
+    except InputError:
+        return None  # the entry says what the folder is
+
+
+def _figure(folder: Path) -> Iterator[Section]:
+    picture = stored_picture(folder, FIGURE, "Friction against speed, measured and fitted")
+    if picture is not None:
+        yield Section("", (picture,))
+
+
+def stored_picture(folder: Path, name: str, caption: str) -> Picture | None:
+    """Return a figure from a file of a run folder, or None if the file cannot be read."""
+    try:
+        data = (folder / name).read_bytes()
+    except OSError:
+        return None
+    kept = "".join(c if c.isalnum() or c in ".-" else "_" for c in folder.name)
+    return Picture(f"{Path(name).stem}_{kept}", caption, data)
+
+
+def _facts(root: Path, entry: Entry, details: Details) -> Table:
+    head, known = entry.head, cells(root, entry)
+    kind = {True: " (simulated)", False: " (REAL)", None: ""}[head.simulated]
+    rows = [
+        ("state", known["state"]),
+        ("bench", (head.bench or "-") + kind),
+        *((name, known[name]) for name in ("sequence", "begun, UTC", "operator")),
+        ("masses, kg", known["kg"]),
+        ("verdict", known["verdict"]),
+        *((role, name) for role, name in details.devices.items()),
+        ("in words", head.message or head.problem or "-"),
+        ("run.json, SHA-256", head.digest or "-"),
+    ]
+    return Table(("fact", "value"), tuple(rows), ())
+
+
+def _stages(record: RunRecord) -> Table:
+    rows = tuple(
+        (s.name, s.stage, f"{s.weight_kg:g}", number(s.confirmed_kg), s.role, s.state)
+        for s in record.stages
+    )
+    return Table(("stage", "load", "planned kg", "confirmed kg", "role", "state"), rows, (2, 3))
+
+
+def _weights(record: RunRecord | None) -> Iterator[Section]:
+    if record is not None and record.weights:
+        rows = tuple(
+            (
+                str(w["stage"]),
+                number(w["confirmed_kg"]),
+                number(w["measured_kg"]),
+                str(w["verdict"]),
+            )
+            for w in record.weights
+        )
+        header = ("stage", "confirmed kg", "by friction kg", "verdict")
+        yield Section("Weight checks", (Table(header, rows, (1, 2)),))
+
+
+def _identified(entry: Entry, details: Details) -> Iterator[Section]:
+    if not entry.head.identified:
+        return
+    rows = tuple((name, *_cells(each)) for name, each in details.constants.items())
+    header = ("constant", "value", "90 % interval", "unit", "note")
+    blocks: list[Block] = [Table(header, rows, (1, 2))]
+    if details.fit_rms is not None:
+        blocks.append(Note(f"torque error {number(details.fit_rms, 3)} {details.fit_unit} rms"))
+    yield Section(f"Constants, {entry.head.identified} method", tuple(blocks))
+
+
+def _cells(each: Constant) -> tuple[str, ...]:
+    note = "not identifiable" if each.value is None else "at a bound" if each.at_bound else ""
+    return number(each.value), interval(each.low, each.high), each.unit, note
+
+
+def _remarks(entry: Entry, record: RunRecord | None) -> Iterator[Section]:
+    lines = [entry.head.problem, *entry.head.notes, *(record.warnings if record else ())]
+    notes = tuple(Note(line, "warning") for line in lines if line)
+    if notes:
+        yield Section("", notes)
+
+
+def show_record(root: Path, entry: Entry) -> dict[str, Any]:
+    """Return the record of ``rig runs show --json``."""
+    record = _record(root / entry.folder)
+    return {
+        **head_record(SHOW_SCHEMA),
+        **run_record(root, entry),
+        "details": json.loads(entry.details),
+        "record": None if record is None else dataclasses.asdict(record),
+    }
+
+
+VERIFY_SCHEMA = "loadrig.verify/1"
+_SHORT = 16
+
+
+def verification_document(found: Sequence[Verification]) -> Document:
+    """Return the verification of runs as a document."""
+    sections = tuple(_section(each) for each in found)
+    bad = [str(each.folder) for each in found if not each.good]
+    statement = (
+        f"Changed, damaged or incomplete: {', '.join(bad)}."
+        if bad
+        else "Every file with a recorded digest still has that digest."
+    )
+    headline = f"{len(found) - len(bad)} of {len(found)} runs are as recorded"
+    verdict = Verdict(headline, statement, "open" if bad else "good")
+    last = Section("", (verdict,))
+    return Document("Verification of runs", "", (*sections, last), (last, *sections))
+
+
+def _section(found: Verification) -> Section:
+    rows = tuple(
+        (each.file, each.finding.value, each.sha256[:_SHORT] or "-", each.by or "-", each.words)
+        for each in found.files
+    )
+    files = Table(("file", "found", "SHA-256 begins", "digest recorded in", "note"), rows, ())
+    problems = (Note(problem, "warning") for problem in found.problems)
+    return Section(str(found.folder), (files, *problems))
+
+
+def verification_record(found: Sequence[Verification]) -> dict[str, Any]:
+    """Return the record of ``rig runs verify --json``."""
+    return {
+        **head_record(VERIFY_SCHEMA),
+        "good": all(each.good for each in found),
+        "runs": [_run_record(each) for each in found],
+    }
+
+
+def _run_record(found: Verification) -> dict[str, Any]:
+    return {
+        "run": str(found.folder),
+        "good": found.good,
+        "problems": list(found.problems),
+        "files": [
+            {
+                "file": each.file,
+                "found": each.finding.value,
+                "sha256": each.sha256,
+                "recorded": each.recorded,
+                "recorded_in": each.by,
+                "note": each.words,
+            }
+            for each in found.files
+        ],
+    }

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.gas.burns import has_gas_channels
 from identification.diagnosis.gas.diagnose import diagnose_gas
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.estimate.covariance import uncertain_constants
 from identification.estimate.default import identify_any_length

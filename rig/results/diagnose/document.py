@@ -7,9 +7,10 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from identification.diagnosis.diagnose import observable_effects
+from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
@@ -18,8 +19,7 @@ from identification.diagnosis.result import (
     ResidualTrace,
 )
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.score.observable import Observable
-from identification.diagnosis.verdict.statement import readable
+from identification.diagnosis.statement import readable
 from identification.effects import EFFECTS
 from identification.export.model import COORDINATES
 from identification.model.parameters import parameter_title, parameter_unit
@@ -31,7 +31,6 @@ from rig.common.places import is_folder, source_name
 from rig.common.provenance import Provenance, finite
 from rig.common.tables import number, percent
 from rig.results.diagnose.diagnose import Outcome
-from rig.results.diagnose.exports import Exports
 from rig.results.document import (
     Block,
     Document,
@@ -48,6 +47,9 @@ from rig.results.document import (
 )
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
+
+if TYPE_CHECKING:
+    from rig.results.diagnose.exports import Exports
 
 READABLE = {
     "rad": "deg",

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 from identification.estimate.ladder import Interval, Rung, Transfer
 from identification.estimate.paper_method import Contender
-from identification.estimate.prediction.loop_fit import PER_VOLT, Constant
-from identification.estimate.prediction.simulated_ladder import SimulatedRung
-from identification.model.ladder import LADDER, SIMULATED
-from identification.model.parameters import LINEAR
+from identification.estimate.simulated_ladder import PER_VOLT, Constant, SimulatedRung
+from identification.model.parameters import LADDER, LINEAR, SIMULATED
 from identification.plots import fit as fit_plots
-from identification.plots import result as opening
 from identification.plots import signals
 from identification.recording import Recording
-from identification.result import Fit, Identification, Parameter, Trace
+from identification.result import (
+    Convergence,
+    Fit,
+    Identification,
+    KnownConstant,
+    MeasuredNoise,
+    Parameter,
+    Profile,
+    Trace,
+)
 from rig.common.tables import CHANGED, NO_CHANGE, interval, number, percent
 from rig.results.document import (
     Document,
@@ -29,99 +36,259 @@ from rig.results.document import (
     reading_notes,
 )
 from rig.results.identify.identify import Outcome
-from rig.results.identify.uncertainty import (
-    uncertainty_notes,
-    uncertainty_pictures,
-    uncertainty_tables,
+
+PROFILE_NOTE = (
+    "Profile: the range in which -2 log likelihood rises by at most 2.71, with all other "
+    "parameters optimised. Scaled: factor on the likelihood, because the scatter of the scores "
+    "contradicts the curvature of the likelihood. Skew: distance of the estimate from the upper "
+    "end of the range over its distance from the lower end."
 )
+
+
+BOOTSTRAP_NOTE = (
+    "Bootstrap: the central 90 % of estimates from motion segments drawn with replacement. "
+    "The bootstrap assumes only that the errors of different segments are independent; with few "
+    "segments its ranges are somewhat too narrow."
+)
+
+
+CONSTANTS_NOTE = (
+    "The 90 % intervals of the parameters contain the uncertainty (one standard deviation) of "
+    "these constants; the values of the parameters are for the constants as given. Floor, "
+    "profiles and bootstrap do not contain this uncertainty."
+)
+PRIORS_NOTE = (
+    "Prior and recordings are combined as independent; +- is one standard deviation, which for the "
+    "recordings includes the uncertainty of the constants. A prior also changes the values and "
+    "intervals of the parameters that correlate with its parameter. Trade-offs, profiles and "
+    "bootstrap are from the recordings alone."
+)
+_MOVED = 4
+"""Largest number of parameters in a row of the table of constants."""
+
+
+def uncertainty_notes(result: Identification) -> list[str]:
+    """Return lines on trade-offs, active bounds, and the number of starts that reached the best
+    optimum.
+    """
+    lines = [pair.statement for pair in result.tradeoffs]
+    if result.least_pinned:
+        lines.append(result.least_pinned)
+    hit = [p.name for p in result.parameters.values() if p.at_bound]
+    lines.append(f"bounds hit: {', '.join(hit)}" if hit else "bounds hit: none")
+    if result.noise:
+        lines.append(_noise_statement(result.noise, result.motion))
+    lines += [
+        f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
+        + (
+            f"solved its estimating equations (chi-square up to {number(s.reached)})"
+            if s.absolute
+            else "ended at the best"
+        )
+        for s in result.starts
+    ]
+    return [f"{result.method}: {line}" for line in lines]
+
+
+def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
+    """Return text on the estimated noise of the recordings."""
+    torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, white"
+    if noise.correlated:
+        over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
+        torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
+    factor, unit = (1e6, "um") if motion == LINEAR else (math.degrees(1.0), "deg")
+    step, beyond = (
+        f"{number(factor * each, 3)} {unit}" for each in (noise.encoder_step_rad, noise.angle_rad)
+    )
+    return (
+        f"noise estimated from the prediction errors: {torque}; encoder step {step}, and "
+        f"{beyond} rms in addition"
+    )
+
+
+def _columns(
+    items: Iterable[Any], right: tuple[int, ...], *columns: tuple[str, Callable[[Any], str]]
+) -> Table:
+    """Return a table of one row per item, from titles and cells of its columns."""
+    rows = tuple(tuple(cell(item) for _, cell in columns) for item in items)
+    return Table(tuple(title for title, _ in columns), rows, right)
+
+
+def profile_table(result: Identification) -> Table:
+    """Return one row for each profile: the 90 % range of the profile and the interval."""
+
+    def skew(curve: Profile) -> float | None:
+        if curve.low is None or curve.high is None:
+            return None
+        here = result.fitted[curve.name]
+        return (curve.high - here) / (here - curve.low)
+
+    return _columns(
+        result.profiles,
+        (1, 2, 3, 4),
+        ("parameter", lambda c: c.name),
+        ("90 % interval", lambda c: _interval(result.parameters[c.name])),
+        ("profile", lambda c: _open(c) if skew(c) is None else interval(c.low, c.high)),
+        ("skew", lambda c: number(skew(c), 3)),
+        ("scaled", lambda c: number(c.scale, 3)),
+        ("unit", lambda c: c.unit),
+    )
+
+
+def _interval(parameter: Parameter) -> str:
+    return interval(parameter.low, parameter.high)
+
+
+def _open(curve: Profile) -> str:
+    """Return the range of a profile as text; an end beyond the scanned values is open."""
+    low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
+    high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
+    return f"[{low}, {high}]"
+
+
+def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
+    """Return the requested tables, each with its note."""
+    tables = []
+    if result.priors:
+        tables.append((priors_table(result), PRIORS_NOTE))
+    if result.known_constants:
+        tables.append((constants_table(result), CONSTANTS_NOTE))
+    if result.profiles:
+        tables.append((profile_table(result), PROFILE_NOTE))
+    if result.resampled:
+        tables.append((bootstrap_table(result), BOOTSTRAP_NOTE))
+    return tables
+
+
+def priors_table(result: Identification) -> Table:
+    """Return one row for each prior: the prior, the estimate from the recordings alone, and the
+    combined estimate.
+    """
+    return _columns(
+        result.priors,
+        (1, 2, 3),
+        ("parameter", lambda p: p.name),
+        ("prior", lambda p: f"{number(p.value)} +- {number(p.uncertainty, 2)}"),
+        ("recordings alone", lambda p: f"{number(p.alone)} +- {number(p.alone_uncertainty, 2)}"),
+        ("both", lambda p: f"{number(p.posterior)} +- {number(p.posterior_uncertainty, 2)}"),
+        ("unit", lambda p: result.parameters[p.name].unit),
+    )
+
+
+def constants_table(result: Identification) -> Table:
+    """Return one row for each uncertain constant: value, uncertainty, and the parameters that it
+    changes most.
+    """
+
+    def most(constant: KnownConstant) -> str:
+        shares = {
+            name: shift / value
+            for name, shift in constant.shifts.items()
+            if (value := result.parameters[name].value)
+        }
+        moved = sorted(shares, key=lambda name: -abs(shares[name]))[:_MOVED]
+        return ", ".join(f"{name} {100.0 * shares[name]:+.3g} %" for name in moved) or "nothing"
+
+    return _columns(
+        result.known_constants,
+        (1, 2),
+        ("constant", lambda c: c.place),
+        ("value", lambda c: number(c.value)),
+        ("uncertainty", lambda c: f"+- {number(c.uncertainty, 3)}"),
+        ("changed most by one uncertainty", most),
+    )
+
+
+def bootstrap_table(result: Identification) -> Table:
+    """Return one row for each parameter: the spread of the bootstrap estimates and the interval."""
+    return _columns(
+        result.resampled,
+        (1, 2, 3),
+        ("parameter", lambda r: r.name),
+        ("90 % interval", lambda r: _interval(result.parameters[r.name])),
+        ("bootstrap", lambda r: interval(r.low, r.high)),
+        ("draws solved", lambda r: f"{r.solved} of {r.draws}"),
+        ("unit", lambda r: r.unit),
+    )
+
+
+def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
+    """Return figures of profiles and of costs over starts (for more than one start)."""
+    pictures = []
+    for result in results:
+        several = [s for s in result.starts if len(s.ends) > 1]
+        if result.profiles:
+            made = fit_plots.profiles(result.profiles, list(result.parameters.values()))
+            pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
+        if several:
+            made = fit_plots.waterfall(several)
+            pictures.append(Picture.of(f"starts_{result.method}", "Where the starts ended", made))
+    return pictures
+
 
 COMPARISON_NOTE = (
     "All searches minimise the paper's equation error, stage by stage, within common bounds; the "
     "default method then minimises the prediction errors. Failed: searches that ended more than "
     "0.1 % above the least cost found. Errors: of the worst parameter, in the median run."
 )
-_FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
 
-def fit_table(results: Sequence[Identification]) -> Table:
-    """Return one row for each fit: the error of the fit, and the error on the recordings with role
-    validate.
-    """
-    rows = []
+def fit_tables(results: Sequence[Identification]) -> tuple[Table, Table]:
+    """Return the error of each method on all recordings of a role, and on each recording."""
+    of_roles, of_recordings = [], []
     for result in results:
         fit = result.fit
-        rows.append(
+        of_roles.append(
             (result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative))
         )
         if fit.validate_rms is not None:
-            rows.append(
-                (
-                    result.method,
-                    "all",
-                    "validate",
-                    *_fit_cells(fit, fit.validate_rms, fit.validate_relative),
-                )
-            )
-    return Table(("method", "recordings", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
-
-
-def recording_fit_table(results: Sequence[Identification]) -> Table:
-    """Return the error of each method on each recording."""
-    rows = []
-    for result in results:
+            cells = _fit_cells(fit, fit.validate_rms, fit.validate_relative)
+            of_roles.append((result.method, "all", "validate", *cells))
         roles = {trace.recording: trace.role for trace in result.traces}
-        rows += [
-            (result.method, name, roles[name], *_fit_cells(fit, fit.train_rms, fit.train_relative))
-            for name, fit in result.fits_by_recording.items()
+        of_recordings += [
+            (result.method, name, roles[name], *_fit_cells(own, own.train_rms, own.train_relative))
+            for name, own in result.fits_by_recording.items()
         ]
-    return Table(("method", "recording", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+    header = ("role", "bandwidth", "error, rms", "relative")
+    return (
+        Table(("method", "recordings", *header), tuple(of_roles), (3, 4, 5)),
+        Table(("method", "recording", *header), tuple(of_recordings), (3, 4, 5)),
+    )
 
 
 def stage_table(results: Sequence[Identification]) -> Table:
     """Return the number of evaluations and the final state of each stage of each method."""
-    rows = tuple(
-        (
-            result.method,
-            stage.stage,
-            stage.method,
-            str(stage.evaluations),
-            str(stage.generations),
-            f"{number(stage.cost, 4)} {stage.cost_unit}",
-            "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}",
-            {None: "-", True: "yes", False: "no"}[stage.reached],
-        )
-        for result in results
-        for stage in result.stages
+
+    def target(row: tuple[str, Convergence]) -> str:
+        stage = row[1]
+        return "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}"
+
+    return _columns(
+        [(result.method, stage) for result in results for stage in result.stages],
+        (3, 4, 5, 6),
+        ("method", lambda s: s[0]),
+        ("stage", lambda s: s[1].stage),
+        ("optimiser", lambda s: s[1].method),
+        ("evaluations", lambda s: str(s[1].evaluations)),
+        ("generations", lambda s: str(s[1].generations)),
+        ("cost", lambda s: f"{number(s[1].cost, 4)} {s[1].cost_unit}"),
+        ("target", target),
+        ("reached", lambda s: {None: "-", True: "yes", False: "no"}[s[1].reached]),
     )
-    header = (
-        "method",
-        "stage",
-        "optimiser",
-        "evaluations",
-        "generations",
-        "cost",
-        "target",
-        "reached",
-    )
-    return Table(header, rows, (3, 4, 5, 6))
 
 
 def recording_table(recordings: Sequence[Recording]) -> Table:
     """Return the identified recordings, and the corrections that were made on reading."""
-    rows = tuple(
-        (
-            r.name,
-            r.role,
-            r.stage,
-            "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg",
-            str(len(r.time)),
-            f"{number(1.0 / r.period, 4)} Hz",
-            "; ".join(r.notes) or "none",
-        )
-        for r in recordings
-    )
-    return Table(
-        ("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5)
+    return _columns(
+        recordings,
+        (3, 4, 5),
+        ("recording", lambda r: r.name),
+        ("role", lambda r: r.role),
+        ("stage", lambda r: r.stage),
+        ("weight", lambda r: "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg"),
+        ("samples", lambda r: str(len(r.time))),
+        ("rate", lambda r: f"{number(1.0 / r.period, 4)} Hz"),
+        ("corrections", lambda r: "; ".join(r.notes) or "none"),
     )
 
 
@@ -129,31 +296,25 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
     """Return one row for each estimator; the error column is omitted if the true values are
     unknown.
     """
-    known = any(c.true_error is not None for c in contenders)
-    header = (
-        "estimator",
-        "runs",
-        "failed",
-        "evaluations",
-        "s",
-        "cost above least",
-        "error against default",
-    )
-    rows = [
-        (
-            c.name,
-            str(c.runs),
-            str(c.failures),
-            str(c.evaluations),
-            number(c.seconds, 2),
-            "-" if c.excess is None else percent(100.0 * c.excess),
-            "reference" if c.excess is None else f"{percent(100.0 * c.error)} ({c.worst})",
-            *([_true(c)] if known else []),
-        )
-        for c in contenders
-    ]
-    return Table(
-        (*header, *(["error against truth"] if known else [])), tuple(rows), (1, 2, 3, 4, 5)
+
+    def worst(error: float | None, name: str) -> str:
+        return "-" if error is None else f"{percent(100.0 * error)} ({name})"
+
+    def against_default(c: Contender) -> str:
+        return "reference" if c.excess is None else worst(c.error, c.worst)
+
+    true = ("error against truth", lambda c: worst(c.true_error, c.true_worst))
+    return _columns(
+        contenders,
+        (1, 2, 3, 4, 5),
+        ("estimator", lambda c: c.name),
+        ("runs", lambda c: str(c.runs)),
+        ("failed", lambda c: str(c.failures)),
+        ("evaluations", lambda c: str(c.evaluations)),
+        ("s", lambda c: number(c.seconds, 2)),
+        ("cost above least", lambda c: "-" if c.excess is None else percent(100.0 * c.excess)),
+        ("error against default", against_default),
+        *([true] if any(c.true_error is not None for c in contenders) else []),
     )
 
 
@@ -164,32 +325,17 @@ def ladder_table(rungs: Sequence[Rung]) -> Table:
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
     scale = 1e3 if first.motion == "rotary" else 1e6
-    header = (
-        "friction",
-        "terms",
-        f"fit ({unit})",
-        "90 %",
-        f"validate ({unit})",
-        "90 %",
-        f"angle ({small})",
-        "90 %",
-        f"angle, MAE ({small})",
-        "90 %",
-        "best in",
+    return _columns(
+        rungs,
+        (2, 4, 6, 8, 10),
+        ("friction", lambda r: r.friction),
+        ("terms", lambda r: ", ".join(LADDER[r.friction])),
+        *_with_interval(f"fit ({unit})", lambda r: r.train),
+        *_with_interval(f"validate ({unit})", lambda r: r.scored),
+        *_with_interval(f"angle ({small})", lambda r: r.angle, scale),
+        *_with_interval(f"angle, MAE ({small})", lambda r: r.angle_mae, scale),
+        ("best in", lambda r: percent(100.0 * r.best)),
     )
-    rows = [
-        (
-            rung.friction,
-            ", ".join(LADDER[rung.friction]),
-            *_cells(rung.train, 1.0),
-            *_cells(rung.scored, 1.0),
-            *_cells(rung.angle, scale),
-            *_cells(rung.angle_mae, scale),
-            percent(100.0 * rung.best),
-        )
-        for rung in rungs
-    ]
-    return Table(header, tuple(rows), (2, 4, 6, 8, 10))
 
 
 def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
@@ -213,20 +359,17 @@ def transfer_table(found: Transfer) -> Table:
     """Return one row for each parameter: its value from either source, the difference, and whether
     the difference exceeds the joint interval.
     """
-    rows = tuple(
-        (
-            m.name,
-            number(m.first.value),
-            number(m.second.value),
-            number(m.difference, 3),
-            "-" if m.joint is None else f"+- {number(m.joint, 3)}",
-            m.unit,
-            {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}[m.moved],
-        )
-        for m in found.parameters
-    )
-    return Table(
-        ("parameter", "here", "there", "difference", "90 %", "unit", "finding"), rows, (1, 2, 3, 4)
+    findings = {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}
+    return _columns(
+        found.parameters,
+        (1, 2, 3, 4),
+        ("parameter", lambda m: m.name),
+        ("here", lambda m: number(m.first.value)),
+        ("there", lambda m: number(m.second.value)),
+        ("difference", lambda m: number(m.difference, 3)),
+        ("90 %", lambda m: "-" if m.joint is None else f"+- {number(m.joint, 3)}"),
+        ("unit", lambda m: m.unit),
+        ("finding", lambda m: findings[m.moved]),
     )
 
 
@@ -268,14 +411,20 @@ def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str
     )
 
 
-def _true(c: Contender) -> str:
-    return "-" if c.true_error is None else f"{percent(100.0 * c.true_error)} ({c.true_worst})"
+def _with_interval(
+    title: str, error: Callable[[Any], Interval | None], scale: float = 1.0
+) -> tuple[tuple[str, Callable[[Any], str]], tuple[str, Callable[[Any], str]]]:
+    """Return a column of errors and the column of their intervals."""
 
+    def value(item: Any) -> str:
+        found = error(item)
+        return "-" if found is None else number(scale * found.value, 3)
 
-def _cells(found: Interval | None, scale: float) -> tuple[str, str]:
-    if found is None:
-        return "-", "-"
-    return number(scale * found.value, 3), interval(scale * found.low, scale * found.high)
+    def reach(item: Any) -> str:
+        found = error(item)
+        return "-" if found is None else interval(scale * found.low, scale * found.high)
+
+    return (title, value), ("90 %", reach)
 
 
 def parameter_table(
@@ -349,14 +498,6 @@ def note(parameter: Parameter) -> str:
     return "at the bound of the search" if parameter.at_bound else ""
 
 
-def _floor(parameter: Parameter) -> str:
-    return "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}"
-
-
-def _error(value: float | None, true: float | None) -> str:
-    return percent(None if value is None or not true else 100.0 * (value / true - 1.0))
-
-
 def _row(
     name: str, results: Sequence[Identification], truth: Mapping[str, float] | None
 ) -> tuple[str, ...]:
@@ -373,10 +514,11 @@ def _row(
         cells += [
             number(parameter.value),
             interval(parameter.low, parameter.high),
-            _floor(parameter),
+            "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}",
         ]
         if truth:
-            cells.append(_error(parameter.value, true))
+            off = parameter.value / true - 1.0 if parameter.value is not None and true else None
+            cells.append(percent(None if off is None else 100.0 * off))
         if said := note(parameter):
             notes.append(said if len(results) == 1 else f"{result.method}: {said}")
     return (*cells, unit, *([number(true)] if truth else []), "; ".join(notes))
@@ -395,35 +537,23 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
     """
     small, scale = ("um", 1e6) if motion == LINEAR else ("mrad", 1e3)
     names = [c.name for c in next((r.constants for r in rungs if r.constants), ())]
-    header = (
-        "friction",
-        "terms",
-        "motor constants",
-        f"fit, MAE ({small})",
-        "90 %",
-        "cross-validated",
-        "validate",
-        "90 %",
-        "best in",
-        *names,
-        "by cross-validation",
+
+    def crossed(rung: SimulatedRung) -> str:
+        return "-" if math.isnan(rung.crossed) else number(scale * rung.crossed, 3)
+
+    return _columns(
+        rungs,
+        (3, 5, 6, 8, *range(9, 9 + len(names))),
+        ("friction", lambda r: r.friction),
+        ("terms", lambda r: ", ".join(SIMULATED[r.friction])),
+        ("motor constants", lambda r: "free" if r.free else "declared"),
+        *_with_interval(f"fit, MAE ({small})", lambda r: r.train, scale),
+        ("cross-validated", crossed),
+        *_with_interval("validate", lambda r: r.scored, scale),
+        ("best in", lambda r: f"{100.0 * r.best:.3g} %"),
+        *((name, partial(_change, name=name)) for name in names),
+        ("by cross-validation", lambda r: "least" if r.chosen else "tied" if r.tied else ""),
     )
-    rows = [
-        (
-            rung.friction,
-            ", ".join(SIMULATED[rung.friction]),
-            "free" if rung.free else "declared",
-            *_cells(rung.train, scale),
-            "-" if math.isnan(rung.crossed) else number(scale * rung.crossed, 3),
-            *_cells(rung.scored, scale),
-            f"{100.0 * rung.best:.3g} %",
-            *(_changes(rung.constants, names)),
-            "least" if rung.chosen else "tied" if rung.tied else "",
-        )
-        for rung in rungs
-    ]
-    numbers = (3, 5, 6, 8, *range(9, 9 + len(names)))
-    return Table(header, tuple(rows), numbers)
 
 
 def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
@@ -452,14 +582,11 @@ def _constant_line(c: Constant, friction: str) -> str:
     )
 
 
-def _changes(found: Sequence[Constant], names: Sequence[str]) -> list[str]:
-    by_name = {c.name: c for c in found}
-    return [
-        "-"
-        if n not in by_name
-        else f"{100.0 * by_name[n].change:+.1f} %{f' {CHANGED}' if by_name[n].moved else ''}"
-        for n in names
-    ]
+def _change(rung: SimulatedRung, name: str) -> str:
+    found = next((c for c in rung.constants if c.name == name), None)
+    if found is None:
+        return "-"
+    return f"{100.0 * found.change:+.1f} %{f' {CHANGED}' if found.moved else ''}"
 
 
 _SHOWN_PER_ROLE = 6
@@ -536,8 +663,7 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
     yield Section(
         "Fit",
         (
-            fit_table(results),
-            recording_fit_table(results),
+            *fit_tables(results),
             *(_stribeck(result, recordings) for result in results),
         ),
     )
@@ -604,7 +730,7 @@ def _how_sure(results: Sequence[Identification]) -> Iterator[Table | Note | Pict
 def _lead(outcome: Outcome) -> Picture:
     """Return the figure at the top of the page."""
     recordings, first = outcome.dataset.recordings, outcome.results[0]
-    drawn = opening.result(first, _moments(recordings), recordings)
+    drawn = fit_plots.result(first, _moments(recordings), recordings)
     what = "friction against speed, measured (dots) and identified (black); below it the recordings"
     return Picture.of("result", f"Result: {what}", drawn, lead=True)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,13 +17,14 @@ from identification.estimate.covariance import uncertain_constants
 from identification.estimate.default import identify_any_length
 from identification.estimate.ladder import Rung, Transfer, climb, transfer
 from identification.estimate.paper_method import Contender, compare, identify_paper
-from identification.estimate.prediction.simulated_ladder import SimulatedRung, climb_simulated
+from identification.estimate.simulated_ladder import SimulatedRung, climb_simulated
+from identification.model.parameters import LADDER, SIMULATED
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
 from rig.common.places import is_folder
-from rig.common.provenance import Provenance
-from rig.runs.run_file import partial_warnings, read_record, without_partial
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite, plain
+from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
 from rig.runs.run_record import FEEDFORWARD_INPUT, RUN_FILE
 from rig.sources import load_source
 from rig.weighing.weight_check import comparable, off_label
@@ -92,8 +93,8 @@ class Request:
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
-        draws: Bootstrap draws of the default method, 0 for none.
-        take_partial: Whether to use unfinished excitations of a run as well; a warning in the
+        draws: Bootstrap draws of the default method, None for none.
+        partial: Whether to use unfinished excitations of a run as well; a warning in the
             result names these excitations.
     """
 
@@ -103,8 +104,8 @@ class Request:
     ladder: bool = False
     score: Path | None = None
     profile: bool = False
-    draws: int = 0
-    take_partial: bool = False
+    draws: int | None = None
+    partial: bool = False
 
 
 def identify_source(
@@ -122,7 +123,7 @@ def identify_source(
     """
     started = time.perf_counter()
     progress("reading", 0.0)
-    dataset = load_source(source, partial=request.take_partial)
+    dataset = load_source(source, partial=request.partial)
     other = None if request.score is None else load_source(request.score)
     warnings = _warnings(source, dataset)
     with _named(source, without_partial(dataset)):
@@ -154,9 +155,7 @@ def identify_source(
 def _ladders(
     source: Path, dataset: Dataset, request: Request, progress: Callable[[str, float], None]
 ) -> tuple[tuple[Rung, ...], tuple[SimulatedRung, ...]]:
-    """Return the friction models fitted to the torque, and those fitted to the simulated angle, if
-    requested.
-    """
+    """Return the friction models fitted to torque and to simulated angle, if requested."""
     if not request.ladder:
         return (), ()
     hertz = request.bandwidth_Hz
@@ -178,7 +177,7 @@ def _identified(
     begun = time.perf_counter()
     estimate = METHODS[method]
     if method == "default":
-        estimate = partial(identify_any_length, profile=request.profile, draws=request.draws)
+        estimate = partial(identify_any_length, profile=request.profile, draws=request.draws or 0)
     result = estimate(
         dataset,
         bandwidth_Hz=request.bandwidth_Hz,
@@ -241,3 +240,149 @@ def compare_methods(
     return dataclasses.replace(
         outcome, comparison=found, provenance=dataclasses.replace(outcome.provenance, seconds=spent)
     )
+
+
+def outcome_record(outcome: Outcome) -> dict[str, Any]:
+    """Return the record of ``rig identify --json``."""
+    first, *others = outcome.results
+    record = identification_record(first, outcome.provenance) | uncertainty_record(first)
+    record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
+    record["partial"] = partial_names(outcome.dataset)
+    if others:
+        record["compared"] = [identification_record(r, outcome.provenance) for r in others]
+    if outcome.ladder:
+        record["ladder"] = ladder_record(outcome.ladder)
+    if outcome.simulated:
+        record["simulated_ladder"] = simulated_record(outcome.simulated)
+    if outcome.transfer is not None:
+        record["transfer"] = transfer_record(outcome.transfer, str(outcome.scored_on))
+    if outcome.comparison:
+        record["comparison"] = comparison_record(outcome.comparison)
+    return record
+
+
+def identification_record(result: Identification, provenance: Provenance) -> dict[str, Any]:
+    """Return the record of one method."""
+    return {
+        **provenance.record(IDENTIFY_SCHEMA),
+        "method": result.method,
+        "motion": result.motion,
+        "alpha": result.alpha,
+        "friction": result.friction,
+        "fitted": plain(result.fitted),
+        "parameters": _by_name(result.parameters.values()),
+        "fit": plain(result.fit),
+        "fit_by_recording": plain(result.fits_by_recording),
+        "evaluations": result.evaluations,
+        "stages": [plain(s, "cost_history", "parameter_history") for s in result.stages],
+        "convergence": {
+            s.stage: {"cost": plain(s.cost_history), "parameters": plain(s.parameter_history)}
+            for s in result.stages
+            if s.cost_history is not None
+        },
+        "warnings": list(result.warnings),
+    }
+
+
+def uncertainty_record(result: Identification) -> dict[str, Any]:
+    """Return the part of the record on trade-offs, bounds, starts, profiles, bootstrap, priors, and
+    constants with a stated uncertainty.
+    """
+    return {
+        "tradeoffs": plain(result.tradeoffs),
+        "least_pinned": result.least_pinned,
+        "noise": plain(result.noise),
+        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
+        "starts": [
+            {**plain(s, "reached", "absolute"), "reached_best": s.best} for s in result.starts
+        ],
+        "profiles": _by_name(result.profiles),
+        "bootstrap": _by_name(result.resampled),
+        "priors": _by_name(result.priors),
+        "known_constants": plain(result.known_constants),
+    }
+
+
+def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
+    """Return the record under the key ``ladder`` of ``rig identify --json``; errors of the angle
+    are in rad, or in m for a linear bench.
+    """
+    return [
+        {
+            "friction": rung.friction,
+            "terms": list(LADDER[rung.friction]),
+            "parameters": _by_name(rung.result.parameters.values()),
+            "fitted": plain(rung.result.fitted),
+            "fit": plain(rung.result.fit),
+            "train_rms": plain(rung.train),
+            "validate_rms": plain(rung.scored),
+            "angle_rms": plain(rung.angle),
+            "angle_mae": plain(rung.angle_mae),
+            "best_share": rung.best,
+        }
+        for rung in rungs
+    ]
+
+
+def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
+    """Return the record under the key ``simulated_ladder`` of ``rig identify --json``; errors of
+    the angle are in rad, or in m for a linear bench.
+    """
+    return [
+        {
+            "friction": rung.friction,
+            "terms": list(SIMULATED[rung.friction]),
+            "motor_constants": "free" if rung.free else "declared",
+            "alpha": rung.alpha,
+            "fitted": plain(rung.fitted),
+            "train_mae": plain(rung.train),
+            "cross_validated_mae": finite(rung.crossed),
+            "validate_mae": plain(rung.scored),
+            "horizon_s": finite(rung.horizon_s),
+            "best_share": rung.best,
+            "chosen": rung.chosen,
+            "tied": rung.tied,
+            "constants": {
+                c.name: {
+                    **plain(c, "name", "prior"),
+                    "prior_relative_std": finite(c.prior),
+                    "relative_change": finite(c.change),
+                    "moved": c.moved,
+                }
+                for c in rung.constants
+            },
+        }
+        for rung in rungs
+    ]
+
+
+def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
+    """Return the record under the key ``transfer`` of ``rig identify --json``."""
+    floor = found.floor
+    return {
+        "source": source,
+        "fit": plain(found.fit),
+        "own": plain(found.own),
+        "noise_floor_rms": None if floor is None else floor.rms,
+        "noise_floor_samples": 0 if floor is None else floor.samples,
+        "fit_by_recording": plain(found.by_recording),
+        "parameters": {
+            m.name: {
+                "here": plain(m.first, "name"),
+                "there": plain(m.second, "name"),
+                "difference": m.difference,
+                "joint": m.joint,
+                "moved": m.moved,
+            }
+            for m in found.parameters
+        },
+    }
+
+
+def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
+    """Return the comparison of methods for the result file; errors are relative."""
+    return [{**plain(c, "excess"), "cost_above_least": finite(c.excess)} for c in contenders]
+
+
+def _by_name(records: Iterable[Any]) -> dict[str, Any]:
+    return {record.name: plain(record, "name") for record in records}

@@ -16,8 +16,7 @@ from rig.config.sequence import load_sequence
 from rig.control.session import run_simulated
 from rig.planning.feedforward import Feedforward, load_feedforward
 from rig.results.document import Picture, Table
-from rig.results.identify.identify import Request, identify_source
-from rig.results.identify.record import identification_record
+from rig.results.identify.identify import Request, identification_record, identify_source
 from rig.runs.run import bench_constants
 
 Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,16 +16,27 @@ from drivers.mock.plant.machine import simulate
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
 from identification.plots import fit as fit_plots
 from identification.plots import signals
-from identification.plots.spread import spread
+from identification.plots.fit import spread
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.result import Convergence, Identification
 from rig.common.provenance import Provenance, finite
 from rig.common.tables import number, percent
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.results.document import Picture, Table
+from rig.results.document import (
+    Document,
+    Items,
+    Note,
+    Paragraph,
+    Picture,
+    Section,
+    SideBySide,
+    Table,
+    provenance_section,
+)
 from rig.results.identify.identify import METHODS
-from rig.results.paper.exhibit import Exhibit, Rows, columns, files_of, true_machine
+from rig.results.paper import loop, ramp, uniform
+from rig.results.paper.exhibit import Exhibit, Rows, columns, files_of, identified, true_machine
 from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run import bench_constants
 
@@ -467,3 +480,84 @@ def _entry(found: Reproduction, method: str, name: str, printed: Printed) -> dic
         ),
         "seeds": {str(seed): finite(value) for seed, value in values.items()},
     }
+
+
+PAGE_FILE = "paper.html"
+
+
+def paper_document(
+    found: Reproduction,
+    figures: Sequence[Exhibit],
+    of_tables: Sequence[Exhibit],
+    provenance: Provenance,
+) -> Document:
+    """Return the reproduction of the paper as a document.
+
+    Args:
+        found: The reproduced tables.
+        figures: Exhibits of the figures.
+        of_tables: Exhibits of the tables; the terminal shows only the tables.
+        provenance: Seed, inputs, time.
+    """
+    sections = (
+        *map(_section, (*figures, *of_tables)),
+        Section("Chosen here, because the paper does not state it", (_listed(chosen()),), "chosen"),
+        provenance_section(provenance),
+    )
+    return Document(
+        "The paper's figures and tables, reproduced",
+        "Load Characteristics and Modeling Methods for the Flow Regulator of a Solid Ducted Rocket",
+        tuple(_summary(found, figures)),
+        sections,
+    )
+
+
+def _summary(found: Reproduction, figures: Sequence[Exhibit]) -> Iterator[Section]:
+    for title, cells in tables(found).items():
+        yield Section(title, (cells,))
+    yield Section("", tuple(map(Note, remarks(found))))
+    for exhibit in figures:
+        yield Section(exhibit.title, (_listed(exhibit.found),))
+
+
+def _section(exhibit: Exhibit) -> Section:
+    paper = Section("The paper", (Paragraph(exhibit.paper),))
+    here = Section("Here", tuple(map(Paragraph, exhibit.found)))
+    values = () if exhibit.table is None else (exhibit.table,)
+    return Section(
+        exhibit.title, (SideBySide(paper, here), *values, *exhibit.pictures), exhibit.name
+    )
+
+
+def _listed(lines: Sequence[str]) -> Items:
+    return Items(tuple(("", line) for line in lines))
+
+
+def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
+    """Make the runs and draw all figures except those of the tables, in the order of the paper.
+
+    Args:
+        seed: Seed of the simulated benches' noise.
+        progress: Called with the current step and the completed share.
+    """
+    with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
+        scratch = Path(name)
+        progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
+        model = identified(ramp.RAMP_BENCH, scratch, seed, _silent)
+        progress("Fig. 2 and 9: slow ramps", 0.2)
+        fig_2, fig_9 = ramp.ramp_exhibits(ramp.run_ramps(scratch, model, seed))
+        progress("compensation: identifying the bench from a separate run", 0.25)
+        model = identified(ramp.SINE_BENCH, scratch, seed, _silent)
+        progress("compensation: the sine of both cases", 0.4)
+        compensation = ramp.compensation_exhibit(*ramp.run_sines(scratch, model, seed))
+        progress("eq. 14: uniform motion on two gain sets", 0.45)
+        eq_14 = uniform.uniform_exhibit(uniform.measure(scratch, seed))
+        progress("Fig. 4: the opening valve", 0.85)
+        fig_4 = loop.sweep_exhibit(seed)
+        progress("Fig. 5 and 11: the closed loop", 0.9)
+        fig_11 = loop.loop_exhibit(scratch, seed)
+    return [fig_2, loop.valve_exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
+
+
+def _silent(what: str, share: float) -> None:
+    pass

@@ -79,7 +79,7 @@ def measure(scratch: Path, seed: int) -> UniformStudy:
     return UniformStudy(points, true_parameters(true_machine("practical")), moment)
 
 
-def exhibit(study: UniformStudy) -> Exhibit:
+def uniform_exhibit(study: UniformStudy) -> Exhibit:
     """Return the points with the true friction, and the parameters of a Stribeck curve fitted to
     the points.
     """

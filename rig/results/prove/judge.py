@@ -12,9 +12,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.within_limits import choose, views_and_fit
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.oracle import greedy_bic, library, oracle, sparse
+from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.effects import MOTION
 from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source

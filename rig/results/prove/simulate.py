@@ -15,8 +15,8 @@ import yaml
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import Samples, record
-from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.within_limits import choose, views_and_fit
+from identification.diagnosis.joint import Joint
+from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import RecordingError
 from rig.common.places import replacing, write_text
 from rig.results.prove.draw import Rig

@@ -10,59 +10,30 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.places import write_text
+from rig.results.run.charts import SIMULATED, Plots, last_seconds, result, whole
 from rig.results.run.go_on import first_words, go_on_command, go_on_notes, read_verdict
-from rig.results.run.page import chart
-from rig.results.run.page.clock_words import (
-    ON_TIME,
-    answer_heading,
-    lateness_heading,
-    no_lateness,
-)
-from rig.results.run.page.sections import Recorded, last_seconds, result, whole
+from rig.results.run.recorded import Recorded
 from rig.runs.run_record import BENCH_ATTACHMENT, Ending, RunRecord
 
 REPORT_FILE = "run.html"
 _BEGIN, _END = "<!--verdict-->", "<!--/verdict-->"
 """Marks around the headline, which is replaced when the run is judged."""
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:75rem;margin:1.5rem "
-    "auto;padding:0 1rem}"
-    "h1{font-size:1.5rem;margin:0 0 .5rem}h2{font-size:1.2rem;margin-top:2rem;border-bottom:1px "
-    "solid #ddd;"
-    "break-after:avoid}"
-    "table{border-collapse:collapse;font-size:.92rem}th,td{padding:.2rem .6rem;border-bottom:1px "
-    "solid #e4e4e4;"
-    "text-align:left;vertical-align:top}th{border-bottom:2px solid #888}"
-    "tr{break-inside:avoid}tr:first-child{break-after:avoid}td.n{text-align:right;font-variant-numeric:tabular-nums}.scroll{overflow-x:auto}"
-    ".bar{background:#0072B2;height:.7em;display:inline-block}.note{color:#555;margin:.5rem 0}"
-    ".warning{border-left:4px solid #D55E00;padding:.2rem .8rem;background:#fdf3ec}"
-    ".ending{border-left:6px solid #b00020;background:#fdf0f0;padding:.5rem .9rem;margin:.7rem 0}"
-    ".ending.done{border-color:#888;background:#f4f4f4}.ending p{margin:.3rem 0}"
-    ".verdict{font-size:2rem;font-weight:800;letter-spacing:.03em;line-height:1.2;margin:.3rem 0;"
-    "padding:.4rem .9rem;color:#fff;background:#4a5157}.verdict.good{background:#00653a}"
-    ".verdict.bad{background:#b00020}"
-    ".badge{display:inline-block;border:2px solid #222;border-radius:.3rem;padding:0 "
-    ".5rem;font-weight:700}"
-    ".badge.real{background:#222;color:#fff}code{background:#eee;padding:.1rem "
-    ".35rem;overflow-wrap:anywhere}"
-    "dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem .9rem;margin:.6rem "
-    "0}dt{color:#555}"
-    "dd{margin:0;overflow-wrap:anywhere}"
-    ".who{margin:.2rem 0 .6rem;display:flex;flex-wrap:wrap;gap:.15rem 1.6rem}"
-    ".who i{color:#555;font-style:normal}.result .chart{margin:.3rem 0}"
-    "@media screen and (prefers-color-scheme:dark){body{background:#16181b;color:#e8e8e8}"
-    "h2{border-color:#3a3d42}th,td{border-color:#3a3d42}.note,dt,.who i{color:#b4b4b4}"
-    ".warning{background:#33241a}.ending{background:#331a1c;border-color:#ff8a8a}"
-    ".ending.done{background:#22262a;border-color:#888}code{background:#2a2d31}a{color:#7cc4f0}"
-    ".badge{border-color:#e8e8e8}.badge.real{background:#e8e8e8;color:#16181b}"
-    ".bar{background:#5bb8f0}}"
-    "@media(min-width:56rem){.pair{display:grid;grid-template-columns:1fr 1fr;column-gap:1.5rem}"
-    ".top{display:grid;grid-template-columns:1fr auto;column-gap:2rem;align-items:start}}"
-    "@media "
-    "print{@page{margin:12mm}body{font-size:10pt;max-width:none;margin:0;padding:0}.scroll{overflow:visible}"
-    ".pair{display:grid;grid-template-columns:1fr 1fr;column-gap:5mm}"
-    ".badge,.ending,.verdict,.warning,.bar{-webkit-print-color-adjust:exact;print-color-adjust:exact}}"
+ON_TIME = (
+    "Every cycle started on time, because simulated time waits for the program: there is no "
+    "lateness to show."
 )
+STATIC = Path(__file__).parent.parent / "static"
+"""Folder of scripts and styles of pages; the console serves them as well."""
+SCRIPTS = ("uplot.js", "chart.js", "run.js")
+
+
+def inlined_script() -> str:
+    """Return the script of every page of a run, which draws the charts; the console permits this
+    script only, by its digest.
+    """
+    # Charts are drawn with at least two pixels a point, so that they are sharp on paper.
+    sharp = "window.devicePixelRatio = Math.max(2, window.devicePixelRatio);"
+    return "\n".join([sharp, *((STATIC / name).read_text("utf-8") for name in SCRIPTS)])
 
 
 def write_run_report(folder: Path, record: RunRecord) -> Path:
@@ -104,14 +75,17 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     yield f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
     yield '<meta name="viewport" content="width=device-width,initial-scale=1">'
     yield '<meta name="color-scheme" content="light dark">'
-    yield f"<style>{_STYLE}{chart.STYLE}</style></head><body><h1>{title}</h1>"
+    style = "".join((STATIC / name).read_text("utf-8") for name in ("uplot.css", "run.css"))
+    yield f"<style>{style}</style></head><body><h1>{title}</h1>"
+    yield '<noscript><p class="warning">The charts of this page need scripts.</p></noscript>'
+    plots = Plots()
     recordings = [_recorded(folder, record, number) for number in range(1, len(record.parts) + 1)]
     last = recordings[-1] if recordings else None
     yield _verdict_block(folder, record)
     yield from _part("bench, date and operator", lambda: _heading(record, last))
     yield from _part("how it ended", lambda: _ending(folder, record))
     yield '<section class="result">'
-    yield from _part("the result", lambda: _drawn(last, result))
+    yield from _part("the result", lambda: _drawn(last, plots, result))
     yield "</section>"
     yield '<div class="top"><div>'
     yield from _part("the facts", lambda: _facts(folder, record))
@@ -122,7 +96,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
         yield f'<p class="warning">{escape(warning)}</p>'
     if record.state != Ending.DONE.value:
         yield "<h2>The last seconds</h2>"
-        yield from _part("the last seconds", lambda: _drawn(last, last_seconds))
+        yield from _part("the last seconds", lambda: _drawn(last, plots, last_seconds))
     yield from _part("the weight checks", lambda: _weights(record))
     for number, (part, recorded) in enumerate(zip(record.parts, recordings, strict=True), start=1):
         yield f"<h2>Recording {number}: {escape(part.file)}</h2>"
@@ -131,12 +105,13 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
         )
         how = f"{part.state}: {part.message}" if part.message else part.state
         yield f"<p>{escape(f'{how}; {part.cycles} cycles, {times}')}</p>"
-        yield from _part("the traces", partial(_drawn, recorded, whole))
+        yield from _part("the traces", partial(_drawn, recorded, plots, whole))
         if part.timing:
             yield from _part("the timing", partial(_timing, part.timing, record))
     yield "<h2>Provenance</h2>"
     yield from _part("the provenance", lambda: _table(("fact", "value"), list(_provenance(record))))
-    yield "</body></html>"
+    yield plots.script()
+    yield f"<script>{inlined_script()}</script></body></html>"
 
 
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
@@ -165,10 +140,12 @@ def _recorded(folder: Path, record: RunRecord, number: int) -> Recorded | str:
 
 
 def _drawn(
-    recorded: Recorded | str | None, section: Callable[[Recorded], Iterable[str]]
+    recorded: Recorded | str | None,
+    plots: Plots,
+    section: Callable[[Recorded, Plots], Iterable[str]],
 ) -> Iterable[str]:
     if isinstance(recorded, Recorded):
-        return section(recorded)
+        return section(recorded, plots)
     return [f'<p class="warning">{escape(recorded or "There is no recording.")}</p>']
 
 
@@ -285,15 +262,17 @@ def _timing(timing: Mapping[str, Any], record: RunRecord) -> Iterator[str]:
             )
         ],
     )
+    simulated = f", {SIMULATED}" if record.simulated else ""
+    clock = ", by the clock of this computer" if record.simulated and record.realtime else simulated
     for name, words in (
-        ("lateness", lateness_heading(record)),
-        ("answer", answer_heading(record)),
+        ("lateness", "How late cycles started" + clock),
+        ("answer", "Age of a sample when the program checks it" + simulated),
     ):
         histogram = timing[name]
         counts, edges = histogram["counts"], [f"up to {edge}" for edge in histogram["edges_us"]]
         most = max([*counts, 1])
         yield f"<h3>{words}: worst {histogram['worst_us']:.0f} us</h3>"
-        if name == "lateness" and no_lateness(record, histogram["worst_us"]):
+        if name == "lateness" and clock == f", {SIMULATED}" and histogram["worst_us"] == 0.0:
             yield f'<p class="note">{ON_TIME}</p>'
             continue
         yield '<div class="scroll"><table><tr><th>us</th><th>cycles</th><th></th></tr>'

@@ -23,8 +23,7 @@ from rig.common.places import is_file, read_json
 from rig.common.provenance import IDENTIFY_SCHEMA, sha256_file
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_attachment
+from rig.runs.mcap.reader import DamageError, first_attachment
 from rig.runs.run_file import read_record
 from rig.runs.run_record import BENCH_ATTACHMENT, SCHEMA, RunRecord
 
@@ -106,14 +105,13 @@ def _stamp(path: str) -> str:
 
 INDEX_FILE = ".runs.sqlite"
 """Name of the index in the searched folder."""
-_FORMAT = 2
+_FORMAT = 3
 """Format number of the entries, which is increased when the content of entries changes, so that
 older rows are not used.
 """
 _TABLE = (
     "CREATE TABLE IF NOT EXISTS runs (folder TEXT PRIMARY KEY, signature TEXT NOT NULL, "
-    "head TEXT NOT NULL, checksum INTEGER NOT NULL, details TEXT NOT NULL, "
-    "details_checksum INTEGER NOT NULL)"
+    "head TEXT NOT NULL, details TEXT NOT NULL, checksum INTEGER NOT NULL)"
 )
 _WAIT_S = 5.0
 """Time to wait for another program that writes the index, s."""
@@ -140,18 +138,29 @@ class _Row(NamedTuple):
     folder: str
     signature: str
     head: str
+    details: str
     checksum: int
-    details: str = ""
-    details_checksum: int = 0
+
+    @classmethod
+    def of(cls, folder: str, signature: str, head: Head, details: Details) -> _Row:
+        """Return the row of a run folder."""
+        first, second = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
+        fields = (folder, signature, first, second)
+        return cls(*fields, _checksum(fields))
 
     @property
     def sound(self) -> bool:
-        """Whether the row is unchanged since it was written, by the checksums of the columns that
-        were read.
-        """
-        return self.checksum == _checksum(self.folder, self.signature, self.head) and (
-            self.details_checksum == _checksum(self.details) if self.details else True
-        )
+        """Whether the row is unchanged since it was written."""
+        return self.checksum == _checksum(self[:4])
+
+    @property
+    def entry(self) -> Entry:
+        """The entry of the run folder."""
+        return Entry(self.folder, Head.of(json.loads(self.head)), self.details)
+
+
+def _checksum(fields: Iterable[str]) -> int:
+    return zlib.crc32("\0".join(fields).encode("utf-8", "surrogateescape"))
 
 
 class Listing(NamedTuple):
@@ -168,18 +177,11 @@ class Listing(NamedTuple):
     note: str
 
 
-def list_runs(
-    root: Path,
-    progress: Callable[[int, int], None] | None = None,
-    *,
-    details: bool = True,
-) -> Listing:
+def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) -> Listing:
     """Return the runs in and below a folder, from the index if the index is current.
 
     Args:
         root: The folder.
-        details: Whether the entries need their details; if not, entries from the index have no
-            details.
         progress: Called with the number of folders that were read, and the number of folders to
             read.
 
@@ -191,82 +193,39 @@ def list_runs(
     except OSError as error:
         raise InputError(f"{root}: cannot be searched: {error.strerror}") from error
     file = root / INDEX_FILE
-    rows = _load(file, details)
-    entries, fresh = [], []
+    rows = _load(file)
+    kept: list[_Row] = []
+    fresh: list[Found] = []
     for each in found:
         row = rows.get(each.folder)
         if row is not None and row.signature == each.signature and row.sound:
-            entries.append(Entry(each.folder, Head.of(json.loads(row.head)), row.details))
+            kept.append(row)
         else:
             fresh.append(each)
-    made = _read(root, fresh, progress)
-    gone = rows.keys() - {each.folder for each in found}
-    entries += [Entry(row.folder, Head.of(json.loads(row.head)), row.details) for row in made]
+    made: list[_Row] = []
+    benches: dict[str, str] = {}
+    for each in fresh:
+        made.append(_read(root, each, benches))
+        if progress is not None:
+            progress(len(made), len(fresh))
+    entries = [row.entry for row in (*kept, *made)]
     entries.sort(key=lambda entry: (entry.head.created, entry.folder))
+    gone = rows.keys() - {each.folder for each in found}
     is_run = any(each.folder == "." for each in found)
     note = "" if is_run or not (made or gone) else _store(root, file, made, gone)
     return Listing(entries, len(made), note)
 
 
-def detailed(root: Path, entries: Iterable[Entry]) -> list[Entry]:
-    """Return runs of a list with their details, which are read for these runs only.
-
-    Args:
-        root: The folder that was searched.
-        entries: The runs. Entries that already have details are kept; entries whose folder is
-            gone are left out.
-    """
-    entries = list(entries)
-    wanted = [entry.folder for entry in entries if not entry.details]
-    rows = _load(root / INDEX_FILE, True, wanted) if wanted else {}
-    made = []
-    for entry in entries:
-        if entry.details:
-            made.append(entry)
-            continue
-        signature = signature_of(str(root / entry.folder))
-        row = rows.get(entry.folder)
-        if row is not None and row.signature == signature and row.sound:
-            made.append(Entry(entry.folder, Head.of(json.loads(row.head)), row.details))
-        elif signature:
-            (read,) = _read(root, [Found(entry.folder, signature)], None)
-            made.append(Entry(read.folder, Head.of(json.loads(read.head)), read.details))
-    return made
+def _read(root: Path, found: Found, benches: Benches) -> _Row:
+    if found.signature.startswith("unreadable"):
+        problem = f"{root / found.folder}: no permission to read"
+        return _Row.of(*found, Head("unreadable", problem), Details())
+    return _Row.of(*found, *read_entry(root / found.folder, benches))
 
 
-def _read(
-    root: Path, fresh: Iterable[Found], progress: Callable[[int, int], None] | None
-) -> list[_Row]:
-    """Read folders, and return their rows."""
-    waiting = list(fresh)
-    if not waiting:
-        return []
-    # Imported late: a list from the index does not need the readers.
-
-    benches: dict[str, str] = {}
-    rows = []
-    for number, each in enumerate(waiting, start=1):
-        if each.signature.startswith("unreadable"):
-            problem = f"{root / each.folder}: no permission to read"
-            head, details = Head("unreadable", problem), Details()
-        else:
-            head, details = read_entry(root / each.folder, benches)
-        texts = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
-        first, second = texts
-        check = _checksum(each.folder, each.signature, first)
-        rows.append(_Row(each.folder, each.signature, first, check, second, _checksum(second)))
-        if progress is not None:
-            progress(number, len(waiting))
-    return rows
-
-
-def _checksum(*fields: str) -> int:
-    return zlib.crc32("\0".join(fields).encode("utf-8", "surrogateescape"))
-
-
-def _load(file: Path, details: bool, only: list[str] | None = None) -> Mapping[str, _Row]:
-    """Return the rows of an index, or only the rows of some folders; empty if the index is missing,
-    damaged or of another format.
+def _load(file: Path) -> Mapping[str, _Row]:
+    """Return the rows of an index by folder; empty if the index is missing, damaged or of another
+    format.
     """
     if not os.path.isfile(file):
         return {}
@@ -274,14 +233,8 @@ def _load(file: Path, details: bool, only: list[str] | None = None) -> Mapping[s
         with contextlib.closing(_open(file)) as database:
             if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
                 return {}
-            columns = "folder, signature, head, checksum"
-            columns += ", details, details_checksum" if details else ""
-            query = f"SELECT {columns} FROM runs"
-            if only is None:
-                return {row[0]: _Row(*row) for row in database.execute(query)}
-            query += " WHERE folder = ?"
-            each = (database.execute(query, (folder,)).fetchone() for folder in only)
-            return {row[0]: _Row(*row) for row in each if row is not None}
+            columns = ", ".join(_Row._fields)
+            return {row[0]: _Row(*row) for row in database.execute(f"SELECT {columns} FROM runs")}
     except (sqlite3.Error, UnicodeError, TypeError):
         return {}
 
@@ -320,7 +273,7 @@ def _write(database: sqlite3.Connection, made: Iterable[_Row], gone: Iterable[st
         database.execute("DROP TABLE IF EXISTS runs")
         database.execute(f"PRAGMA user_version = {_FORMAT}")
     database.execute(_TABLE)
-    database.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", made)
+    database.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", made)
     database.executemany("DELETE FROM runs WHERE folder = ?", [(folder,) for folder in gone])
     database.execute("COMMIT")
 

@@ -12,8 +12,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_file, read_json
 from rig.common.provenance import sha256_file
 from rig.runs.catalogue.index import RESULTS
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import run_items
+from rig.runs.mcap.reader import DamageError, run_items
 from rig.runs.run_file import SEAL_FILE, read_record, read_seal
 from rig.runs.run_record import RUN_FILE, RunRecord
 

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import struct
 from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces import RawFrame
 from rig.common.sample import Sample
+
+if TYPE_CHECKING:
+    from drivers.interfaces import RawFrame
 
 SAMPLE_TOPIC = "/sample"
 EVENT_TOPIC = "/event"
@@ -153,4 +156,7 @@ def decode_frames(message: bytes) -> list[RawFrame]:
     Raises:
         struct.error: The length is not a whole number of frames.
     """
+    # Imported here, because the samples can be read without the drivers.
+    from drivers.interfaces import RawFrame
+
     return [RawFrame(*fields) for fields in struct.iter_unpack("<" + _FRAME, message)]

@@ -4,19 +4,25 @@ records.
 
 from __future__ import annotations
 
+import io
 import json
+import re
 import struct
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, BinaryIO, NamedTuple, Self
 
+import lz4.frame
 import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Statistics
 from numpy.typing import NDArray
 
-from drivers.errors import require_plain
-from rig.common.places import read_bytes
+from rig.common.places import read_bytes, require_plain
 from rig.runs.mcap.layout import (
     EVENT_TOPIC,
     SAMPLE_BYTES,
@@ -25,20 +31,132 @@ from rig.runs.mcap.layout import (
     TOPICS,
     decode_samples,
 )
-from rig.runs.mcap.records import (
-    HEADER,
-    MAX_CHUNK,
-    DamageError,
-    Found,
-    attachment,
-    channel,
-    chunk,
-    metadata,
-    next_sound,
-    record_at,
-    statistics,
-)
-from rig.runs.mcap.writer import MAGIC, MESSAGE
+from rig.runs.mcap.writer import FOOTER_START, MAGIC, MESSAGE
+
+HEADER = struct.Struct("<BQ")
+"""Header of every record: opcode and length."""
+_CHUNK = struct.Struct("<QQQI")
+MAX_CHUNK = 1 << 28
+OPCODES = frozenset(map(int, Opcode))
+_CHECKED = re.compile(rb"[\x06\x09](?=[\s\S]{4}\x00\x00\x00\x00)")
+"""First bytes of a chunk or an attachment of less than 4 GiB, the records with a checksum."""
+_FOOTER = struct.Struct("<BQQQI")
+
+
+class DamageError(Exception):
+    """A record is damaged."""
+
+
+class Found(NamedTuple):
+    """One top-level record: its opcode and content, and the offset of its end."""
+
+    opcode: int
+    content: bytes
+    end: int
+
+
+def _record_at(data: bytes, offset: int) -> Found:
+    """Extract the record at ``offset``."""
+    if offset + HEADER.size > len(data):
+        raise DamageError("cut off inside a record header")
+    opcode, length = HEADER.unpack_from(data, offset)
+    start = offset + HEADER.size
+    if opcode == 0:
+        raise DamageError("zeros in place of a record")
+    if opcode not in OPCODES:
+        raise DamageError(f"no record begins with the byte {opcode:02X}h")
+    if start + length > len(data):
+        raise DamageError("cut off inside a record")
+    return Found(opcode, data[start : start + length], start + length)
+
+
+def _next_sound(data: bytes, offset: int) -> int | None:
+    """Return the offset of the first chunk or attachment with correct checksum from ``offset``
+    on, or None.
+    """
+    for match in _CHECKED.finditer(data, offset):
+        try:
+            found = _record_at(data, match.start())
+            if found.opcode == Opcode.CHUNK:
+                chunk(found.content)
+            else:
+                attachment(found.content)
+        except DamageError:
+            continue
+        return match.start()
+    return None
+
+
+def attachment(content: bytes) -> Attachment:
+    """Return an attachment, checked against its CRC.
+
+    Raises:
+        DamageError: The CRC does not agree with the attachment.
+    """
+    if len(content) < 4 or zlib.crc32(content[:-4]) != struct.unpack("<I", content[-4:])[0]:
+        raise DamageError("an attachment does not agree with its checksum")
+    found: Attachment = _parsed(Attachment, content, "an attachment")
+    return found
+
+
+def _parsed(kind: Any, content: bytes, what: str) -> Any:
+    """Return a record without a checksum, in the library's form."""
+    try:
+        return kind.read(ReadDataStream(io.BytesIO(content)))
+    except (McapError, struct.error, UnicodeDecodeError) as error:
+        raise DamageError(f"{what} cannot be read ({error})") from error
+
+
+def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
+    """Return the counts at the end of a complete recording, whose summary begins at ``offset``;
+    their CRC is checked.
+
+    ``before`` is the number of bytes of the recording before ``data``.
+
+    Raises:
+        DamageError: The summary is incomplete or damaged.
+    """
+    footer_at = len(data) - len(MAGIC) - _FOOTER.size
+    if not data.endswith(MAGIC) or footer_at < offset:
+        raise DamageError("the index at the end of the file is cut off")
+    opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer_at)
+    if (
+        opcode != Opcode.FOOTER
+        or start != before + offset
+        or zlib.crc32(data[offset : footer_at + FOOTER_START.size]) != crc
+    ):
+        raise DamageError("the index at the end of the file does not agree with its checksum")
+    while offset < footer_at:
+        found = _record_at(data, offset)
+        if found.opcode == Opcode.STATISTICS:
+            counts: Statistics = _parsed(Statistics, found.content, "the statistics")
+            return counts
+        offset = found.end
+    raise DamageError("the index at the end of the file holds no statistics")
+
+
+def chunk(content: bytes) -> bytes:
+    """Return a chunk's records, checked against its CRC.
+
+    Raises:
+        DamageError: The CRC does not agree with the records.
+    """
+    try:
+        _, _, size, crc = _CHUNK.unpack_from(content)
+        (name_length,) = struct.unpack_from("<I", content, _CHUNK.size)
+        name_start = _CHUNK.size + 4
+        compression = content[name_start : name_start + name_length]
+        records = content[name_start + name_length + 8 :]
+        if size > MAX_CHUNK:
+            raise DamageError(f"a chunk states the impossible size of {size} bytes")
+        if compression == b"lz4":
+            records = lz4.frame.decompress(records)
+    except (struct.error, RuntimeError) as error:
+        raise DamageError(f"a chunk cannot be unpacked ({error})") from error
+    if len(records) != size or zlib.crc32(records) != crc:
+        raise DamageError("a chunk does not agree with its checksum")
+    return records
+
 
 _DATA_END_BYTES = 4
 _TOLD = 3
@@ -122,14 +240,14 @@ class _Reading:
         data, offset = self._data, len(MAGIC)
         while offset < len(data):
             try:
-                found = record_at(data, offset)
+                found = _record_at(data, offset)
                 if found.opcode == Opcode.DATA_END and len(found.content) == _DATA_END_BYTES:
                     self._compare(found.end)
                     return
                 self._take(found)
                 offset = found.end
             except DamageError as error:
-                sound = next_sound(data, offset + 1)
+                sound = _next_sound(data, offset + 1)
                 self._note(offset, sound, str(error))
                 if sound is None:
                     return
@@ -164,16 +282,12 @@ class _Reading:
         self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
 
     def _take(self, found: Found) -> None:
-        """Store the content of one record by its kind.
-
-        Raises:
-            DamageError: The record is damaged.
-        """
+        """Store the content of one record by its kind."""
         match found.opcode:
             case Opcode.CHUNK:
                 self._take_messages(chunk(found.content))
             case Opcode.CHANNEL:
-                described = channel(found.content)
+                described = _parsed(Channel, found.content, "a channel")
                 if (
                     not 1 <= described.id <= len(TOPICS)
                     or TOPICS[described.id - 1] != described.topic
@@ -186,46 +300,26 @@ class _Reading:
                 file = attachment(found.content)
                 self.attachments[file.name] = file.data
             case Opcode.METADATA:
-                item = metadata(found.content)
+                item = _parsed(Metadata, found.content, "metadata")
                 self.metadata[item.name] = item.metadata
 
     def _take_messages(self, records: bytes) -> None:
-        """Sort the messages of a chunk by topic; an error in one message drops the whole chunk.
-
-        Raises:
-            DamageError: The chunk was written by another program, or is older than the preceding
-                chunk.
-        """
-        taken: list[tuple[str, Message]] = []
+        """Sort the messages of a chunk by topic; an error in one message drops the whole chunk."""
+        taken = _messages(records)
         latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
-        offset = 0
-        while offset < len(records):
-            opcode, length = HEADER.unpack_from(records, offset)
-            end = offset + HEADER.size + length
-            if opcode == Opcode.MESSAGE:
-                _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
-                content = records[offset + MESSAGE.size : end]
-                if not 1 <= number <= len(TOPICS):
+        for topic, message in taken:
+            size = len(message.data)
+            if topic == SAMPLE_TOPIC and size != sample_bytes:
+                if sample_bytes or size not in SAMPLE_SIZES:
+                    sizes = " or ".join(map(str, sorted({sample_bytes} - {0} or SAMPLE_SIZES)))
                     raise DamageError(
-                        f"a message on channel {number}, which runs do not have: "
-                        "another program wrote this recording"
+                        f"a sample has {size} bytes, expected {sizes}: another program wrote this "
+                        "recording"
                     )
-                topic = TOPICS[number - 1]
-                if topic == SAMPLE_TOPIC:
-                    expected = {sample_bytes} if sample_bytes else SAMPLE_SIZES
-                    if len(content) not in expected:
-                        sizes = " or ".join(map(str, sorted(expected)))
-                        text = (
-                            f"a sample has {len(content)} bytes, expected {sizes}: another "
-                            "program wrote this recording"
-                        )
-                        raise DamageError(text)
-                    sample_bytes = len(content)
-                if time_ns < latest_ns:
-                    raise DamageError("a chunk is older than the chunk before it")
-                latest_ns = time_ns
-                taken.append((topic, Message(time_ns, content)))
-            offset = end
+                sample_bytes = size
+            if message.time_ns < latest_ns:
+                raise DamageError("a chunk is older than the chunk before it")
+            latest_ns = message.time_ns
         self._latest_ns, self._sample_bytes = latest_ns, sample_bytes
         for topic, message in taken:
             self.messages[topic].append(message)
@@ -350,7 +444,7 @@ class Tail:
         if len(head) < HEADER.size:
             return None
         opcode, length = HEADER.unpack(head)
-        if opcode not in _OPCODES or (opcode == Opcode.CHUNK and length > MAX_CHUNK):
+        if opcode not in OPCODES or (opcode == Opcode.CHUNK and length > MAX_CHUNK):
             raise DamageError(f"no record begins at byte {offset}")
         return opcode, length
 
@@ -358,15 +452,8 @@ class Tail:
         return self._stream.seek(0, 2)
 
 
-_OPCODES = frozenset(map(int, Opcode))
-
-
 def _messages(records: bytes) -> tuple[tuple[str, Message], ...]:
-    """Return the messages of a chunk's records.
-
-    Raises:
-        DamageError: A message is on a channel that no run has.
-    """
+    """Return the messages of a chunk's records."""
     found = []
     offset = 0
     while offset < len(records):
@@ -383,3 +470,193 @@ def _messages(records: bytes) -> tuple[tuple[str, Message], ...]:
             found.append((TOPICS[number - 1], message))
         offset = end
     return tuple(found)
+
+
+BLOCK_BYTES = 1 << 20
+MAX_ATTACHMENT = 1 << 26
+"""Length of a record before the first messages above which the record counts as damaged, bytes."""
+_SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
+_EVENTS = TOPICS.index(EVENT_TOPIC) + 1
+_ATTACHMENTS = 0
+"""Key of attachments; the key of messages is the number of their channel."""
+
+
+class Block(NamedTuple):
+    """Consecutive samples: arrays of shape (n,), by field."""
+
+    samples: Mapping[str, NDArray[np.float64]]
+
+
+class Happening(NamedTuple):
+    """One recorded event, with ``time`` and ``event``."""
+
+    event: Mapping[str, Any]
+
+
+class Attached(NamedTuple):
+    """One attachment of a recording."""
+
+    name: str
+    content: bytes
+
+
+def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
+    """Yield the samples in order, in blocks of about :data:`BLOCK_BYTES`.
+
+    Args:
+        path: The recording.
+        fields: Fields of :class:`rig.common.sample.Sample` to read.
+
+        Yields:
+            Arrays of shape (n,), by field.
+
+    Raises:
+        DamageError: The recording is not complete; all samples yielded so far are valid.
+        OSError: The file cannot be read.
+    """
+    for item in _items(path, fields, frozenset({_SAMPLES})):
+        if isinstance(item, Block):
+            yield dict(item.samples)
+
+
+def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening | Attached]:
+    """Yield the content of a recording except its frames.
+
+    Events come before the block with the samples of the same time.
+
+    Args:
+        path: The recording.
+        fields: Fields of :class:`rig.common.sample.Sample` in the blocks.
+
+    Raises:
+        DamageError: The recording is not complete; all items yielded so far are valid.
+        OSError: The file cannot be read.
+    """
+    return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
+
+
+def first_attachment(path: Path, name: str) -> bytes:
+    """Return an attachment that was written before the first messages.
+
+    Raises:
+        DamageError: No attachment has this name, or the attachment is damaged.
+        OSError: The file cannot be read.
+    """
+    for opcode, content in _before_messages(path):
+        if opcode == Opcode.ATTACHMENT and (found := attachment(content)).name == name:
+            return bytes(found.data)
+    raise DamageError(f"{name} is not attached before the first messages")
+
+
+def first_metadata(path: Path, name: str) -> Mapping[str, str] | None:
+    """Return metadata that were written before the first messages, or None if there are none of
+    this name.
+
+    Raises:
+        DamageError: The metadata are damaged.
+        OSError: The file cannot be read.
+    """
+    for opcode, content in _before_messages(path):
+        if (
+            opcode == Opcode.METADATA
+            and (found := _parsed(Metadata, content, "metadata")).name == name
+        ):
+            return dict(found.metadata)
+    return None
+
+
+def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record before the first messages."""
+    require_plain(path)
+    with open(path, "rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise DamageError("not an MCAP recording")
+        while len(head := stream.read(HEADER.size)) == HEADER.size:
+            opcode, length = HEADER.unpack(head)
+            if opcode in (Opcode.CHUNK, Opcode.DATA_END) or length > MAX_ATTACHMENT:
+                break
+            yield opcode, stream.read(length)
+
+
+def _items(
+    path: Path, fields: Sequence[str], wanted: frozenset[int]
+) -> Iterator[Block | Happening | Attached]:
+    pending: list[bytes] = []
+    size = waiting = 0
+    require_plain(path)
+    with open(path, "rb") as stream:
+        for kind, contents in _contents(stream, wanted):
+            if kind == _EVENTS:
+                yield from (Happening(json.loads(content)) for content in contents)
+            elif kind == _ATTACHMENTS:
+                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
+            else:
+                size = size or len(contents[0])
+                wrong = next((len(content) for content in contents if len(content) != size), None)
+                if wrong is not None or size not in SAMPLE_SIZES:
+                    raise DamageError(
+                        f"a sample has {wrong or size} bytes, a size that this program does "
+                        "not write: another program wrote this recording"
+                    )
+                pending += contents
+                waiting += size * len(contents)
+                if waiting >= BLOCK_BYTES:
+                    yield _block(pending, size, fields)
+                    pending, waiting = [], 0
+    if pending:
+        yield _block(pending, size, fields)
+
+
+def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block:
+    every = decode_samples(b"".join(contents), size)
+    return Block({name: every[name] for name in fields})
+
+
+def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
+    """Yield channel and contents of the wanted messages, chunk by chunk, events first.
+
+    At the end the number of messages is compared with the count in the file.
+    """
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise DamageError("not an MCAP recording")
+    count = 0
+    while True:
+        head = stream.read(HEADER.size)
+        if len(head) < HEADER.size:
+            raise DamageError("the end of the recording was never written")
+        opcode, length = HEADER.unpack(head)
+        content = stream.read(length)
+        if len(content) < length:
+            raise DamageError("cut off inside a record")
+        if opcode == Opcode.DATA_END:
+            break
+        if opcode == Opcode.CHUNK:
+            sorted_out, among = chunk_messages(chunk(content), wanted)
+            count += among
+            yield from (
+                (kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out
+            )
+        elif opcode == Opcode.ATTACHMENT and _ATTACHMENTS in wanted:
+            yield _ATTACHMENTS, [content]
+    end = stream.tell()
+    if statistics(stream.read(), 0, end).message_count != count:
+        raise DamageError("messages are missing")
+
+
+def chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
+    """Return the contents of the wanted messages of a chunk by channel, and the number of all
+    messages in the chunk.
+    """
+    found: dict[int, list[bytes]] = {}
+    offset, size, count = 0, len(records), 0
+    unpack, head, body = HEADER.unpack_from, HEADER.size, MESSAGE.size
+    while offset < size:
+        opcode, length = unpack(records, offset)
+        end = offset + head + length
+        if opcode == Opcode.MESSAGE:
+            count += 1
+            number = records[offset + 9] | records[offset + 10] << 8
+            if number in wanted:
+                found.setdefault(number, []).append(records[offset + body : end])
+        offset = end
+    return found, count

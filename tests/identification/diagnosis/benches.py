@@ -10,7 +10,7 @@ import numpy as np
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
-from identification.diagnosis.fit.joint import Joint, fit
+from identification.diagnosis.joint import Joint, fit
 from identification.estimate.default import free_names, solve_stages
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Model, Recording

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.oracle import (
     FOLDS,
     Group,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import stack_of, view_regressors
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.stack import stack_of, view_regressors
 from identification.effects import MOTION
 from identification.effects.effect import Effect
 from identification.numerics.series import delayed_series

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import LOWER_NOISE_RATIO, Joint, fit, with_lower_noise
-from identification.diagnosis.fit.rows import held_voltage
+from identification.diagnosis.joint import LOWER_NOISE_RATIO, Joint, fit, with_lower_noise
+from identification.diagnosis.removal import needed_share
+from identification.diagnosis.rows import held_voltage
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.removal import needed_share
 from identification.effects.effect import CLOSE, EXACT, ROUGH
 from identification.numerics.series import dahl, first_order_lag
 
@@ -28,7 +28,7 @@ def after(joint: Joint, *names: str) -> Joint:
     for name in names:
         added = begun_with(found, name).effects[-1]
         found = fit(views, "N m", found.nominal, (*found.effects, added), base)
-        base, found = with_lower_noise(views, "N m", base, found)
+        base, found = with_lower_noise(base, found)
     return found
 
 
@@ -74,7 +74,7 @@ def test_what_a_voltage_between_samples_may_differ_stays_noise() -> None:
 def test_what_moves_slowly_leaves_the_noise_as_it_is() -> None:
     joint = nominal_fit(honest())
     slow = begun_with(joint, "asymmetric_coulomb")
-    before, same = with_lower_noise(joint.equations[0].views, "N m", joint, slow)
+    before, same = with_lower_noise(joint, slow)
     assert before is joint
     assert same is slow
 

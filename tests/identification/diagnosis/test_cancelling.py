@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from identification.diagnosis.fit.joint import Added
-from identification.diagnosis.verdict.reasons import cancelling_effects
+from identification.diagnosis.joint import Added
+from identification.diagnosis.reasons import cancelling_effects
 from identification.effects import MOTION
 
 from .benches import honest, nominal_fit

@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.rows import EQUATIONS, equations
-from identification.diagnosis.fit.stack import Stack, stack_of
-from identification.diagnosis.selection.comparison import _scales
+from identification.diagnosis.comparison import _scales
+from identification.diagnosis.rows import EQUATIONS, equations
+from identification.diagnosis.stack import Stack, stack_of
 from identification.effects import EFFECTS, GAS, MOTION
 from identification.effects.effect import Context, Dimension, Effect
 from identification.views.nominal import Nominal

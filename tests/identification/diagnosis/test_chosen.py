@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.within_limits import choose
 from identification.diagnosis.result import Verdict
+from identification.diagnosis.within_limits import choose
 from identification.recording import Dataset, Model, Recording, RecordingError
 
 from .benches import campaign

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint
-from identification.diagnosis.selection.comparison import advantage, preference, simplest
+from identification.diagnosis.comparison import advantage, preference, simplest
+from identification.diagnosis.joint import Added, Joint
 from identification.effects import MOTION
 
 from .benches import honest, nominal_fit

@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import pytest
 
+from identification.diagnosis.comparison import Round
+from identification.diagnosis.crossing import crossing_torque, gap_or_loop
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Round
-from identification.diagnosis.selection.crossing import crossing_torque, gap_or_loop
 from identification.effects import MOTION
 from identification.recording import Dataset, Model, Recording
 from identification.views.nominal import Nominal
@@ -83,7 +83,7 @@ def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_
     baseline = fit(here, "N m", start.nominal)
     own = Added(TERM["backlash"], (gap, 0.0, 0.0, ROTOR_KG_M2), (1.0,))
     named = Joint(baseline.nominal, (own,), baseline.equations, baseline.residual, baseline.stack)
-    _, rounds = gap_or_loop(here, "N m", baseline, named, [Round("backlash", ())], MOTION, [])
+    _, rounds = gap_or_loop(baseline, named, [Round("backlash", ())], MOTION, [])
     (rival,) = rounds[0].rivals
     assert rival.name == "coupling_hysteresis"
     assert (rival.preference > RULES.rejected) == told

@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from identification.diagnosis.comparison import Contender, Round
 from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.judgement import confidence_of
 from identification.diagnosis.result import Diagnosis, Verdict
-from identification.diagnosis.selection.comparison import Contender, Round
-from identification.diagnosis.verdict.judgement import confidence_of
 from identification.recording import Dataset, Model, Recording, RecordingError
 
 from .benches import campaign, honest, nominal_fit

@@ -11,17 +11,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit import joint as fitting
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.linear import predicted_and_attained
-from identification.diagnosis.fit.rows import equations, noise, without_tones
-from identification.diagnosis.fit.stack import Candidate, stack_of
-from identification.diagnosis.fit.within_limits import (
+from identification.diagnosis import joint as fitting
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.linear import predicted_and_attained
+from identification.diagnosis.rows import equations, noise, without_tones
+from identification.diagnosis.significance import size_p_value, trial_candidates
+from identification.diagnosis.stack import Candidate, stack_of
+from identification.diagnosis.within_limits import (
     feasible_or_first,
     infeasible,
     infeasible_as_fitted,
 )
-from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Pendulum, Recording
@@ -162,10 +162,10 @@ def test_a_fall_that_ran_off_is_supposed_anew() -> None:
     values |= {"Ms": values["Mc"], "mu_s": values["mu_c"]}
     lost = fit(here, "N m", replace(joint.nominal, values=values), (), joint)
     assert infeasible_as_fitted(lost)
-    found = feasible_or_first(here, "N m", lost)
+    found = feasible_or_first(lost)
     assert not infeasible_as_fitted(found)
     assert found.nominal.values["Ms"] == pytest.approx(joint.nominal.values["Ms"], rel=0.02)
-    assert feasible_or_first(here, "N m", joint) is joint
+    assert feasible_or_first(joint) is joint
 
 
 def test_a_tone_is_no_noise() -> None:
@@ -277,9 +277,7 @@ def test_a_closing_step_is_shortened_until_the_mismatch_falls(
     mismatches = {None: (1.0, 400.0), 1: (1.0, 1.0)}
     tried: list[float] = []
 
-    def fit_after_step(
-        _views: object, _unit: str, _best: object, step: np.ndarray, enough: float
-    ) -> object:
+    def fit_after_step(_best: object, step: np.ndarray, enough: float) -> object:
         assert 1.0 < enough < 400.0, (
             "a step that lowers the mismatch by next to nothing is not taken"
         )
@@ -295,7 +293,7 @@ def test_a_closing_step_is_shortened_until_the_mismatch_falls(
     )
     monkeypatch.setattr(fitting, "_fit_after_step", fit_after_step)
     monkeypatch.setattr(fitting, "solve", solve)
-    assert fitting._closing_steps((), "N m", best, SimpleNamespace(linear_step=np.ones(1))) is after
+    assert fitting._closing_steps(best, SimpleNamespace(linear_step=np.ones(1))) is after
     assert tried == shares
 
 

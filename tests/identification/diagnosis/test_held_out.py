@@ -8,12 +8,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint, estimates, fit, undetermined_size
-from identification.diagnosis.result import Step
-from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection import held_out
-from identification.diagnosis.selection.comparison import Contender, Round
-from identification.diagnosis.selection.held_out import (
+from identification.diagnosis import held_out
+from identification.diagnosis.comparison import Contender, Round
+from identification.diagnosis.held_out import (
     DROPPED,
     _Case,
     _unseen_share,
@@ -26,7 +23,10 @@ from identification.diagnosis.selection.held_out import (
     validated_effects,
     validation_rms,
 )
-from identification.diagnosis.selection.search import Search
+from identification.diagnosis.joint import Added, Joint, estimates, fit, undetermined_size
+from identification.diagnosis.result import Step
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
 from identification.effects import MOTION
 from identification.recording import Recording
 from identification.views.view import View, views
@@ -73,13 +73,13 @@ def test_an_effect_beside_another_is_dropped_if_its_interval_contains_zero(
     # Any effect passes the test on unused recordings.
     monkeypatch.setattr(held_out, "_error_reduction", lambda *_: 9.0)
     absent = Added(TERM["asymmetric_viscous"], (), (0.0,))
-    found = validated_effects(search(RIGHT, absent), here(), (), "N m")
+    found = validated_effects(search(RIGHT, absent), ())
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
     (step,) = (s for s in found.steps if s.action == DROPPED)
     assert step.name == "asymmetric_viscous"
     (warning,) = dropped_effects(found)
     assert "contains zero" in warning
-    alone = validated_effects(search(absent), here(), (), "N m")
+    alone = validated_effects(search(absent), ())
     assert [e.term.name for e in alone.final.effects] == ["asymmetric_viscous"]
 
 
@@ -95,7 +95,7 @@ def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
 
 
 def test_what_has_no_value_in_recordings_set_aside_explains_no_share_of_them() -> None:
-    case, joint = _Case(here(), aside(), "N m", nominal()), search(RIGHT).final
+    case, joint = _Case(aside(), nominal()), search(RIGHT).final
     share = _unseen_share(case, joint)
     assert share is not None
     assert share > 0.95
@@ -121,7 +121,7 @@ def test_a_noisy_recording_set_aside_leaves_a_right_effect_its_share() -> None:
     fitted = [r for r in noisy if r.role == "fit"]
     held = [r for r in noisy if r.role == "validate"]
     unseen = views((*fitted, *held), 25.0, False, noisy)[len(fitted) :]
-    found = validated_effects(search(RIGHT), here(), unseen, "N m")
+    found = validated_effects(search(RIGHT), unseen)
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
     assert found.unseen_share is None or found.unseen_share > 0.95
 
@@ -129,7 +129,7 @@ def test_a_noisy_recording_set_aside_leaves_a_right_effect_its_share() -> None:
 @pytest.mark.parametrize("set_aside", [True, False])
 def test_what_is_there_pays_and_what_is_not_does_not(set_aside: bool) -> None:
     unseen = aside() if set_aside else ()
-    found = validated_effects(search(RIGHT, WRONG), here(), unseen, "N m")
+    found = validated_effects(search(RIGHT, WRONG), unseen)
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
     assert [r.name for r in found.rounds] == ["asymmetric_coulomb"]
     if set_aside:
@@ -145,10 +145,8 @@ def test_what_is_there_pays_and_what_is_not_does_not(set_aside: bool) -> None:
 
 
 def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
-    found = validated_effects(search(RIGHT), here(), aside(), "N m")
-    before, after = (
-        validation_rms(j, aside(), "N m")["torque"] for j in (found.baseline, found.final)
-    )
+    found = validated_effects(search(RIGHT), aside())
+    before, after = (validation_rms(j, aside())["torque"] for j in (found.baseline, found.final))
     assert after < 0.5 * before
     sigma = next(e.sigma for e in found.final.equations if e.name == "torque")
     assert after == pytest.approx(sigma, rel=0.25)
@@ -157,7 +155,7 @@ def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
 def test_what_one_recording_alone_shows_need_not_pay_on_another() -> None:
     weight = Added(TERM["wrong_weight"], (3.0,), (0.0,))
     assert weight.term.place is not None
-    found = validated_effects(search(RIGHT, weight), here(), aside(), "N m")
+    found = validated_effects(search(RIGHT, weight), aside())
     assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb", "wrong_weight"}
 
 
@@ -176,7 +174,7 @@ def test_without_a_row_that_moves_the_recordings_fitted_judge() -> None:
         n: np.full_like(c, c[0]) if "angle" in n else c for n, c in hidden()[-1].channels.items()
     }
     quiet = views([replace(hidden()[-1], channels=still)], 25.0)
-    found = validated_effects(search(RIGHT), here(), quiet, "N m")
+    found = validated_effects(search(RIGHT), quiet)
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
 
 
@@ -196,7 +194,7 @@ def test_recordings_set_aside_reject_a_rival_that_fits_as_well() -> None:
     rival = Contender(WRONG.term.name, search(WRONG).final, 0.0, "")
     found = search(RIGHT)
     found = replace(found, rounds=(Round(RIGHT.term.name, (rival,)),))
-    (judged,) = validated_effects(found, here(), aside(), "N m").rounds
+    (judged,) = validated_effects(found, aside()).rounds
     assert judged.rivals[0].preference >= RULES.rejected
 
 
@@ -206,7 +204,7 @@ def test_recordings_set_aside_choose_between_effects_that_fit_alike(preference: 
     rival = Contender(RIGHT.term.name, search(RIGHT).final, preference, "")
     steps: list[Step] = []
     joint, taken = _with_rivals_judged(
-        _Case(here(), aside(), "N m", nominal()),
+        _Case(aside(), nominal()),
         search(WRONG).final,
         Round(WRONG.term.name, (rival,)),
         steps,
@@ -238,7 +236,7 @@ def test_fits_of_different_noise_are_compared_in_one() -> None:
     )
     rival = Contender(WRONG.term.name, wrong, 0.0, "")
     steps: list[Step] = []
-    case = _Case(here(), aside(), "N m", nominal())
+    case = _Case(aside(), nominal())
     joint, taken = _with_rivals_judged(case, quiet, Round(RIGHT.term.name, (rival,)), steps)
     assert taken.name == joint.effects[-1].term.name == RIGHT.term.name
     assert not steps
@@ -276,5 +274,5 @@ def test_friction_of_one_recording_is_no_drift() -> None:
         joint,
     )
     found = Search(joint, drift, (Round("coulomb_drift", ()),), 1e-3, 1.0, "", ())
-    kept = validated_effects(found, joint.equations[0].views, unseen, "N m").final.effects
+    kept = validated_effects(found, unseen).final.effects
     assert not kept

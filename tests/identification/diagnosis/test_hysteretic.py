@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.verdict.reasons import is_hysteretic
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.reasons import is_hysteretic
 from identification.effects import MOTION
 
 from .benches import campaign, nominal_fit

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added
-from identification.diagnosis.selection.comparison import Contender, Round
-from identification.diagnosis.selection.held_out import with_indistinct_effects
-from identification.diagnosis.selection.search import Search
+from identification.diagnosis.comparison import Contender, Round
+from identification.diagnosis.held_out import with_indistinct_effects
+from identification.diagnosis.joint import Added
+from identification.diagnosis.search import Search
 from identification.effects import MOTION
 from identification.effects.motor import change_at_zero
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.rows import Equation, command_ripple
+from identification.diagnosis.rows import Equation, command_ripple
 from identification.recording import Recording
 from identification.signals import central_difference, values_at_ends
 

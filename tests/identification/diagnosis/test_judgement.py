@@ -8,16 +8,16 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis import judgement, reasons
+from identification.diagnosis import unexplained as unexplained_module
+from identification.diagnosis.comparison import Round
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.judgement import Judged, effects_of, verdict_of
+from identification.diagnosis.reasons import Kind, Reason
 from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Round
-from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict import judgement, reasons
-from identification.diagnosis.verdict import unexplained as unexplained_module
-from identification.diagnosis.verdict.judgement import Judged, effects_of, verdict_of
-from identification.diagnosis.verdict.reasons import Kind, Reason
-from identification.diagnosis.verdict.unexplained import unexplained, unexplained_equations
+from identification.diagnosis.search import Search
+from identification.diagnosis.unexplained import unexplained, unexplained_equations
 from identification.effects import MOTION
 from identification.recording import Array
 

@@ -11,18 +11,9 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Joint, fit, without_effect
-from identification.diagnosis.fit.linear import Added
-from identification.diagnosis.fit.rows import (
-    DIRECTION,
-    FROM_TORQUE,
-    MAPPED,
-    at_rows,
-    functions,
-    shows,
-    weight_of,
-)
-from identification.diagnosis.score.locate import (
+from identification.diagnosis.joint import Joint, fit, without_effect
+from identification.diagnosis.linear import Added
+from identification.diagnosis.locate import (
     Mismatch,
     best_map,
     curve,
@@ -30,6 +21,15 @@ from identification.diagnosis.score.locate import (
     mismatch_of,
     parts,
     ranges,
+)
+from identification.diagnosis.rows import (
+    DIRECTION,
+    FROM_TORQUE,
+    MAPPED,
+    at_rows,
+    functions,
+    shows,
+    weight_of,
 )
 from identification.effects import MOTION
 from identification.recording import Array, Dataset

@@ -10,26 +10,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate
-from identification.diagnosis.score.observable import collinear_effects
-from identification.diagnosis.score.significance import (
-    sign_flip_p_value,
-    size_p_value,
-    trial_candidates,
-)
-from identification.diagnosis.selection.comparison import preference
-from identification.diagnosis.selection.removal import (
+from identification.diagnosis.comparison import preference
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.observable import collinear_effects
+from identification.diagnosis.removal import (
     left_beyond_noise,
     share_equation,
     would_be_removed,
 )
-from identification.diagnosis.selection.search import (
+from identification.diagnosis.search import (
     TRIALS,
     best_of_each,
     finalist_groups,
     unscored,
 )
+from identification.diagnosis.significance import (
+    sign_flip_p_value,
+    size_p_value,
+    trial_candidates,
+)
+from identification.diagnosis.stack import Candidate
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Pendulum

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose, observable_effects
+from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.score.observable import Observable
 from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.reasons import direction_dependent
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.verdict.reasons import direction_dependent
 from identification.effects import MOTION
 
 from .benches import campaign, nominal_fit

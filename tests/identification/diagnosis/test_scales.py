@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.fit.joint import Added
-from identification.diagnosis.selection.comparison import implausible
+from identification.diagnosis.comparison import implausible
+from identification.diagnosis.joint import Added
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.model.parameters import LINEAR

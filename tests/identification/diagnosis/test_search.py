@@ -11,15 +11,15 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from identification.diagnosis.comparison import implausible
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.joint import Added, fit, identifiable
-from identification.diagnosis.fit.stack import Candidate, log_surprise, wald_statistic
-from identification.diagnosis.fit.within_limits import fit_from_estimate, views_and_fit
+from identification.diagnosis.held_out import validation_rms
+from identification.diagnosis.joint import Added, fit, identifiable
+from identification.diagnosis.removal import needed_share
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
-from identification.diagnosis.selection.comparison import implausible
-from identification.diagnosis.selection.held_out import validation_rms
-from identification.diagnosis.selection.removal import needed_share
+from identification.diagnosis.significance import DRAWS, flipped_statistics, sign_flip_p_value
+from identification.diagnosis.stack import Candidate, log_surprise, wald_statistic
+from identification.diagnosis.within_limits import fit_from_estimate, views_and_fit
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.recording import Bench, Dataset, Model, Recording
@@ -250,7 +250,7 @@ def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
         n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()
     }
     aside = views([replace(recordings[0], channels=still)], 25.0)
-    assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside, "N m")
+    assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside)
 
 
 def test_recordings_of_speed_alone_share_no_origin_of_their_angles() -> None:

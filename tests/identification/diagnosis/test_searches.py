@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from identification.diagnosis import diagnose
+from identification.diagnosis.held_out import DROPPED
 from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.held_out import DROPPED
 from identification.effects import EFFECTS, MOTION
 from identification.recording import RecordingError
 
@@ -39,7 +39,7 @@ class Scripted:
         verdict, dropped = (self.final, "") if thorough else self.script.pop(0)
         steps = [Step(DROPPED, name, 1.0, 0.0, "") for name in dropped]
         found = SimpleNamespace(steps=steps, tag=(names, thorough))
-        made = SimpleNamespace(found=found, verdict=verdict, judged=verdict)
+        made = SimpleNamespace(found=found, judged=SimpleNamespace(verdict=verdict))
         made._replace = lambda judged: SimpleNamespace(found=found, verdict=judged)
         return made
 
@@ -102,23 +102,21 @@ def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
     sides: list[tuple[str, bool]] = []
     gap = SimpleNamespace(term=EFFECTS["backlash"])
 
-    def search(here: Any, _unit: str, _first: Any, _terms: Any, *rest: Any) -> Any:
-        sides.append((here, rest[-1].until_flexible))
-        return SimpleNamespace(final=SimpleNamespace(effects=[gap]), side=here)
+    def search(start: Any, _terms: Any, *rest: Any) -> Any:
+        sides.append((start.views, rest[-1].until_flexible))
+        return SimpleNamespace(final=SimpleNamespace(effects=[gap]), side=start.views)
 
-    def fit(*_: Any) -> str:
+    def fit(*_: Any) -> Any:
         if not moves:
             raise RecordingError("no sample is in steady motion")
-        return "fit"
+        return SimpleNamespace(views="valve")
 
     for name, replaced in (("search", search), ("fit_from_estimate", fit)):
         monkeypatch.setattr(diagnose, name, replaced)
     monkeypatch.setattr(diagnose, "views", lambda *_: "valve")
     dataset = SimpleNamespace(part=lambda _role: [], model=SimpleNamespace(fixed=()), recordings=())
-    first = SimpleNamespace(nominal=None)
-    task: Any = SimpleNamespace(
-        dataset=dataset, here="motor", unit="N m", first=first, rng=None, bandwidth=25.0
-    )
+    first = SimpleNamespace(nominal=None, views="motor", unit="N m")
+    task: Any = SimpleNamespace(dataset=dataset, first=first, rng=None, bandwidth=25.0)
     task.report = lambda *_: None
     here, found, flexible = diagnose._search_sides(task, MOTION, False)
     side = "valve" if moves else "motor"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.result import ResidualTrace
-from identification.diagnosis.score.significance import (
+from identification.diagnosis.significance import (
     crowded_recordings,
     rests_under_torque,
     shortest,

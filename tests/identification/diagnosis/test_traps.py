@@ -19,10 +19,10 @@ from scipy.optimize import minimize_scalar
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.rows import Equation, equations
-from identification.diagnosis.fit.stack import Candidate, Stack, stack_of
-from identification.diagnosis.score.significance import size_p_value, trial_candidates
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.rows import Equation, equations
+from identification.diagnosis.significance import size_p_value, trial_candidates
+from identification.diagnosis.stack import Candidate, Stack, stack_of
 from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.estimate.default import identify, solve_stages

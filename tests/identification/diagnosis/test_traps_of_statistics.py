@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 from identification.diagnosis.oracle import greedy_bic, library
-from identification.diagnosis.score.significance import (
+from identification.diagnosis.significance import (
     generic_candidates,
     sign_flip_p_value,
     size_p_value,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.diagnosis.fit.rows import in_blocks
+from identification.diagnosis.rows import in_blocks
 from identification.numerics.series import sine_cosine
 
 

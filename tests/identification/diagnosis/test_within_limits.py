@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.rows import equations
-from identification.diagnosis.fit.within_limits import cross_validation_residual, within_limits
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.rows import equations
+from identification.diagnosis.within_limits import cross_validation_residual, within_limits
 from identification.effects import MOTION
 from identification.recording import Array, Recording
 from identification.views.nominal import Nominal
@@ -54,7 +54,7 @@ def test_what_is_left_is_what_the_reported_constants_leave(share: float) -> None
     """Also where the rows ask for viscous friction below zero."""
     fitted = [rubbed_off(r, share) for r in recordings()[:2]]
     joint = nominal_fit(fitted)
-    bounded = within_limits(here(joint), "N m", joint)
+    bounded = within_limits(joint)
     torque = next(e for e in joint.equations if e.name == "torque")
     rows = bounded.stack.part("torque")
     np.testing.assert_allclose(torque.sigma * bounded.residual[rows], left_by(bounded), atol=1e-9)
@@ -66,7 +66,7 @@ def test_what_is_left_is_what_the_reported_constants_leave(share: float) -> None
 
 def test_with_the_speeds_as_they_are_it_is_bounded_least_squares() -> None:
     joint = nominal_fit([rubbed_off(r, 0.08) for r in recordings()[:2]])
-    bounded = within_limits(here(joint), "N m", joint)
+    bounded = within_limits(joint)
     torque = next(e for e in equations(here(joint), bounded.nominal, "N m") if e.name == "torque")
     free = bounded.nominal.free
     use = [k for k, name in enumerate(free) if name != "omega_sf"]
@@ -92,7 +92,7 @@ def test_of_constants_that_cannot_be_told_apart_the_least_are_taken() -> None:
     values = {**start.values, "offset": -7.0e5, "Mc": start.get("Mc") + 7.0e5}
     values["Ms"] = values["Mc"] + 3.0
     joint = fit(ahead, "N m", Nominal(values, (*start.free, "offset"), 2.0))
-    found = within_limits(ahead, "N m", joint).nominal
+    found = within_limits(joint).nominal
     assert found.get("Mc") < 20.0
     assert abs(found.get("offset")) < 20.0
     assert found.get("Mc") + found.get("offset") == pytest.approx(start.get("Mc"), rel=0.1)
@@ -102,7 +102,7 @@ def test_an_effect_keeps_its_size_within_limits() -> None:
     there = views(campaign(DRAG, 12, 6.0)[:2], 25.0)
     effect = Added(TERM["quadratic_drag"], (), (0.0,))
     start = nominal_fit(recordings()[:2]).nominal
-    found = within_limits(there, "N m", fit(there, "N m", start, (effect,)))
+    found = within_limits(fit(there, "N m", start, (effect,)))
     assert found.effects[0].coefficients[0] == pytest.approx(6.0, rel=0.1)
     torque = found.stack.part("torque")
     assert float(np.mean(found.residual[torque] ** 2)) < 1.3
@@ -114,7 +114,7 @@ def test_an_effect_keeps_its_size_within_limits() -> None:
 
 def test_each_part_is_predicted_from_the_others() -> None:
     joint = nominal_fit(recordings()[:2])
-    bounded = within_limits(here(joint), "N m", joint)
+    bounded = within_limits(joint)
     owner = np.concatenate([e.owner for e in bounded.stack.equations])
     left = cross_validation_residual(bounded, owner)
     # As good as on the rows fitted, up to what a fit of half of them costs; never better in all.

@@ -95,11 +95,6 @@ def test_a_replayed_stop_is_no_second_press(bound: Bound) -> None:
     assert bound.stop.presses == 2
 
 
-def test_a_stop_of_another_run_is_refused(bound: Bound) -> None:
-    assert "another run" in bound.sent(bound.peer.order("stop", run="0" * 32))["words"]
-    assert not bound.stop.pressed
-
-
 def test_pause_is_asked_for_and_taken_back(bound: Bound) -> None:
     assert bound.sent(bound.peer.order("pause"))["taken"]
     assert bound.sent(bound.peer.order("pause"))["taken"]
@@ -214,7 +209,7 @@ class Answers:
 
 @pytest.mark.parametrize(
     ("texts", "kg"),
-    [(["30,6"], 30.6), (["30600 g"], 30.6), (["20", "30.5"], 30.5), (["heavy", "30.6 kg"], 30.6)],
+    [(["20", "30.5"], 30.5), (["heavy", "30600 g"], 30.6)],
 )
 def test_the_mass_is_typed_by_the_rules_of_the_terminal(
     bound: Bound, screen: Screen, texts: list[str], kg: float

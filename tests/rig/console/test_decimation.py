@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rig.console.decimation import KEPT, Decimation
+from rig.runs.decimation import KEPT, Decimation
 
 CYCLE_S = 1e-3
 

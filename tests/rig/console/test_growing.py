@@ -10,7 +10,7 @@ import pytest
 from rig.common.sample import Sample
 from rig.console import followed
 from rig.console.followed import Growing, event_words
-from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.reader import DamageError
 from rig.runs.recorder import open_recorder
 
 

@@ -11,10 +11,9 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from rig.console.app import Console
-from rig.console.controls import Page
 from rig.console.followed import SILENT_S
 from rig.console.gate import MOST_PAGES, MOST_READERS, Token
-from rig.console.hub import TICK_S, Hub, Refusal, Unreachable
+from rig.console.hub import TICK_S, Hub, Page, Refusal, Unreachable
 from rig.console.starting import Starter
 from rig.terminal.control_socket import VERSION, Command
 

@@ -168,8 +168,14 @@ def test_a_command_of_another_site_is_refused(console: Served, origin: str | Non
     assert (status, text) == (403, "the request comes from another site")
 
 
-@pytest.mark.parametrize("authorization", [None, "", "Bearer", "Bearer wrong", "Basic {token}"])
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume", "/off"])
+PATHS = ("/command", "/controls", "/dry-run", "/start", "/resume", "/off", "/compare", "/trend")
+
+
+@pytest.mark.parametrize(
+    ("path", "authorization"),
+    [*((path, "Bearer wrong") for path in PATHS)]
+    + [("/command", each) for each in (None, "", "Bearer", "Basic {token}")],
+)
 def test_no_command_without_the_token(
     console: Served, path: str, authorization: str | None
 ) -> None:
@@ -179,8 +185,11 @@ def test_no_command_without_the_token(
     assert "read-only" in text
 
 
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume", "/off"])
-@pytest.mark.parametrize("method", ["GET", "HEAD", "PUT", "OPTIONS"])
+@pytest.mark.parametrize(
+    ("path", "method"),
+    [*((path, "GET") for path in PATHS)]
+    + [("/command", each) for each in ("HEAD", "PUT", "OPTIONS")],
+)
 def test_nothing_is_commanded_by_another_method(console: Served, path: str, method: str) -> None:
     origin = f"http://127.0.0.1:{console.port}"
     headers = {"authorization": f"Bearer {console.token}", "origin": origin}

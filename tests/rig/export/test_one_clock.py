@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory as Protobuf
-from mcap_ros2.decoder import DecoderFactory as Ros
 
 from drivers.clock import SimulatedClock
 from drivers.interfaces import RawFrame
@@ -59,49 +58,37 @@ def behind(times: Any, frames: Any) -> Any:
     return frames[np.searchsorted(frames, np.add(times, ANSWER_S / 2))] - times
 
 
-def test_in_the_recording(run: Path) -> None:
-    found = []
+def test_recording_and_exports_have_one_clock(run: Path) -> None:
+    times, found = sample_times(run), list[float]()
     with (run / "recording.mcap").open("rb") as stream:
         for _, _, message in make_reader(stream).iter_messages(["/frames"]):
             found += [f[0] / 1e9 for f in struct.iter_unpack("<qIB8sB", message.data)]
-    np.testing.assert_allclose(behind(sample_times(run), found), ANSWER_S, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["candump", "asc"])
-def test_in_a_text_log(run: Path, kind: str) -> None:
-    path = exported(run, kind, "a.log" if kind == "candump" else "a.asc")
-    reader = can.CanutilsLogReader if kind == "candump" else can.ASCReader
-    options = {} if kind == "candump" else {"relative_timestamp": False}
-    with reader(path, **options) as messages:
-        stamps = [m.timestamp - created(run) for m in messages if m.arbitration_id == PDO]
-    np.testing.assert_allclose(behind(sample_times(run), stamps), ANSWER_S, atol=3e-6)
-
-
-def test_in_one_mcap_export(run: Path) -> None:
-    path = exported(run, "mcap", "a.mcap")
+    np.testing.assert_allclose(behind(times, found), ANSWER_S, atol=1e-9)
+    start = created(run)
+    for kind, name, reader, options in (
+        ("candump", "a.log", can.CanutilsLogReader, {}),
+        ("asc", "a.asc", can.ASCReader, {"relative_timestamp": False}),
+    ):
+        with reader(exported(run, kind, name), **options) as messages:
+            stamps = [m.timestamp - start for m in messages if m.arbitration_id == PDO]
+        np.testing.assert_allclose(behind(times, stamps), ANSWER_S, atol=3e-6)
     logged: dict[str, list[float]] = {}
-    with path.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[Ros()])
-        for _, channel, message, content in reader.iter_decoded_messages(["/can"]):
-            stamp = content.header.stamp
-            assert message.log_time == stamp.sec * 1_000_000_000 + stamp.nanosec
-            logged.setdefault(channel.topic, []).append(message.log_time / 1e9 - created(run))
-    with path.open("rb") as stream:
+    with exported(run, "mcap", "a.mcap").open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages():
-            if channel.topic.startswith("/recording/"):
-                logged.setdefault(channel.topic, []).append(message.log_time / 1e9 - created(run))
+            if channel.topic == "/can":
+                head = struct.unpack_from("<iI", message.data, 4)
+                assert message.log_time == head[0] * 1_000_000_000 + head[1]
+            logged.setdefault(channel.topic, []).append(message.log_time / 1e9 - start)
     frames = logged.pop("/can")
-    assert len(logged) == 3
-    for times in logged.values():
-        np.testing.assert_allclose(behind(times, frames), ANSWER_S, atol=1e-6)
-
-
-def test_a_table_beside_a_log(run: Path) -> None:
-    """The times of a CSV export are those of the samples, so they fit those of the frames."""
+    recordings = [name for name in logged if name.startswith("/recording/")]
+    assert len(recordings) == 3
+    for name in recordings:
+        np.testing.assert_allclose(behind(logged[name], frames), ANSWER_S, atol=1e-6)
+    # The times of a CSV export are those of the samples, so they fit those of the frames.
     exported(run, "csv", "a.csv")
     with (run / "a-heavy.csv").open() as stream:
         table = next(csv.DictReader(stream))
-    assert np.min(np.abs(sample_times(run) - float(table["time"]))) < 1e-9
+    assert np.min(np.abs(times - float(table["time"]))) < 1e-9
 
 
 def test_after_a_recovery(run: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ from mcap_ros2.decoder import DecoderFactory
 from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from drivers.serial_port import SERIAL_FLAG
+from identification.recording import Dataset
 from rig.cli.entry import status
 from rig.common.sample import Sample
-from rig.runs.export import extension
+from rig.runs.export import extension, write_mcap
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import open_recorder
@@ -56,12 +58,6 @@ serial_pieces = st.builds(
 traffic = st.lists(
     st.one_of(data_frames, remote_frames, error_frames, serial_pieces), min_size=1, max_size=30
 )
-
-
-@pytest.fixture
-def run(runner: Any, fake_bench: Any) -> Path:
-    folder, _ = runner(fake_bench())
-    return Path(folder.path)
 
 
 def with_frames(run: Path, frames: list[RawFrame]) -> None:
@@ -115,9 +111,7 @@ def test_any_frames_come_back(
     assert all(map(expected, found, wanted))
     if kind == "candump":
         first, begun = frames[0].time_ns, read_record(run).parts[0].created
-        import datetime
-
-        base = datetime.datetime.fromisoformat(begun).timestamp()
+        base = datetime.fromisoformat(begun).timestamp()
         for message, frame in zip(found, wanted, strict=True):
             assert abs(message.timestamp - base - (frame.time_ns - first) / 1e9) < 2e-6
     else:
@@ -139,9 +133,6 @@ def test_any_frames_come_back_from_mcap_by_the_reader_of_ros(
     frames = sorted(frames, key=lambda frame: frame.time_ns)
     path = run.parent / "direct.mcap"
     with_frames(run, frames)
-    from identification.recording import Dataset
-    from rig.runs.export.mcap_file import write_mcap
-
     write_mcap(Dataset(()), path, (run, read_record(run)))
     with path.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
@@ -174,11 +165,10 @@ def test_a_serial_run_has_no_can_frames(run: Path, capsys: pytest.CaptureFixture
 
 
 def test_raw_frames_of_a_campaign_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "c.yaml").write_text("campaign: 1\n")
-    assert status(["export", "c.yaml", "--format", "asc"]) == 2
+    assert status(["export", str(tmp_path / "c.yaml"), "--format", "asc"]) == 2
     assert "in run folders only" in capsys.readouterr().err
 
 

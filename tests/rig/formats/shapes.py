@@ -22,10 +22,10 @@ from cantools.database.conversion import BaseConversion
 from nptdms import ChannelObject, TdmsWriter
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.can_traffic import CanTable
-from rig.sources.formats import Table
-from rig.sources.readers import open_table
+from rig.sources.formats import open_table
+from rig.sources.table import Table
 
 NAMES = ("t", "i", "q", "x y", "pos[deg]", "a.b", "Zeit", "I_ist")
 ODD = (0.0, -0.0, 1e-300, 1e300, 0.1, 1 / 3, 1e22, 5e-324)

@@ -13,8 +13,10 @@ import pytest
 from asammdf import MDF, Signal
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
+from rig.config.campaign_sections import ReadSection
+from rig.sources import served
 from rig.sources.can_traffic import CanTable
+from rig.sources.formats import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
 DBC = """\
@@ -112,33 +114,6 @@ def test_stamps_since_1970_keep_their_microseconds(tmp_path: Path) -> None:
     np.testing.assert_allclose(stamps, TIME, rtol=0, atol=1e-15)
 
 
-def test_29_bits_multiplexed_twice_and_big_endian(tmp_path: Path) -> None:
-    messages = []
-    for k in range(N):
-        values = {"Mode": 0, "Volts": 24.0 + 0.01 * k}
-        if k % 3 == 1:
-            values = {"Mode": 1, "Kind": 3, "Heat": 20.0 - 0.1 * k}
-        elif k % 3 == 2:
-            values = {"Mode": 1, "Kind": 3, "Heat": 0.0}
-        messages += [frame("Wide", STAMPS[k], values)]
-        if k % 3 == 2:
-            messages[-1].data = bytes([1, 0, 0, 0, 0, 0, 0, 0])
-        messages += [frame("Real", STAMPS[k], {"Speed": 1.5, "Load": float(CURRENT[k])})]
-    path = write(tmp_path / "log.blf", messages)
-    found = columns(path)
-    rows = np.arange(N)
-    same(found["Real.Load"], CURRENT.astype(np.float32).astype(float))
-    np.testing.assert_allclose(found["Wide.Volts"], 24.0 + 0.01 * rows[::3], atol=1e-12)
-    np.testing.assert_allclose(found["Wide.Heat"], 20.0 - 0.1 * rows[1::3], atol=1e-12)
-    same(found["Wide.Mode"], (rows % 3 > 0).astype(float))
-    assert len(found["Wide.Kind.time"]) == 200
-    np.testing.assert_allclose(found["Wide.Heat.time"], TIME[1::3], atol=1e-6)
-    # The identifier without its 29 bits is another message.
-    short = can.Message(arbitration_id=0x123, is_extended_id=True, data=bytes(8), timestamp=0.0)
-    with pytest.raises(InputError, match="none of the 3 messages of the map is in the file"):
-        table(write(tmp_path / "other.blf", [short] * 3))
-
-
 def test_messages_at_several_rates_are_brought_to_that_of_time(tmp_path: Path) -> None:
     messages = []
     for k in range(N):
@@ -186,17 +161,6 @@ def test_several_buses_in_one_file(tmp_path: Path) -> None:
     same(single["Motion.Position"], found["2.Motion.Position"])
     with pytest.raises(InputError, match=r"the file has no bus 3; set read\.bus to one of 1, 2"):
         table(path, bus=3)
-
-
-def test_frames_that_are_too_short_hold_no_value(tmp_path: Path) -> None:
-    messages = [*map(motion, range(N))]
-    for k in range(0, N, 2):
-        messages[k].data, messages[k].dlc = messages[k].data[:4], 4
-    found = table(write(tmp_path / "log.blf", messages))
-    by_name = {name: found.read([k])[0] for k, name in enumerate(found.names)}
-    assert len(by_name["Motion.Position"]) == N
-    assert len(by_name["Motion.Current"]) == N // 2
-    assert len(by_name["Motion.Current.time"]) == N // 2
 
 
 def test_values_beyond_the_range_of_the_dbc_are_doubted(tmp_path: Path) -> None:
@@ -291,6 +255,8 @@ def test_bus_logging_inside_mf4(tmp_path: Path) -> None:
         group.flags |= v4_constants.FLAG_CG_BUS_EVENT
         mdf.save(tmp_path / "log.mf4", overwrite=True)
     (tmp_path / "bus.dbc").write_text(DBC)
+    served.READER.close()
+    assert open_table(tmp_path / "log.mf4", ReadSection()).names
     recording = load_file(tmp_path, "log.mf4", CHANNELS, READ)
     same(recording.time, TIME)
     same(recording.channels["angle"], ANGLE.astype(np.float32).astype(float))
@@ -374,6 +340,10 @@ def test_a_map_is_asked_for_by_name(tmp_path: Path) -> None:
     path = write(tmp_path / "log.log", map(motion, range(N)))
     with pytest.raises(InputError, match=r"CAN traffic, identifiers 123h; .*read\.dbc, or --dbc"):
         CanTable(path, ReadSection())
+    # The identifier without its 29 bits is another message.
+    other = can.Message(arbitration_id=0x123, is_extended_id=True, data=bytes(8), timestamp=0.0)
+    with pytest.raises(InputError, match="none of the 3 messages of the map is in the file"):
+        table(write(tmp_path / "other.blf", [other] * 3))
     (tmp_path / "log.log.gz").write_bytes(gzip.compress(path.read_bytes()))
     assert len(columns(tmp_path / "log.log.gz")["Motion.time"]) == N
     (tmp_path / "bus.dbc").write_text(DBC.replace("BO_ 100", "BO_ 291"))

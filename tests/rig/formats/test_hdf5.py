@@ -11,11 +11,11 @@ import pytest
 import scipy.io.matlab
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
-from rig.sources.formats.hdf5 import Hdf5Table
-from rig.sources.readers import open_table
+from rig.config.campaign_sections import ReadSection
+from rig.sources.formats import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
+PLAIN = ReadSection()
 CHANNELS = "{time: t, current: i, angle: q}"
 
 
@@ -55,7 +55,7 @@ def test_variables_rows_and_matrices_of_matlab(tmp_path: Path) -> None:
     same(recording.channels["current"], CURRENT)
     same(recording.channels["motor_angle"], 100 * ANGLE)
     same(recording.channels["angle"], ANGLE)
-    table = Hdf5Table(path)
+    table = open_table(path, PLAIN)
     assert "word" not in table.names
     same(table.read([table.names.index("big")])[0], np.arange(N))
     assert "beyond 2^53" in table.notes[0]
@@ -105,23 +105,3 @@ def test_groups_compounds_units_and_fills_of_hdf5(tmp_path: Path) -> None:
     same(recording.channels["angle"], ANGLE.astype(np.float32).astype(float))
     assert any("scale_factor and add_offset of the file applied" in n for n in recording.notes)
     assert "`current`: 2 missing samples interpolated" in recording.notes
-
-
-def test_damage_and_nothing_are_refused(tmp_path: Path) -> None:
-    path = matlab(tmp_path / "log.mat", t=TIME[:, None])
-    for content in (path.read_bytes()[:700], path.read_bytes()[:1200], b"\x89HDF\r\n\x1a\n"):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=r"log\.mat: "):
-            columns(path)
-    with pytest.raises(InputError, match="holds no arrays of numbers"):
-        columns(matlab(tmp_path / "text.mat", word="text"))
-
-
-def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(name: str) -> object:
-        raise ImportError(name)
-
-    path = matlab(tmp_path / "log.mat", t=TIME[:, None])
-    monkeypatch.setattr("rig.sources.formats.table.importlib.import_module", refuse)
-    with pytest.raises(InputError, match=r"MATLAB v7.3\) needs h5py; .*'loadrig\[hdf5\]'"):
-        columns(path)

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from rig.common.errors import InputError
-from rig.config.campaign_columns import ReadSection
-from rig.sources.readers import open_table
+from rig.config.campaign_sections import ReadSection
+from rig.sources.formats import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
 CHANNELS = "{time: t, current: i, angle: q}"
@@ -73,6 +73,11 @@ def test_columns_of_two_tables_share_no_rows(tmp_path: Path) -> None:
     (tmp_path / "log.json").write_text(json.dumps(value))
     with pytest.raises(InputError, match=r"a \(300 rows\), b \(100 rows\).* use columns of one"):
         load_file(tmp_path, "log.json", CHANNELS)
+    (tmp_path / "log.json").write_text(json.dumps({"t": [*TIME], "limits": [1, 2]}))
+    table = open_table(tmp_path / "log.json", ReadSection())
+    assert table.names == ("t", "limits")
+    same(table.read([0])[0], TIME)
+    same(table.read([1])[0], np.array([1.0, 2.0]))
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,11 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as RosWriter
 
 from rig.common.errors import InputError
-from rig.sources.formats.mcap_log import McapTable
+from rig.config.campaign_sections import ReadSection
+from rig.sources.formats import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, N, load_file, same
 
+PLAIN = ReadSection()
 FIRST_NS = 1_700_000_000_000_000_000
 STATE = """\
 std_msgs/Header header
@@ -92,7 +94,7 @@ def test_cdr_with_structs_in_lists(tmp_path: Path) -> None:
     same(recording.channels["current"], CURRENT)
     same(recording.channels["angle"], ANGLE)
     assert recording.notes == ()
-    table = McapTable(tmp_path / "log.mcap")
+    table = open_table(tmp_path / "log.mcap", PLAIN)
     by_name = {name: table.read([k])[0] for k, name in enumerate(table.names)}
     same(by_name["/state.pair[1]"], np.full(N, 2.5))
     same(by_name["/state.big"], np.arange(N))
@@ -110,17 +112,6 @@ def test_topics_at_several_rates_are_brought_to_one(tmp_path: Path) -> None:
     assert any("`temperature`: of /temperature (99.9999 Hz)" in n for n in recording.notes) or any(
         "`temperature`: of /temperature (100 Hz)" in n for n in recording.notes
     )
-
-
-def test_cdr_that_was_cut_off(tmp_path: Path) -> None:
-    write_ros(tmp_path / "log.mcap", closed=False)
-    data = (tmp_path / "log.mcap").read_bytes()
-    (tmp_path / "log.mcap").write_bytes(data[: len(data) * 3 // 4])
-    recording = load_file(tmp_path, "log.mcap", CHANNELS)
-    n = len(recording.time)
-    assert 50 < n < N
-    same(recording.channels["current"], CURRENT[:n])
-    assert any("the file is cut off" in note for note in recording.notes)
 
 
 def protobuf_state() -> type:
@@ -168,22 +159,12 @@ def test_protobuf_with_repeated_messages(tmp_path: Path) -> None:
     same(recording.time, np.arange(N) * 1_000_001 / 1e9)
     same(recording.channels["current"], CURRENT)
     same(recording.channels["angle"], ANGLE)
-    table = McapTable(tmp_path / "log.mcap")
+    table = open_table(tmp_path / "log.mcap", PLAIN)
     by_name = {name: table.read([k])[0] for k, name in enumerate(table.names)}
     same(by_name["/state.motors[1].current"], np.zeros(N))
     same(by_name["/state.span"], np.full(N, -0.5))
     same(by_name["/state.count"], np.where(np.arange(N) > 0, 2.0**50 + np.arange(N), 0.0))
     same(by_name["/state.maybe"], np.where(np.arange(N) % 2, 1.5, np.nan))
-
-
-def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(name: str) -> object:
-        raise ImportError(name)
-
-    write_ros(tmp_path / "log.mcap")
-    monkeypatch.setattr("rig.sources.formats.table.importlib.import_module", refuse)
-    with pytest.raises(InputError, match=r"CDR .*needs mcap_ros2; .*'loadrig\[mcap\]'"):
-        McapTable(tmp_path / "log.mcap")
 
 
 def test_a_topic_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:
@@ -214,7 +195,7 @@ def test_a_topic_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:
             for number, data in rows:
                 writer.add_message(number, now, data, now)
         writer.finish()
-    table = McapTable(path)
+    table = open_table(path, PLAIN)
     assert table.names == ("/good.value", "/good.log_time")
     same(table.read([0])[0], np.arange(3.0))
     (note,) = table.notes

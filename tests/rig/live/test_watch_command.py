@@ -20,8 +20,7 @@ from websockets.sync.client import connect
 
 from rig.cli.entry import status
 from rig.common.sample import Sample
-from rig.runs.live import layout
-from rig.runs.live.topics import TOPICS
+from rig.runs.live import TOPICS, layout
 
 START = "from rig.cli.entry import main; main()"
 
@@ -79,14 +78,6 @@ def test_a_port_in_use_is_named(run: Path, capsys: pytest.CaptureFixture[str]) -
         port = taken.getsockname()[1]
         assert status(["watch", str(run), "--foxglove", "--port", str(port)]) == 2
     assert f"--port: {port} cannot be used" in capsys.readouterr().err
-
-
-def test_without_the_sdk_the_extra_is_named(
-    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    assert status(["watch", str(run), "--foxglove"]) == 2
-    assert "pip install 'loadrig[live]'" in capsys.readouterr().err
 
 
 def _values(item: Any) -> Iterator[str]:

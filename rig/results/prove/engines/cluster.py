@@ -23,7 +23,6 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256
-from rig.common.start_up import keep_freed_memory
 from rig.results.prove.engines.engine import DEATHS, Result, Task, died
 from rig.terminal.output import complain
 
@@ -175,7 +174,6 @@ def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task:
     Raises:
         InputError: The package versions differ.
     """
-    _set_up()
     found = _fingerprint()
     other = [
         f"{name} {found.get(name, 'missing')} instead of {expected.get(name, 'none')}"
@@ -188,12 +186,6 @@ def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task:
             "differ; install the versions of this process on that machine"
         )
     return one(task)
-
-
-@cache
-def _set_up() -> None:
-    """Set up a worker process once, with the settings that the command line gives its process."""
-    keep_freed_memory()
 
 
 @cache

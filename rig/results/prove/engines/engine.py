@@ -18,7 +18,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import rig
 from rig.common.errors import InputError
 from rig.common.places import is_file, read_bytes, replacing
-from rig.common.start_up import keep_freed_memory
 from rig.config.campaign import load_campaign
 
 Task = TypeVar("Task")
@@ -230,7 +229,7 @@ class Processes(NamedTuple):
             BrokenProcessPool: A worker died.
         """
         with ProcessPoolExecutor(
-            self.jobs, mp_context=get_context("spawn"), initializer=begin_worker
+            self.jobs, mp_context=get_context("spawn"), initializer=follow_parent
         ) as pool:
             try:
                 while True:
@@ -249,12 +248,6 @@ class Processes(NamedTuple):
                         yield result
             finally:
                 pool.shutdown(cancel_futures=True)
-
-
-def begin_worker() -> None:
-    """Set up a worker process with the settings that the command line gives its process."""
-    keep_freed_memory()
-    follow_parent()
 
 
 def follow_parent() -> None:

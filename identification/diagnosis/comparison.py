@@ -1,0 +1,248 @@
+"""Compares fits by the preference of the data, the number of parameters, and plausibility."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.within_limits import infeasible
+from identification.effects.device import REFERENCE_MASS_KG
+from identification.effects.effect import Context, Dimension
+from identification.model.parameters import LINEAR, parameter_title
+from identification.recording import Array
+from identification.views.view import View, speed_scale, torque_scale, travel_scale
+
+USUAL_CURRENT_A, USUAL_VOLTAGE_V, USUAL_INERTIA_KG_M2 = 13.0, 40.0, 0.2
+"""Greatest current and voltage, and inertia at the joint, on the practical bench."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A rival, fitted jointly with the nominal parameters, and the preference of the data for the
+    selected effect over this rival.
+
+    ``preference`` is the result of :func:`preference`, in standard errors. ``beyond`` is a text
+    that names a parameter outside its plausible range, or empty if all parameters are plausible.
+    """
+
+    name: str
+    joint: Joint
+    preference: float
+    beyond: str
+
+
+@dataclass(frozen=True)
+class Round:
+    """A selected effect and its rivals, best first."""
+
+    name: str
+    rivals: tuple[Contender, ...]
+
+
+def preference(chosen: Joint, rival: Joint) -> float:
+    """Return the preference of the data for ``chosen``, in standard errors of the difference by
+    blocks.
+
+    A fit with more parameters explains more in any case, and the difference of two nearly equal
+    fits has a small standard error. Therefore the preference is computed without and with Schwarz's
+    correction for the number of parameters, and the result is the value of smaller magnitude; 0 if
+    the two values have opposite signs.
+    """
+    plain, corrected = advantage(chosen, rival), _corrected_advantage(chosen, rival)
+    if plain * corrected <= 0.0:
+        return 0.0
+    return min(plain, corrected, key=abs)
+
+
+def advantage(chosen: Joint, rival: Joint) -> float:
+    """Return by how much ``chosen`` is better than ``rival``, in standard errors of the difference
+    by blocks, without a correction for the number of parameters (Vuong, Econometrica 57 (1989)
+    307).
+    """
+    loss, spread = _loss(chosen, rival)
+    return loss / spread if spread > 0.0 else 0.0
+
+
+def _corrected_advantage(chosen: Joint, rival: Joint) -> float:
+    """Return :func:`advantage` with Schwarz's correction of log n squares for each additional
+    parameter.
+    """
+    loss, spread = _loss(chosen, rival)
+    more = _effect_parameters(rival) - _effect_parameters(chosen)
+    loss += more * math.log(len(chosen.residual))
+    return loss / spread if spread > 0.0 else 0.0
+
+
+def _loss(chosen: Joint, rival: Joint) -> tuple[float, float]:
+    """Return the difference of the whitened squares of two fits, and its standard error."""
+    stack = chosen.stack
+    loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
+    return float(np.sum(loss)), float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
+
+
+def _effect_parameters(joint: Joint) -> int:
+    """Return the number of fitted parameters of all effects of a fit."""
+    return sum(parameter_count(e) for e in joint.effects)
+
+
+def probability(preferred: float) -> float:
+    """Return the probability, by the normal distribution, that the preferred of two effects is the
+    right one, from the preference in standard errors.
+    """
+    return float(stats.norm.cdf(preferred))
+
+
+def implausible(joint: Joint) -> str:
+    """Return the reason why a fit is implausible for a bench; empty if it is plausible.
+
+    The reason is a parameter of the last effect outside its range in the catalogue, scaled to this
+    bench, or an infeasible fit (:func:`infeasible`), for example a fit whose static friction would
+    be below Coulomb friction.
+    """
+    if infeasible(joint):
+        return "nominal parameters outside their physical limits"
+    last = joint.effects[-1]
+    views = joint.views
+    found = last.parameters(Context(views, joint.nominal))
+    scales = _scales(views, joint.nominal.get("J"))
+    motion = views[0].recording.bench.motion
+    for q in last.term.parameters:
+        scale = scales[q.dimension]
+        low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
+        high = q.high * max(1.0, scale)
+        if motion == LINEAR and q.dimension is Dimension.ANGLE:
+            # A range in rad does not apply to m; it is scaled by the ratio of the travels of the
+            # two benches.
+            low, high = (limit * travel_scale(views) for limit in (q.low, q.high))
+        if not low <= found[q.name] <= high:
+            name = parameter_title(motion, q.name)
+            return (
+                f"{name} = {found[q.name]:.3g}, outside the plausible range {low:.3g} to {high:.3g}"
+            )
+    return ""
+
+
+def _scales(views: Sequence[View], inertia: float) -> dict[Dimension, float]:
+    """Return the scale of this bench relative to the practical bench, for which the ranges of the
+    catalogue are stated, by dimension; a dimension without a scale is an error.
+
+    Args:
+        views: Recordings.
+        inertia: Nominal inertia at the joint, kg m^2, or kg on a linear axis.
+    """
+    torque, speed, angle = torque_scale(views), speed_scale(views), travel_scale(views)
+    current = _greatest([v.current for v in views], USUAL_CURRENT_A)
+    mass = max(v.recording.weight_mass for v in views) / REFERENCE_MASS_KG
+    voltage = _greatest([v.voltage for v in views], USUAL_VOLTAGE_V)
+    # A slow motion needs a small part of the supply voltage; the resistance of the supply does not
+    # follow the motion.
+    supply = _greatest([c for v in views for c in (v.voltage, v.supply)], USUAL_VOLTAGE_V)
+    same = (
+        Dimension.NUMBER,
+        Dimension.CYCLES,
+        Dimension.TIME,
+        Dimension.FREQUENCY,
+        Dimension.PHASE,
+        Dimension.ANGLE,
+    )
+    return dict.fromkeys(same, 1.0) | {
+        Dimension.CURRENT: current,
+        Dimension.CURRENT_RATE: current,
+        Dimension.VOLTAGE: voltage,
+        Dimension.RESISTANCE: supply / current,
+        Dimension.THERMAL_RESISTANCE: 1.0 / (voltage * current),
+        Dimension.MASS: mass,
+        Dimension.TORQUE: torque,
+        Dimension.TORQUE_RATE: torque,
+        Dimension.SLOPE: 1.0 / angle,
+        Dimension.STIFFNESS: torque / angle,
+        Dimension.VISCOSITY: torque / speed,
+        Dimension.DRAG: torque / speed**2,
+        # The inertia of a load is stated for the reference mass. The scale is that of the
+        # identified inertia too, because a fast machine moves more inertia than follows from
+        # torque, travel and speed.
+        Dimension.INERTIA: max(torque * angle / speed**2, inertia / USUAL_INERTIA_KG_M2)
+        / (mass or 1.0),
+    }
+
+
+def _greatest(channels: Sequence[Array | None], usual: float) -> float:
+    """Return the ratio of the greatest absolute value of a channel to the usual value; 1 if the
+    channel was not recorded.
+    """
+    known = [float(np.nanmax(np.abs(c))) for c in channels if c is not None]
+    return max(known, default=usual) / usual or 1.0
+
+
+def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
+    """Return the index of the fit with the fewest parameters among the fits that are less than
+    `simpler` standard errors worse than the best fit; of fits with equally many parameters the
+    first. The best fit and the differences are computed with Schwarz's correction for the number of
+    parameters.
+    """
+    best = min(joints, key=_criterion)
+    near = [
+        k
+        for k, joint in enumerate(joints)
+        if joint is best or _corrected_advantage(best, joint) < RULES.simpler
+    ]
+    return min(near, key=lambda k: (sizes[k], k))
+
+
+def _criterion(joint: Joint) -> float:
+    """Return the whitened squares with Schwarz's penalty for the parameters of the effects."""
+    return joint.cost + _effect_parameters(joint) * math.log(len(joint.residual))
+
+
+def preferred(name: str, preference: float, beyond: str = "") -> str:
+    """Return a text that states why an effect is preferred to another effect.
+
+    Args:
+        name: Name of the other effect.
+        preference: Preference of the data for the effect over the other effect, standard errors.
+        beyond: Reason why the fit of the other effect is implausible; empty if it is plausible.
+    """
+    if preference > 0.0:
+        return f"preferred to {name} by {preference:.1f} standard errors"
+    if beyond:
+        return f"{name} fits as well or better, but only with {beyond}"
+    return (
+        f"{name} fits as well or better, but by no more than its additional parameters explain by "
+        "chance"
+    )
+
+
+def parameter_count(effect: Added) -> int:
+    """Return the number of fitted parameters of an effect."""
+    return effect.term.freedom + len(effect.coefficients)
+
+
+def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
+    """Whether a rival contains the chosen effect as a special case, that is, has more parameters
+    and an equal fit. Such a rival is not in the alias group.
+    """
+    difference = its.residual - best.residual
+    return (
+        parameter_count(rival) > parameter_count(chosen)
+        and float(difference @ difference) < RULES.same_fit * best.cost
+    )
+
+
+def one_of_each(
+    trials: Sequence[tuple[Candidate, Joint]],
+) -> tuple[list[Candidate], list[Joint]]:
+    """Return the candidates and fits without those that are not the best of their effect, in the
+    given order.
+    """
+    best: dict[str, tuple[Candidate, Joint]] = {}
+    for candidate, joint in trials:
+        if candidate.name not in best or joint.cost < best[candidate.name][1].cost:
+            best[candidate.name] = candidate, joint
+    return [c for c, _ in best.values()], [j for _, j in best.values()]

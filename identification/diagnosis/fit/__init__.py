@@ -1,1 +1,0 @@
-"""Joint fit of nominal parameters and effects: stacked equations, fit within limits, intervals."""

@@ -1,0 +1,595 @@
+"""Tests whether an effect reduces the error on recordings that were not used in its fit.
+
+If recordings are set aside, the error is that of their prediction. Otherwise each part of the
+recordings is predicted from a fit to all other parts, with nonlinear parameters and Stribeck speeds
+fixed (cross-validation: Stone, Journal of the Royal Statistical Society B 36 (1974) 111).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.diagnosis.comparison import (
+    Contender,
+    Round,
+    implausible,
+    parameter_count,
+    preference,
+)
+from identification.diagnosis.crossing import distinguished_by_crossings
+from identification.diagnosis.joint import Joint, nominal_after_effects, undetermined_size
+from identification.diagnosis.linear import Added, effect_derivatives
+from identification.diagnosis.removal import LEAST_FURTHER, judging_equations
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows import Equation, equations
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.search import Search
+from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
+from identification.diagnosis.within_limits import (
+    cross_validation_residual,
+    parameter_derivatives,
+    within_limits,
+)
+from identification.effects import EFFECTS
+from identification.effects.effect import Context, Effect, title
+from identification.recording import Array
+from identification.views.view import View
+
+
+def validation_residual(
+    joint: Joint, aside: Sequence[View], starts: Sequence[Added] = ()
+) -> tuple[Stack, Array] | None:
+    """Return the rows of recordings set aside, and the residual of a fit at these rows, relative to
+    the noise of the fitted recordings; None if too few samples are in steady motion.
+
+    No nominal parameter and no effect is fitted to these rows. In equations other than the torque
+    equation, constants such as the zero of an encoder are fitted but not reported. Unknown states
+    at the start of a recording, of the effects of the fit and of ``starts``, are fitted too.
+    """
+    rows = equations(aside, joint.nominal, joint.unit)
+    sigma = {e.name: e.sigma for e in joint.equations}
+    rows = tuple(_with_noise(e, sigma[e.name]) for e in rows if e.name in sigma)
+    if not rows:
+        return None
+    stack = stack_of(rows, joint.nominal)
+    left = np.concatenate([e.residual / e.sigma for e in rows])
+    for effect in joint.effects:
+        # An effect that occurs in one recording only, such as a mislabelled weight, does not occur
+        # in recordings set aside.
+        columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
+        if columns:
+            left -= stack.whitened(columns) @ np.array(effect.coefficients)
+    left = _with_own_constants(stack, left[:, None])[:, 0]
+    return stack, _without_start_states(stack, (*joint.effects, *starts), left)
+
+
+def _with_noise(equation: Equation, sigma: float) -> Equation:
+    """Return an equation relative to another noise; the own noise of each recording does not
+    change.
+    """
+    ratio = (equation.sigma / sigma) ** 2
+    own = {index: max(1.0, power * ratio) for index, power in equation.own.items()}
+    return replace(equation, sigma=sigma, own=own)
+
+
+def _with_own_constants(stack: Stack, rows: Array) -> Array:
+    """Return whitened rows, shape (n, k), after a linear fit of the parameters of all equations
+    except the torque equation.
+    """
+    out = rows.copy()
+    for equation, basis in zip(stack.equations, stack.basis, strict=True):
+        if equation.name != "torque":
+            part = stack.part(equation.name)
+            out[part] -= basis @ (basis.T @ out[part])
+    return out
+
+
+def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -> Array:
+    """Return rows after a fit of the unknown states of the effects at the start of each recording,
+    such as the temperature of the winding.
+    """
+    owner = np.concatenate([e.owner for e in stack.equations])
+    for effect in effects:
+        if not effect.term.start:
+            continue
+        begun = effect.term.modified(name=f"start of {effect.term.name}", columns=effect.term.start)
+        columns = stack.columns(begun, effect.shape)
+        if not columns:
+            continue
+        whole = stack.whitened(columns)
+        own = np.concatenate([whole * (owner == k)[:, None] for k in np.unique(owner)], axis=1)
+        own = _with_own_constants(stack, own[:, np.any(own, axis=0)])
+        left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
+    return left
+
+
+def validation_rms(joint: Joint, aside: Sequence[View]) -> dict[str, float]:
+    """Return the rms error of each equation on recordings set aside
+    (:func:`validation_residual`).
+    """
+    found = validation_residual(joint, aside) if aside else None
+    if found is None:
+        return {}
+    stack, left = found
+    return {
+        e.name: e.sigma * float(np.sqrt(np.mean(left[stack.part(e.name)] ** 2)))
+        for e in stack.equations
+    }
+
+
+def judged_rows(stack: Stack, rows: Array, names: Sequence[str]) -> Array:
+    """Return those rows of the whole stack that belong to the named equations."""
+    return np.concatenate([rows[:0], *(rows[stack.part(name)] for name in names)])
+
+
+def reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return :func:`studentised_reduction`; infinite if the second residual has most of its squares
+    beyond the noise in excess of the first residual.
+
+    An effect that occurs in a few blocks, such as an end stop, may explain nearly the whole
+    mismatch, although a few blocks are not sufficient for a standard error.
+    """
+    explained = explained_share(stack, left, names)
+    if explained is not None and explained >= RULES.adequate:
+        return math.inf
+    return studentised_reduction(stack, left, names)
+
+
+def explained_share(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float | None:
+    """Return the relative reduction of the squares beyond the noise from the second residual to the
+    first, over the named equations together, or None if the second residual has no squares beyond
+    the noise.
+    """
+    rows = judged_rows(stack, np.stack(left, axis=1), names)
+    within = RULES.excess * len(rows)
+    first, second = (max(float(squares), within) for squares in np.sum(rows**2, axis=0))
+    return (second - first) / (second - within) if second > within else None
+
+
+def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return by how many standard errors, over blocks of time, the first residual is smaller than
+    the second in the named equations together.
+
+    The rms of each block is compared; with squares, a few blocks would determine the result.
+    """
+    shown = np.zeros(len(left[0]), dtype=bool)
+    for name in names:
+        shown[stack.part(name)] = True
+    squares = stack.sums(np.stack(left, axis=1) ** 2 * shown[:, None])
+    lessened = np.diff(np.sqrt(squares), axis=1)[:, 0]
+    scatter = float(np.std(lessened, ddof=1)) if len(lessened) > 1 else 0.0
+    spread = scatter * math.sqrt(len(lessened))
+    worth = float(np.sum(lessened)) / spread if spread > 0.0 else math.inf
+    first, second = np.sum(squares, axis=0)
+    return worth if first < second else min(worth, 0.0)
+
+
+def decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return :func:`studentised_reduction`; 0 if there is only one block, or if the two mean
+    squares differ by less than the uncertainty of the mean square of the noise.
+    """
+    rows = judged_rows(stack, np.stack(left, axis=1), names)
+    low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))
+    if stack.blocks < 2 or high <= RULES.tested_from * low:
+        return 0.0
+    return studentised_reduction(stack, left, names)
+
+
+DROPPED = "drop"
+"""Name of a step that drops an effect because the effect does not reduce the error on unused
+recordings, or because the recordings do not determine its size.
+"""
+
+
+def validated_effects(found: Search, aside: Sequence[View]) -> Search:
+    """Return a search with fits within their limits, and without effects that do not reduce the
+    error on unused recordings significantly.
+
+    Of the effects that fail this test, the effect that reduces the error least is dropped first,
+    and the other effects are fitted again. The first rival of a dropped effect that reduces the
+    error significantly replaces the dropped effect. Then, if several effects remain, every effect
+    except the one that was selected first is dropped if the interval of its size contains zero.
+    Finally, the errors on recordings set aside decide between each remaining effect and its rivals.
+
+    Args:
+        found: The search.
+        aside: Recordings that are set aside.
+    """
+    baseline = within_limits(found.baseline)
+    case = _Case(aside, baseline)
+    joint = within_limits(found.final)
+    rounds, steps = {r.name: r for r in found.rounds}, list(found.steps)
+    while True:
+        trials = [
+            (_error_reduction(case, joint, without, effect), effect.term.name, without)
+            for effect in joint.effects
+            if effect.term.place is None
+            for without in [_fit_without(case, joint, effect)]
+        ]
+        worth, name, without = min(trials, key=lambda t: t[0], default=(math.inf, "", baseline))
+        if worth >= RULES.rejected:
+            dropped = _without_undetermined(case, joint, rounds, steps)
+            if dropped is None:
+                break
+            joint = dropped
+            continue
+        steps.append(_step(DROPPED, name, without.cost - joint.cost, worth, case))
+        joint, taken = without, rounds.pop(name, None)
+        if taken is not None:
+            joint = _with_replacing_rival(case, joint, taken, rounds, steps)
+    judged = []
+    for kept in rounds.values():
+        joint, now = _with_rivals_judged(case, joint, kept, steps)
+        judged.append(now)
+    return replace(
+        found,
+        baseline=baseline,
+        final=joint,
+        rounds=tuple(judged),
+        steps=tuple(steps),
+        unseen_share=_unseen_share(case, joint),
+    )
+
+
+def _with_replacing_rival(
+    case: _Case, joint: Joint, taken: Round, rounds: dict[str, Round], steps: list[Step]
+) -> Joint:
+    """Return the fit with the first rival of a dropped effect that reduces the error significantly,
+    or the fit without the dropped effect if there is no such rival. The selection round of the
+    rival and a step are added.
+    """
+    for rival in taken.rivals:
+        tried = _fit_with_rival(case, joint, rival)
+        if tried is None:
+            continue
+        # An effect that occurs in one recording only cannot be tested on other recordings.
+        alone = tried.effects[-1].term.place is not None
+        worth = math.inf if alone else _error_reduction(case, tried, joint, tried.effects[-1])
+        if worth >= RULES.rejected:
+            steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case, alone))
+            rounds[rival.name] = Round(rival.name, ())
+            return tried
+    return joint
+
+
+def _without_undetermined(
+    case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
+) -> Joint | None:
+    """Return the fit without an effect whose size has an interval that contains zero, or None if
+    there is no such effect.
+
+    The effect that was selected first is kept. The selection round of the dropped effect is
+    removed, and a step is added.
+    """
+    for k, effect in enumerate(joint.effects):
+        name = effect.term.name
+        first = name == next(iter(rounds), name)
+        found = None if first else undetermined_size(joint, k)
+        if found is None:
+            continue
+        parameter, size = found
+        without = _fit_without(case, joint, effect)
+        note = f"the 90 % interval of {parameter}, {size.low:.3g} to {size.high:.3g}, contains zero"
+        steps.append(Step(DROPPED, name, None, without.cost - joint.cost, note))
+        rounds.pop(name, None)
+        return without
+    return None
+
+
+def _unseen_share(case: _Case, joint: Joint) -> float | None:
+    """Return the share of the mismatch beyond the noise on recordings set aside that all effects
+    together explain, in the equations by which the effects are judged. The result is None if there
+    is no such mismatch, or if a parameter of an effect is unknown in recordings set aside, such as
+    a phase that differs between recordings.
+    """
+    names = {name for e in joint.effects for name in judging_equations(joint, e.term)}
+    before, after = (
+        validation_residual(j, case.aside, starts) if case.aside else None
+        for j, starts in ((case.baseline, joint.effects), (joint, ()))
+    )
+    if before is None or after is None:
+        return None
+    for effect in joint.effects:
+        columns = after[0].columns(effect.term, effect.shape).values()
+        if effect.term.place is None and not any(np.any(c) for c in columns):
+            return None
+    stack = before[0]
+    noise = np.sqrt(np.concatenate([e.allowed() for e in stack.equations]))
+    left = [rows / noise for rows in (_in_noise_of(case.baseline, joint, after), before[1])]
+    share = explained_share(stack, left, sorted(names & {e.name for e in stack.equations}))
+    return None if share is None else max(share, 0.0)
+
+
+def _with_rivals_judged(
+    case: _Case, joint: Joint, taken: Round, steps: list[Step]
+) -> tuple[Joint, Round]:
+    """Compare an effect with its rivals by their errors on the recordings set aside; return the fit
+    and the selection round of the effect.
+
+    A rival is rejected if the error with the rival is significantly larger than the error with the
+    effect. A rival that the fit does not reject replaces the effect if the error with the rival is
+    significantly smaller than the error with the effect.
+    """
+    seen = _seen_aside(case, joint, taken.name)
+    if seen is None:
+        return joint, taken
+    rivals, better = [], []
+    for rival in taken.rivals:
+        tried = within_limits(rival.joint)
+        there = _seen_aside(case, tried, rival.name)
+        # The torque during crossings has already decided between a gap and a loop.
+        if distinguished_by_crossings(EFFECTS[taken.name], EFFECTS[rival.name]):
+            there = None
+        if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
+            stack, left, names = seen
+            worse = decisive_reduction(stack, [left, _in_noise_of(joint, tried, there[:2])], names)
+            if worse >= RULES.rejected:
+                rival = replace(rival, preference=max(rival.preference, worse))
+            elif worse <= -RULES.rejected:
+                if rival.preference < RULES.rejected and not rival.beyond:
+                    better.append((worse, rival, tried))
+                else:
+                    rival = replace(rival, preference=min(rival.preference, 0.0))
+        rivals.append(rival)
+    if not better:
+        return joint, replace(taken, rivals=tuple(rivals))
+    worse, rival, tried = min(better, key=lambda b: b[0])
+    steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
+    # Stouffer's sum of the preferences by the fitted recordings and by the recordings set aside.
+    former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
+    others = (
+        replace(r, preference=preference(tried, r.joint)) for r in rivals if r.name != rival.name
+    )
+    return tried, Round(rival.name, (former, *others))
+
+
+def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array:
+    """Return the residual of another fit relative to the noise of ``joint``.
+
+    The noises of the two fits differ if the noise of one fit was estimated again
+    (:func:`identification.diagnosis.joint.with_lower_noise`).
+    """
+    sigma = {e.name: e.sigma for e in joint.equations}
+    stack, out = seen[0], seen[1].copy()
+    for equation in other.equations:
+        out[stack.part(equation.name)] *= equation.sigma / sigma[equation.name]
+    return out
+
+
+def _others(joint: Joint, name: str) -> set[str]:
+    """Return the names of all effects of a fit except ``name``."""
+    return {e.term.name for e in joint.effects} - {name}
+
+
+def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, list[str]] | None:
+    """Return rows and residual of the recordings set aside, and the equations by which an effect is
+    judged, or None if these recordings cannot show the effect.
+    """
+    own = next((e for e in joint.effects if e.term.name == name), None)
+    if own is None or own.term.place is not None or not case.aside:
+        return None
+    found = validation_residual(joint, case.aside)
+    return None if found is None else (*found, judging_equations(joint, own.term))
+
+
+def dropped_effects(found: Search) -> tuple[str, ...]:
+    """Return a warning for each effect that was dropped (:func:`validated_effects`)."""
+    kept = {e.term.name for e in found.final.effects}
+    return tuple(
+        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}"
+        for s in found.steps
+        if s.action == DROPPED and s.name not in kept
+    )
+
+
+class _Case(NamedTuple):
+    """Recordings set aside, and the fit of the nominal model within its limits."""
+
+    aside: Sequence[View]
+    baseline: Joint
+
+
+def _step(
+    action: str, name: str, gain: float, worth: float, case: _Case, alone: bool = False
+) -> Step:
+    if alone:
+        note = "the effect occurs in one recording only, so that no other recording can test it"
+        return Step(action, name, None, gain, note)
+    judges = "recordings set aside" if case.aside else "parts predicted from the other parts"
+    if math.isinf(worth):
+        return Step(action, name, None, gain, f"explains most of the error on {judges}")
+    change = "smaller" if worth >= 0.0 else "larger"
+    note = f"on {judges} the effect makes the error {change} by {abs(worth):.1f} standard errors"
+    if action == DROPPED:
+        least = f"{RULES.rejected:.2f} standard errors"
+        note += f", and an identified effect must reduce this error by at least {least}"
+    return Step(action, name, None, gain, note)
+
+
+def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
+    """Return the fit with a rival added to the accepted effects, or None if this fit is
+    implausible.
+    """
+    added = rival.joint.effects[-1]
+    if (
+        rival.beyond
+        or rival.preference >= RULES.rejected
+        or any(e.term.name == rival.name for e in joint.effects)
+    ):
+        return None
+    tried = case.baseline.again(joint.nominal, (*joint.effects, added))
+    return None if implausible(tried) else within_limits(tried)
+
+
+def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
+    rest = tuple(e for e in joint.effects if e is not effect)
+    if not rest:
+        return case.baseline
+    return within_limits(case.baseline.again(joint.nominal, rest))
+
+
+def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
+    """Return by how many standard errors, computed from blocks of time, an effect reduces the error
+    in the equations by which it is judged.
+    """
+    names = judging_equations(joint, effect.term)
+    # An unknown initial state is fitted to the recordings set aside, for the fit with and for the
+    # fit without the effect.
+    unseen = [
+        found
+        for j, starts in ((joint, ()), (without, (effect,)))
+        if case.aside and (found := validation_residual(j, case.aside, starts)) is not None
+    ]
+    if len(unseen) == 2:
+        stack, left = unseen[1][0], [rows for _, rows in unseen]
+        less = reduction(stack, left, names)
+        if less >= RULES.rejected or (
+            _can_show(stack, left, effect, names)
+            and (_beyond_noise(stack, left[1], names) or less < -RULES.rejected)
+        ):
+            return less
+    # No recording is set aside, or the recordings set aside cannot show the effect.
+    parts = folds(joint)
+    left = [cross_validation_residual(j, parts) for j in (joint, without)]
+    return reduction(joint.stack, left, names)
+
+
+def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
+    """Whether an effect changes the prediction of recordings set aside.
+
+    An effect does not change the prediction if one of its parameters is unknown in recordings set
+    aside, such as a phase that differs between recordings, or if parameters that are fitted to the
+    recordings set aside compensate the effect.
+    """
+    columns = stack.columns(effect.term, effect.shape).values()
+    change = judged_rows(stack, left[0] - left[1], names)
+    return any(np.any(c) for c in columns) and (
+        not len(change) or float(np.mean(change**2)) >= RULES.least_share
+    )
+
+
+def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
+    """Whether the mean square of a residual over the named equations together exceeds the noise;
+    otherwise no effect can reduce the residual.
+    """
+    rows = judged_rows(stack, left, names)
+    return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)
+
+
+def folds(joint: Joint) -> Array:
+    """Return the number of the cross-validation part of each row.
+
+    Each recording is a part. If one recording alone determines a parameter, such as the only loaded
+    recording, parts consist of blocks of time instead. If one such part alone determines a
+    parameter, its rows are in no part (-1), because a fit to the other parts cannot predict them.
+    """
+    stack = joint.stack
+    squares = parameter_derivatives(joint) ** 2
+    owner = np.concatenate([e.owner for e in stack.equations])
+    if len(np.unique(owner)) > 1 and not np.any(_sole_parts(squares, owner)):
+        return owner
+    parts = stack.block % RULES.parts
+    return np.where(np.isin(parts, np.unique(parts)[_sole_parts(squares, parts)]), -1, parts)
+
+
+def _sole_parts(squares: Array, parts: Array) -> Array:
+    """Return a mask of the parts that alone determine a parameter, because nearly all squares of
+    the derivative with respect to this parameter are in the part, shape (parts,).
+    """
+    energy = np.array([np.sum(squares[parts == part], axis=0) for part in np.unique(parts)])
+    return np.asarray(np.any(energy > RULES.sole_share * np.sum(energy, axis=0), axis=1))
+
+
+def with_indistinct_effects(found: Search, terms: Sequence[Effect]) -> Search:
+    """Return the search with effects that these recordings cannot distinguish from an identified
+    effect as further rivals. Such a rival is open, that is, not rejected.
+
+    Args:
+        found: The search.
+        terms: Effects that were searched for.
+    """
+    places = {e.term.name: k for k, e in enumerate(found.final.effects)}
+    rounds = tuple(
+        _with_indistinct_rivals(found.final, places[r.name], r, terms) if r.name in places else r
+        for r in found.rounds
+    )
+    return replace(found, rounds=rounds)
+
+
+def _with_indistinct_rivals(
+    final: Joint, place: int, taken: Round, terms: Sequence[Effect]
+) -> Round:
+    alike = _indistinct_effects(final, place, terms)
+    views, own = final.views, final.effects[place]
+    alike += own.term.indistinct(own.parameters(Context(views, final.nominal)), views)
+    tested = {r.name for r in taken.rivals}
+    rivals = [
+        replace(r, preference=min(r.preference, 0.0)) if r.name in alike else r
+        for r in taken.rivals
+    ]
+    rivals += [Contender(name, final, 0.0, "") for name in alike if name not in tested]
+    return Round(taken.name, tuple(rivals))
+
+
+def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> list[str]:
+    """Return the effects that have no more parameters than an identified effect, and whose
+    regressors, at one set of trial parameters, contain the contribution of the identified effect.
+
+    A gap and a loop are distinguished by the torque during crossings, which no regressor contains.
+    """
+    own = final.effects[place]
+    stack = _stack_of_one_effect(final, place)
+    columns = stack.columns(own.term, own.shape)
+    if not columns:
+        return []
+    made = stack.projected(stack.whitened(columns) @ np.array(own.coefficients)[:, None])[:, 0]
+    others = [e for k, e in enumerate(final.effects) if k != place]
+    # Regressors that depend on the drive's torque must not contain the torque of the identified
+    # effect.
+    without = replace(stack, nominal=nominal_after_effects(final.nominal, others), own={})
+    context = Context(final.views, without.nominal)
+    found = []
+    for term in terms:
+        if term.name == own.term.name or distinguished_by_crossings(own.term, term):
+            continue
+        if not columns.keys() & term.columns.keys():
+            continue
+        for shape in term.shapes(context):
+            its = without.columns(term, shape)
+            width = max((c.shape[1] for c in its.values()), default=0)
+            if not width or term.freedom + width > parameter_count(own):
+                continue
+            if _unexplained_share(stack, made, its) <= LEAST_FURTHER:
+                found.append(term.name)
+                break
+    return found
+
+
+def _stack_of_one_effect(final: Joint, place: int) -> Stack:
+    """Return the stack with the nominal tangent and all effects except one projected out."""
+    bare = replace(final.stack, effect_basis=np.zeros((len(final.stack.residual), 0)))
+    others = [e for k, e in enumerate(final.effects) if k != place]
+    return with_effect_basis(bare, effect_derivatives(bare, others)) if others else bare
+
+
+def _unexplained_share(stack: Stack, made: Array, columns: Mapping[str, Array]) -> float:
+    """Return the share of the squares of a contribution, shape (n,), that regressors do not
+    explain. The nominal tangent and the effect basis are projected out of contribution and
+    regressors.
+    """
+    whole = stack.whitened(columns)
+    square = whole.T @ whole
+    for equation, basis in zip(stack.equations, stack.basis, strict=True):
+        if equation.name in columns:
+            along = basis.T @ whole[stack.part(equation.name)]
+            square -= along.T @ along
+    along = stack.effect_basis.T @ whole
+    square -= along.T @ along
+    score = whole.T @ made
+    contained = float(score @ np.linalg.pinv(square, rcond=1e-9, hermitian=True) @ score)
+    return 1.0 - contained / max(float(made @ made), 1e-300)

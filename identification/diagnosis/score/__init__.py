@@ -1,1 +1,0 @@
-"""What is missing and where: tests for a mismatch, its location, and what recordings can show."""

@@ -1,1 +1,0 @@
-"""Selection of effects: forward selection, comparison with rivals, removal, held-out test."""

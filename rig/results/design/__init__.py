@@ -1,1 +1,0 @@
-"""Proposes experiments for a bench, and writes the proposals."""

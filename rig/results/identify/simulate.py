@@ -1,0 +1,469 @@
+"""Predicts recordings with a fitted model."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from identification.export.model import CorrectedModel, Predicted, predictions, rms
+from identification.plots.signals import predicted, simulated
+from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.recording import Dataset, RecordingError
+from identification.simulate.closed_loop import (
+    Response,
+    Sums,
+    compare,
+    pooled,
+    replay,
+    with_friction,
+)
+from identification.views.view import views
+from rig.common.errors import InputError
+from rig.common.places import is_folder
+from rig.common.provenance import Provenance, sha256_file
+from rig.common.tables import number, percent
+from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
+from rig.results.diagnose.model_file import model_of, read_result, require_motion
+from rig.results.document import (
+    Document,
+    Note,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+    few_of_each_role,
+    provenance_section,
+)
+from rig.runs.run_record import RUN_FILE
+from rig.sources import load_source
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Prediction of one model for every recording.
+
+    Attributes:
+        file: Result file.
+        effects: Names of the active effects; empty for the nominal part alone.
+        parts: Every equation of every recording.
+    """
+
+    file: Path
+    effects: tuple[str, ...]
+    parts: tuple[Predicted, ...]
+
+    def error(self, equation: str, role: str) -> float | None:
+        """Return the rms error of one equation over the recordings of one role, or None if the
+        equation does not apply.
+        """
+        return rms(p for p in self.parts if p.equation == equation and p.role == role)
+
+
+def predict(
+    dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
+) -> list[Prediction]:
+    """Predict every recording with every model, and again without effects if the model has
+    effects.
+
+    Raises:
+        RecordingError: A recording cannot be filtered to this bandwidth.
+    """
+    seen = views(dataset.recordings, bandwidth_Hz)
+    found = []
+    for file, model in models:
+        forms = [model]
+        if model.effects or model.curve is not None:
+            forms.append(dataclasses.replace(model, effects={}, curve=None))
+        for form in forms:
+            names = (*form.effects, *(["curve"] if form.curve is not None else []))
+            found.append(
+                Prediction(file, names, tuple(p for view in seen for p in predictions(view, form)))
+            )
+    return found
+
+
+RESULT_FILE = "simulate.json"
+SHARES = (1.0, 0.5, 0.0)
+"""Factors on the friction of a result; the errors with half of the friction and without friction
+serve as references.
+"""
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model from a result file.
+
+    Attributes:
+        file: The result file.
+        corrected: Nominal parameters and effects.
+    """
+
+    file: Path
+    corrected: CorrectedModel
+
+
+@dataclass(frozen=True)
+class Case:
+    """One model with one share of its friction, simulated on every recording."""
+
+    model: FittedModel
+    share: float
+    sums: Mapping[str, Sums]
+
+    def over(self, names: Sequence[str]) -> Sums:
+        """Return the pooled sums of some recordings."""
+        return pooled(self.sums[name] for name in names)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Result of ``rig simulate``.
+
+    Attributes:
+        dataset: The recordings.
+        models: Models in the requested order.
+        predictions: Equation errors of every model, with its effects and without.
+        prepared: The recordings at the bandwidth of the torque errors, in their order.
+        cases: Every model with every share of friction, in closed loop, without effects; empty if
+            the controller of a recording is unknown.
+        responses: Responses of the first model with full friction, in the order of the recordings.
+        bandwidth_Hz: Bandwidth of the torque errors.
+        provenance: Inputs, time.
+    """
+
+    dataset: Dataset
+    models: tuple[FittedModel, ...]
+    predictions: tuple[Prediction, ...]
+    prepared: tuple[Prepared, ...]
+    cases: tuple[Case, ...]
+    responses: tuple[Response, ...]
+    bandwidth_Hz: float
+    provenance: Provenance
+
+    @property
+    def unit(self) -> str:
+        """Unit of the torque errors."""
+        return torque_unit(self.dataset.recordings[0])
+
+    @property
+    def rotary(self) -> bool:
+        """Whether the bench is rotary; a linear bench has forces and positions."""
+        return self.dataset.recordings[0].bench.motion == "rotary"
+
+    def names(self, role: str) -> list[str]:
+        """Return the recordings of one role."""
+        return [r.name for r in self.dataset.recordings if r.role == role]
+
+
+def simulate_source(
+    source: Path,
+    results: Sequence[Path],
+    bandwidth_Hz: float | None,
+    progress: Callable[[str, float], None],
+) -> Simulation:
+    """Predict every recording of a source with the model of each result file, and simulate the
+    closed loop if the controller is known.
+
+    Args:
+        source: Campaign file or run folder.
+        results: Result files of ``rig identify`` or ``rig diagnose``.
+        bandwidth_Hz: Bandwidth of the errors, or None for the bandwidth of the first result, or
+            chosen as in the identification.
+        progress: Called with the current step and the completed share.
+
+    Raises:
+        InputError: A file cannot be used, or a recording cannot be simulated.
+    """
+    started = time.perf_counter()
+    progress("reading", 0.0)
+    dataset = load_source(source)
+    records = [read_result(path) for path in results]
+    models = _models(dataset, results, records)
+    bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
+    try:
+        if bandwidth_Hz is None:
+            bandwidth_Hz = min(
+                default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings
+            )
+        prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
+        predictions = predict(dataset, [(m.file, m.corrected) for m in models], bandwidth_Hz)
+        known = all(r.controller is not None for r in dataset.recordings)
+        cases, responses = _closed_loop(models if known else (), prepared, progress)
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    described_by = source / RUN_FILE if is_folder(source) else source
+    seconds = time.perf_counter() - started
+    provenance = Provenance.of(0, dataset.recordings, seconds, described_by, dataset.tables)
+    read = {str(path): sha256_file(path) for path in results}
+    return Simulation(
+        dataset,
+        models,
+        tuple(predictions),
+        prepared,
+        tuple(cases),
+        tuple(responses),
+        bandwidth_Hz,
+        dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
+    )
+
+
+def _models(
+    dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]]
+) -> tuple[FittedModel, ...]:
+    """Return the models of result files of benches with the recordings' kind of motion."""
+    names = [r.name for r in dataset.recordings]
+    for path, record in zip(files, records, strict=True):
+        require_motion(record, dataset.recordings[0].bench.motion, str(path))
+    return tuple(
+        FittedModel(path, model_of(record, names, str(path)))
+        for path, record in zip(files, records, strict=True)
+    )
+
+
+def _closed_loop(
+    models: Sequence[FittedModel],
+    prepared: Sequence[Prepared],
+    progress: Callable[[str, float], None],
+) -> tuple[list[Case], list[Response]]:
+    """Simulate every model and share of friction; return cases, and first responses."""
+    cases: list[Case] = []
+    shown: list[Response] = []
+    total = len(models) * len(SHARES) * len(prepared)
+    for model, share in product(models, SHARES):
+        sums: dict[str, Sums] = {}
+        for p in prepared:
+            done = len(cases) * len(prepared) + len(sums)
+            progress(f"simulating {p.recording.name}", done / total)
+            values = with_friction(model.corrected.parameters, share)
+            response = replay(p.recording, values, model.corrected.alpha)
+            sums[p.recording.name] = compare(p, response)
+            if not cases:
+                shown.append(response)
+        cases.append(Case(model, share, sums))
+    return cases, shown
+
+
+def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]]:
+    """Return the first model as a simulated bench (file name to text), and remarks on this bench.
+
+    If the model cannot be a simulated bench, there is no file, and the remarks state why.
+    """
+    try:
+        constants = found.dataset.recordings[0].bench
+        bench, left_out = model_bench(base_bench(source), found.models[0].corrected, constants)
+        said = f"{BENCH_FILE} beside this page is the model as a simulated bench."
+        return {BENCH_FILE: bench_text(bench, left_out)}, [said, *left_out]
+    except InputError as error:
+        return {}, list(error.problems)
+
+
+_SHOWN_PER_ROLE = 3
+_FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
+
+
+def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Document:
+    """Return a simulation as a document.
+
+    Args:
+        name: Name of the source.
+        found: The result.
+        beside: Remarks on the model as a bench file.
+    """
+    models = dict.fromkeys(str(one.file) for one in found.predictions)
+    return Document(
+        f"Simulation of {name}",
+        f"Model: {', '.join(models)}",
+        tuple(_summary(found)),
+        tuple(_sections(found, beside)),
+    )
+
+
+def _summary(found: Simulation) -> Iterator[Section]:
+    at = f"at {number(found.bandwidth_Hz, 3)} Hz"
+    yield Section(f"equation errors {at}, in motion", (_errors_of_equations(found),))
+    if found.cases:
+        head = f"closed loop, simulated from the first sample; torque {at}"
+        yield Section(head, (_pooled(found),))
+    for line in _left_out(found):
+        yield Section("", (Note(line, "aside"),))
+
+
+def _sections(found: Simulation, beside: Sequence[str]) -> Iterator[Section]:
+    yield Section("", tuple(map(Paragraph, (*_explanations(found), *beside))))
+    drawn = _predicted(found.predictions, found.unit)
+    yield Section("Equation errors", (_errors_of_equations(found), *drawn))
+    if found.cases:
+        yield Section("Closed loop", (_pooled(found),))
+        yield Section("Recordings", (_of_recordings(found), *_simulated(found)))
+    yield provenance_section(found.provenance)
+
+
+def _explanations(found: Simulation) -> Iterator[str]:
+    at = f"at {number(found.bandwidth_Hz, 4)} Hz"
+    yield f"Equation errors are over samples in motion, {at}."
+    yield from _left_out(found)
+    if found.cases:
+        yield (
+            "The closed loop is simulated from the first sample on; its inputs are only the "
+            "command, the supply and the declared loads."
+        )
+        yield f"Errors of angle are over all samples; errors of torque are {at}."
+
+
+def _left_out(found: Simulation) -> list[str]:
+    """Return a remark if the closed loop is not simulated, or is simulated without the effects."""
+    if not found.cases:
+        return [
+            "no closed loop: the controller of these recordings is not declared (`controller:` in "
+            "a campaign)"
+        ]
+    if any(case.model.corrected.effects for case in found.cases):
+        return [
+            "the closed loop is simulated without the effects; a simulated bench made from the "
+            "result contains the effects"
+        ]
+    return []
+
+
+def _errors_of_equations(found: Simulation) -> Table:
+    """Return one row for each model, equation and role."""
+    rows = []
+    units = {"transmission": "mrad" if found.rotary else "um", "voltage": "V"}
+    small = 1e3 if found.rotary else 1e6
+    for one in found.predictions:
+        for equation in dict.fromkeys(p.equation for p in one.parts):
+            errors = [one.error(equation, role) for role in ("fit", "validate")]
+            scale = small if equation == "transmission" else 1.0
+            cells = (number(None if e is None else scale * e, 4) for e in errors)
+            effects = ", ".join(one.effects) or "none"
+            rows.append((one.file.stem, effects, equation, *cells, units.get(equation, found.unit)))
+    return Table(
+        ("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4)
+    )
+
+
+def _pooled(found: Simulation) -> Table:
+    """Return one row for each model, share of friction and role."""
+    rows = [
+        (
+            case.model.file.stem,
+            _FRICTION[case.share],
+            role,
+            str(len(names)),
+            *_cells(found, case.over(names)),
+        )
+        for case in found.cases
+        for role in ("fit", "validate")
+        if (names := found.names(role))
+    ]
+    return Table(
+        ("model", "friction", "role", "recordings", *_errors(found)), tuple(rows), (3, 4, 5, 6)
+    )
+
+
+def _of_recordings(found: Simulation) -> Table:
+    first = found.cases[0]
+    rows = tuple(
+        (r.name, r.role, *_cells(found, first.sums[r.name])) for r in found.dataset.recordings
+    )
+    return Table(("recording", "role", *_errors(found)), rows, (2, 3, 4))
+
+
+def _errors(found: Simulation) -> tuple[str, str, str]:
+    rotary = found.rotary
+    return (
+        f"{'torque' if rotary else 'force'} error ({found.unit})",
+        "relative",
+        "angle error (mrad)" if rotary else "position error (um)",
+    )
+
+
+def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
+    scale = 1e3 if found.rotary else 1e6
+    return (
+        number(sums.torque_rms, 4),
+        percent(100.0 * sums.torque_relative),
+        number(scale * sums.angle_rms, 4),
+    )
+
+
+def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
+    """Return figures of the first model's torque equation, for a few recordings."""
+    parts = [p for p in found[0].parts if p.equation == "torque"]
+    return [
+        Picture.of(
+            f"predicted_{p.recording}",
+            f"{p.recording} ({p.role}): torque measured and predicted",
+            predicted(p, unit),
+        )
+        for p in few_of_each_role(parts, lambda part: part.role, _SHOWN_PER_ROLE)
+    ]
+
+
+def _simulated(found: Simulation) -> list[Picture]:
+    """Return figures of the first model's closed loop, for a few recordings."""
+    pairs = list(zip(found.prepared, found.responses, strict=True))
+    shown = few_of_each_role(pairs, lambda pair: pair[0].recording.role, _SHOWN_PER_ROLE)
+    return [
+        Picture.of(
+            f"simulated_{p.recording.name}",
+            f"{p.recording.name}: measured and simulated",
+            simulated(p, response),
+        )
+        for p, response in shown
+    ]
+
+
+SIMULATE_SCHEMA = "loadrig.simulate/1"
+
+
+def simulation_record(found: Simulation) -> dict[str, Any]:
+    """Return the record of ``rig simulate --json``."""
+    return {
+        **found.provenance.record(SIMULATE_SCHEMA),
+        "unit": found.unit,
+        "angle_unit": "rad" if found.rotary else "m",
+        "bandwidth_Hz": found.bandwidth_Hz,
+        "equations": _record_errors(found),
+        "cases": [_case_record(found, case) for case in found.cases],
+    }
+
+
+def _record_errors(found: Simulation) -> list[dict[str, object]]:
+    """Return the prediction errors of each result, one entry per equation, SI units."""
+    units = {"transmission": "rad" if found.rotary else "m", "voltage": "V"}
+    return [
+        {
+            "result": str(one.file),
+            "effects": list(one.effects),
+            "equation": equation,
+            "unit": units.get(equation, found.unit),
+            "rms": one.error(equation, "fit"),
+            "validate_rms": one.error(equation, "validate"),
+        }
+        for one in found.predictions
+        for equation in dict.fromkeys(p.equation for p in one.parts)
+    ]
+
+
+def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
+    roles = {role: names for role in ("fit", "validate") if (names := found.names(role))}
+    return {
+        "result": str(case.model.file),
+        "friction_share": case.share,
+        **{role: _sums_record(case.over(names)) for role, names in roles.items()},
+        "recordings": {name: _sums_record(sums) for name, sums in case.sums.items()},
+    }
+
+
+def _sums_record(sums: Sums) -> dict[str, float]:
+    return {
+        "torque_rms": sums.torque_rms,
+        "torque_relative": sums.torque_relative,
+        "angle_rms": sums.angle_rms,
+    }

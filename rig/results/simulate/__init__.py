@@ -1,1 +1,0 @@
-"""Predicts recordings with a fitted model."""

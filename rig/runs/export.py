@@ -1,0 +1,382 @@
+"""Exports recordings, and the raw traffic of a run, for other tools.
+
+An MCAP file is read by ROS 2, Foxglove and PlotJuggler without extensions. Its topic
+``/recording/NAME`` has one message per sample, which contains the canonical channels. The export of
+a run also has the topics ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and ``/serial``. Log
+times are UTC: the time ``created`` of the recording plus the time since its start; the stamp of a
+frame is its log time.
+
+In the formats of candump and of Vector's tools, identifiers, data, direction and order are exact;
+times are rounded to microseconds, the resolution of both formats.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from drivers.interfaces import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG, RawFrame
+from identification.recording import CHANNELS, Dataset, Recording
+from rig.common.errors import InputError
+from rig.common.places import replacing, write_text
+from rig.common.timing import instant
+from rig.runs import exported
+from rig.runs.exported import KEY, describe, sidecar, topics
+from rig.runs.mcap import ros
+from rig.runs.mcap.layout import (
+    CLOCK_METADATA,
+    EVENT_JSON_SCHEMA,
+    EVENT_TOPIC,
+    FRAMES_TOPIC,
+    decode_frames,
+)
+from rig.runs.mcap.reader import START, DamageError, Message, Tail, first_metadata
+from rig.runs.mcap.writer import McapWriter
+from rig.runs.run_record import PartRecord, RunRecord
+
+Run = tuple[Path, RunRecord]
+"""Folder and record of a run."""
+INTERFACE = "can0"
+"""Name of the bus in a candump log."""
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
+    """Yield topic and message of one recording of a run, in recorded order.
+
+    If the recording was never closed, all messages up to its last complete chunk are yielded.
+
+    Raises:
+        InputError: The recording is damaged, or cannot be read.
+    """
+    path = folder / part.file
+    with _readable(path, folder), Tail(path) as tail:
+        offset: int | None = START
+        while offset is not None and (piece := tail.at(offset)) is not None:
+            yield from piece.messages
+            offset = piece.following
+
+
+@contextmanager
+def _readable(path: Path, folder: Path) -> Iterator[None]:
+    """Name a recording that is damaged or cannot be read, and the remedy."""
+    try:
+        yield
+    except DamageError as error:
+        raise InputError(f"{path}: damaged ({error}); use `rig recover {folder}`") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _utc_ns(created: str) -> int:
+    """Return an ISO time as ns since 1970."""
+    return (instant(created) - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+class FrameClock:
+    """Converts the time stamps of the raw frames of one recording to UTC: the recording starts at
+    the time ``created`` of its part.
+
+    Frames in recordings of earlier versions count from an unknown origin; their first frame is
+    assumed to be at the start of the recording.
+
+    Raises:
+        InputError: The recording is damaged, or cannot be read.
+    """
+
+    def __init__(self, folder: Path, part: PartRecord) -> None:
+        self.created_ns = _utc_ns(part.created)
+        path = folder / part.file
+        with _readable(path, folder):
+            known = first_metadata(path, CLOCK_METADATA)
+        self._origin_ns = None if known is None else 0
+
+    def at(self, frame: RawFrame) -> RawFrame:
+        """Return the frame and its time, ns since 1970."""
+        if self._origin_ns is None:
+            self._origin_ns = frame.time_ns
+        return frame._replace(time_ns=self.created_ns + frame.time_ns - self._origin_ns)
+
+
+@dataclass
+class Count:
+    """Numbers of the written frames, and of data that the format cannot contain."""
+
+    frames: int = 0
+    serial: int = 0
+    errors: int = 0
+    parts: list[str] = field(default_factory=list)
+
+
+def _can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
+    """Yield the CAN frames of all recordings of a run and their times, ns since 1970; bytes of
+    serial lines are only counted.
+    """
+    for part in record.parts:
+        clock = FrameClock(folder, part)
+        for topic, message in messages(folder, part):
+            if topic != FRAMES_TOPIC:
+                continue
+            for frame in decode_frames(message.data):
+                placed = clock.at(frame)
+                if ros.is_serial(frame):
+                    count.serial += 1
+                else:
+                    count.frames += 1
+                    count.errors += bool(frame.identifier & ERROR_FLAG)
+                    yield placed
+
+
+def _write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
+    """Write a log in the format of ``candump -L -x``: time since 1970, interface, identifier, data,
+    and T for frames that the host sent.
+    """
+    for frame in frames:
+        flags = frame.identifier
+        seconds, microseconds = divmod(_microseconds(frame.time_ns), 1_000_000)
+        if flags & ERROR_FLAG:
+            identifier = f"{flags & (IDENTIFIER_BITS | ERROR_FLAG):08X}"
+        elif flags & EXTENDED_FLAG:
+            identifier = f"{flags & IDENTIFIER_BITS:08X}"
+        else:
+            identifier = f"{flags & IDENTIFIER_BITS:03X}"
+        data = "R" if flags & REMOTE_FLAG else frame.data.hex().upper()
+        direction = "T" if frame.sent else "R"
+        stream.write(
+            f"({seconds:010d}.{microseconds:06d}) {INTERFACE} {identifier}#{data} {direction}\n"
+        )
+
+
+def _write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
+    """Write a log in the format of Vector's CANalyzer: seconds since the start of the log, channel
+    1, identifier, direction and data. In this format an error frame has neither identifier nor
+    data.
+
+    The log starts at the whole second before its first frame, because the format states the date of
+    the start only to milliseconds.
+    """
+    first = next(frames, None)
+    start = 0 if first is None else _microseconds(first.time_ns) // 1_000_000 * 1_000_000
+    begun = _date(start)
+    stream.write(f"date {begun}\nbase hex  timestamps absolute\ninternal events logged\n")
+    stream.write(
+        f"// version 9.0.0\nBegin Triggerblock {begun}\n   0.000000 Start of measurement\n"
+    )
+    while first is not None:
+        seconds = (_microseconds(first.time_ns) - start) / 1e6
+        stream.write(f"{seconds:11.6f} 1  {_asc(first)}\n")
+        first = next(frames, None)
+    stream.write("End TriggerBlock\n")
+
+
+def _asc(frame: RawFrame) -> str:
+    flags = frame.identifier
+    if flags & ERROR_FLAG:
+        return "ErrorFrame"
+    identifier = f"{flags & IDENTIFIER_BITS:X}{'x' if flags & EXTENDED_FLAG else ''}"
+    head = f"{identifier:<15} {'Tx' if frame.sent else 'Rx'}  "
+    if flags & REMOTE_FLAG:
+        return f"{head} r"
+    return f"{head} d {len(frame.data)} {frame.data.hex(' ').upper()}".rstrip()
+
+
+_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+
+
+def _date(microseconds: int) -> str:
+    """Return a date in the form of Vector's tools: in the computer's local time, and in English for
+    every locale.
+    """
+    at = (_EPOCH + timedelta(microseconds=microseconds)).astimezone()
+    noon = "am" if at.hour < 12 else "pm"
+    clock = f"{(at.hour + 11) % 12 + 1:02d}:{at:%M:%S}.{at.microsecond // 1000:03d} {noon}"
+    return f"{_DAYS[at.weekday()]} {_MONTHS[at.month - 1]} {at.day:02d} {clock} {at.year}"
+
+
+def _microseconds(time_ns: int) -> int:
+    return (time_ns + 500) // 1000
+
+
+TRAFFIC: Mapping[str, tuple[str, Callable[[TextIO, Iterator[RawFrame]], None]]] = {
+    "candump": ("log", _write_candump),
+    "asc": ("asc", _write_asc),
+}
+"""Extension of the files, and writer, by format."""
+
+
+def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Count:
+    """Write the raw CAN frames of a run.
+
+    Raises:
+        InputError: The run has no CAN frames, or a recording is damaged.
+        OSError: The file cannot be written.
+    """
+    count = Count(parts=[part.file for part in record.parts])
+    with open(path, "w", encoding="ascii", newline="\n") as stream:
+        TRAFFIC[kind][1](stream, _can_frames(folder, record, count))
+    if not count.frames:
+        wire = "its bus is a serial line" if count.serial else "none was recorded"
+        raise InputError(
+            f"{folder}: no CAN frames to export ({wire}); --format mcap also exports serial bytes"
+        )
+    return count
+
+
+RECORDING_TYPE = "loadrig/msg/Recording"
+
+
+def write_mcap(dataset: Dataset, path: Path, run: Run | None) -> None:
+    """Write the recordings and, for a run, its events and raw frames.
+
+    Args:
+        dataset: The recordings.
+        path: The file.
+        run: Folder and record of the run that the recordings are from, or None for a campaign.
+
+    Raises:
+        InputError: A recording of the run is damaged.
+        OSError: The file cannot be written.
+    """
+    created = {} if run is None else {part.file: _utc_ns(part.created) for part in run[1].parts}
+    with open(path, "wb") as stream:
+        writer = McapWriter(stream)
+        text: dict[tuple[str, ...], int] = {}
+        places = topics([recording.name for recording in dataset.recordings])
+        for topic, recording in zip(places, dataset.recordings, strict=True):
+            names = _channels(recording)
+            if names not in text:
+                kind = RECORDING_TYPE if not text else f"{RECORDING_TYPE}{len(text) + 1}"
+                body = "".join(f"float64 {name}\n" for name in names).encode()
+                text[names] = writer.schema(kind, ros.SCHEMA_ENCODING, body)
+            channel = writer.channel(topic, ros.ENCODING, text[names])
+            begun_ns = created.get(Path(recording.source).name, 0)
+            for time_ns, data in _rows(recording, names, begun_ns):
+                writer.message(channel, time_ns, data)
+        if run is not None:
+            _write_run(writer, *run)
+        writer.metadata(KEY, {"description": describe(dataset.recordings)})
+        writer.finish()
+
+
+def _channels(recording: Recording) -> tuple[str, ...]:
+    return tuple(name for name in CHANNELS if name in recording.channels)
+
+
+def _rows(
+    recording: Recording, names: tuple[str, ...], begun_ns: int
+) -> Iterator[tuple[int, bytes]]:
+    """Yield log time and message of each sample."""
+    head = ros.LITTLE_ENDIAN
+    stacked = np.stack([recording.channels[name] for name in names], axis=1).astype("<f8")
+    start = 0.0 if recording.start is None else recording.start - float(recording.time[0])
+    earliest = min(0.0, start + float(recording.time[0]))
+    for row, time in zip(stacked, recording.time.tolist(), strict=True):
+        yield begun_ns + round((start + time - earliest) * 1e9), head + row.tobytes()
+
+
+def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
+    """Write events and raw frames of all recordings of a run."""
+    event = writer.channel(
+        EVENT_TOPIC, "json", writer.schema("loadrig.Event", "jsonschema", EVENT_JSON_SCHEMA)
+    )
+    can, serial = (
+        writer.channel(topic, ros.ENCODING, writer.schema(kind, ros.SCHEMA_ENCODING, body.encode()))
+        for topic, kind, body in (
+            (ros.CAN_TOPIC, ros.FRAME_TYPE, ros.FRAME_TEXT),
+            (ros.SERIAL_TOPIC, ros.SERIAL_TYPE, ros.SERIAL_TEXT),
+        )
+    )
+    for part in record.parts:
+        clock = FrameClock(folder, part)
+        for topic, message in messages(folder, part):
+            if topic == EVENT_TOPIC:
+                writer.message(event, clock.created_ns + message.time_ns, message.data)
+            elif topic == FRAMES_TOPIC:
+                for frame in map(clock.at, decode_frames(message.data)):
+                    if ros.is_serial(frame):
+                        writer.message(serial, frame.time_ns, ros.serial_bytes(frame))
+                    else:
+                        writer.message(can, frame.time_ns, ros.can_frame(frame))
+
+
+WRITERS: Mapping[str, Callable[[Dataset, Path, Run | None], None]] = {
+    "csv": lambda dataset, path, _: exported.write_csv(dataset, path),
+    "mat": lambda dataset, path, _: exported.write_mat(dataset, path),
+    "parquet": lambda dataset, path, _: exported.write_parquet(dataset, path),
+    "mcap": write_mcap,
+}
+"""Writers of recordings by format."""
+FORMATS = (*WRITERS, *TRAFFIC)
+"""Formats by name: first those of recordings, then those of raw traffic."""
+
+
+def extension(kind: str) -> str:
+    """Return the usual extension of a format's files, without a dot."""
+    return TRAFFIC[kind][0] if kind in TRAFFIC else kind
+
+
+def with_ending(path: Path, kind: str) -> Path:
+    """Return the path of an export with the ending of its format, by which a campaign and other
+    programs recognise it; an ending that is missing is added.
+
+    Raises:
+        InputError: The path has the ending of another format, or an unknown one.
+    """
+    ending = extension(kind)
+    if not path.suffix:
+        return path.with_name(f"{path.name}.{ending}")
+    given = path.suffix[1:].lower()
+    if given == ending:
+        return path
+    other = next((name for name in FORMATS if extension(name) == given), None)
+    remedy = f"give --out {path}.{ending}" + (f", or --format {other}" if other else "")
+    raise InputError(
+        f"--out {path}: a file of format {kind} ends in .{ending}, not in {path.suffix}; {remedy}"
+    )
+
+
+def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
+    """Return the files of an export, and the recordings in each file.
+
+    A CSV file is one table with one time base, so that other tools and campaign files can use the
+    file directly. Each of several recordings is written to its own file, whose name is ``path``
+    plus the name of the recording.
+    """
+    if kind != "csv" or len(dataset.recordings) == 1:
+        return {path: dataset}
+    found: dict[Path, Dataset] = {}
+    for recording in dataset.recordings:
+        name = re.sub(r"[^\w.-]+", "-", recording.name).strip("-")
+        place = path.with_name(f"{path.stem}-{name}{path.suffix}")
+        if place in found:
+            place = path.with_name(f"{path.stem}-{name}-{len(found) + 1}{path.suffix}")
+        found[place] = Dataset((recording,))
+    return found
+
+
+def export(dataset: Dataset, path: Path, kind: str, run: Run | None = None) -> None:
+    """Write one file of :func:`files`, and beside a CSV file its description.
+
+    Args:
+        dataset: The recordings.
+        path: The file.
+        kind: One of :data:`WRITERS`.
+        run: Folder and record of the run of the recordings; an MCAP file also contains the events
+            and frames of the run.
+
+    Raises:
+        InputError: Parquet is requested but not installed, or the run is damaged.
+        OSError: The file cannot be written.
+    """
+    with replacing(path) as draft:
+        WRITERS[kind](dataset, draft, run)
+    if kind == "csv":
+        write_text(sidecar(path), describe(dataset.recordings))

@@ -1,0 +1,874 @@
+"""Reads recorded CAN traffic with python-can (candump, Vector ASC and BLF, PEAK TRC, and the bus
+logging of MDF), and its signals by a DBC file or, in the same way as a run, by a bench file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple, NoReturn, TextIO, cast
+
+import can
+import can.io
+import numpy as np
+from canopen.objectdictionary import datatypes
+from numpy.typing import NDArray
+
+from drivers.can.port import EXTENDED_FLAG, hexadecimal
+from drivers.canopen import cia402
+from drivers.canopen import cia402_objects as objects
+from drivers.canopen.eds_file import read_eds
+from drivers.canopen.link import CanopenLink
+from drivers.canopen.motion import TARGET_POSITION
+from drivers.canopen.pdo import RECEIVE, TRANSMIT, Direction
+from drivers.canopen.sdo import variable
+from drivers.clock import SimulatedClock
+from drivers.dbc.file import load_dbc
+from drivers.dbc.map import Quantity
+from drivers.errors import ConfigurationError
+from drivers.objects import ObjectAddress
+from identification.recording import CHANNELS
+from rig.common.errors import InputError
+from rig.config.bench import Bench, load_bench
+from rig.config.campaign_sections import ReadSection
+from rig.config.canopen import EncoderSection, ServoSection
+from rig.config.configuration import Document
+from rig.config.dbc import DbcServoSection, dbc_path
+from rig.sources.table import (
+    Array,
+    Table,
+    as_doubles,
+    damaged,
+    format_of,
+    heard,
+    library,
+    open_binary,
+)
+from rig.sources.text import encoding_of, open_text
+from rig.wiring.connect import eds_path
+from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
+
+ERROR_FLAG = 0x20000000
+"""Flag that SocketCAN sets in the identifier of an error frame."""
+_CANDUMP = re.compile(
+    r"\((\d+)(\.\d+)?\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    r"((?:#[0-9A-Fa-f])?(?:[0-9A-Fa-f]{2})*|[Rr]\d?)(\s+[RTrt])?"
+)
+_CANDUMP_SCREEN = re.compile(r"(\(.*\)\s+)?\S+\s+[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+_STAMPED = re.compile(r"\s*(-?\d+\.\d+)(\s+.*)", re.DOTALL)
+_ASC_HEAD = re.compile(r"date\s|base\s|//|(no\s+)?\s*internal\s+events\s+logged", re.IGNORECASE)
+_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")
+
+
+@dataclass
+class Lines:
+    """State of the filtering of a file: the current line, and the counts of dropped lines.
+
+    Attributes:
+        path: The file.
+        number: Number of the line that was read last, from 1.
+        stamped: Number of lines with a time stamp.
+        errors: Number of dropped error frames.
+        notes: Messages to the user.
+    """
+
+    path: Path
+    number: int = 0
+    stamped: int = 0
+    errors: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    def whole(self, stream: TextIO) -> Iterator[str]:
+        """Yield the lines that have an end; a last line without an end may be cut off."""
+        for text in stream:
+            self.number += 1
+            if not text.endswith("\n"):
+                if text.strip():
+                    self.notes.append(
+                        f"line {self.number} has no line end and may be cut off: line dropped"
+                    )
+                return
+            yield text
+
+
+def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
+    """Yield the frames of a ``candump -L`` file, with time stamps since the first frame.
+
+    Raises:
+        InputError: A line is not a frame; the message names the line.
+    """
+    begin: int | None = None
+    for text in lines.whole(stream):
+        if not text.strip():
+            continue
+        found = _CANDUMP.fullmatch(text.strip())
+        if found is None:
+            screen = _CANDUMP_SCREEN.match(text.strip())
+            remedy = (
+                "this is candump's output for the screen; record with candump -L"
+                if screen
+                else "if the file is a table, name it .csv; record CAN traffic with candump -L"
+            )
+            raise InputError(
+                f"{lines.path}:{lines.number}: not a frame of candump -L "
+                f"(got {text.strip()[:60]!r}); {remedy}"
+            )
+        whole, fraction, bus, identifier, data, direction = found.groups()
+        if begin is None:
+            begin = int(whole)
+        lines.stamped += 1
+        if len(identifier) == 8 and int(identifier, 16) & ERROR_FLAG:
+            lines.errors += 1
+            continue
+        # Seconds since 1970 leave a double a quarter of a microsecond.
+        stamp = f"{int(whole) - begin}{fraction or '.0'}"
+        yield f"({stamp}) {bus} {identifier}#{data}{direction or ''}\n"
+
+
+def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a Vector ASC file, with time stamps since the start of the measurement."""
+    relative, head, total = False, True, Decimal(0)
+    for text in lines.whole(stream):
+        if head and text.strip() and not _ASC_HEAD.match(text.strip()):
+            # python-can treats the first line after the head as a part of the head.
+            head = False
+            yield "no internal events logged\n"
+        if head and re.search(r"timestamps\s+relative", text, re.IGNORECASE):
+            relative = True
+            lines.notes.append(
+                "the time stamps count from the previous event: summed to times since the start"
+            )
+        found = _STAMPED.fullmatch(text)
+        if found is not None:
+            lines.stamped += "Start of measurement" not in text
+            if relative:
+                total += Decimal(found[1])
+                text = f"{total:f}{found[2]}"
+        yield text
+
+
+def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a PEAK TRC file without its date.
+
+    Raises:
+        InputError: The file is of a version that python-can does not read.
+    """
+    for text in lines.whole(stream):
+        word = text.strip()
+        if word.startswith(";$FILEVERSION"):
+            version = word.partition("=")[2].strip()
+            if version not in _TRC_VERSIONS:
+                raise InputError(
+                    f"{lines.path}:{lines.number}: TRC of version {version}; versions that can be "
+                    f"read are {', '.join(_TRC_VERSIONS)}: save the file in one of these versions "
+                    f"with PCAN-View"
+                )
+        lines.stamped += bool(word) and not word.startswith(";")
+        # Without the date, stamps are since the start, to the last digit.
+        if not word.startswith(";$STARTTIME"):
+            yield text
+
+
+_REMEDY = "check that the file was copied completely"
+_TEXTS: Mapping[str, tuple[Any, Callable[[Lines, TextIO], Iterator[str]]]] = {
+    "log": (can.io.CanutilsLogReader, candump),
+    "asc": (can.io.ASCReader, asc),
+    "trc": (can.io.TRCReader, trc),
+}
+"""Reader and filter of the lines of text formats, by file extension."""
+_FROM_ZERO = frozenset({"asc", "blf"})
+"""Formats in which channels are numbered from 1, but by python-can from 0."""
+
+Key = tuple[str, int]
+"""Bus and identifier of a frame; in a 29-bit identifier, :data:`EXTENDED_FLAG` is set."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """All frames of one identifier on one bus.
+
+    Attributes:
+        stamps: Time since the first frame of the file, s, shape (n,).
+        data: Data bytes, zero beyond the length of each frame, shape (n, longest).
+        lengths: Number of data bytes of each frame, shape (n,).
+    """
+
+    stamps: Array
+    data: NDArray[np.uint8]
+    lengths: NDArray[np.intp]
+
+
+def _read_traffic(path: Path) -> tuple[dict[Key, Frames], list[str]]:
+    """Return the data frames of a file by bus and identifier, in order of appearance, and notes;
+    error frames and remote frames are left out and counted.
+    """
+    kind = format_of(path)
+    lines = Lines(path)
+    notes = lines.notes
+    stamps: dict[Key, list[float]] = {}
+    data: dict[Key, list[bytes]] = {}
+    remote = read = 0
+    said: list[str] = []
+    try:
+        with heard("can") as said:
+            for message in _messages(path, kind, lines):
+                read += 1
+                if message.is_error_frame:
+                    lines.errors += 1
+                    continue
+                if message.is_remote_frame:
+                    remote += 1
+                    continue
+                bus = message.channel
+                if kind in _FROM_ZERO and isinstance(bus, int):
+                    bus += 1
+                flag = EXTENDED_FLAG if message.is_extended_id else 0
+                key = (str(bus), message.arbitration_id | flag)
+                stamps.setdefault(key, []).append(message.timestamp)
+                data.setdefault(key, []).append(bytes(message.data))
+    except InputError:
+        raise
+    except Exception as error:
+        place = f"line {lines.number}: " if lines.number else ""
+        raise damaged(path, f"{place}{error!r}", _REMEDY) from error
+    notes += [f"python-can: {words}" for words in said]
+    if lines.errors:
+        notes.append(f"{lines.errors} error frames left out")
+    if remote:
+        notes.append(f"{remote} remote frames left out")
+    if lines.stamped > read + lines.errors:
+        notes.append(f"{lines.stamped - read - lines.errors} lines that are not frames left out")
+    if not stamps:
+        raise InputError(f"{path}: holds no data frames" + "".join(f"; {n}" for n in notes))
+    first = min(times[0] for times in stamps.values())
+    frames = {}
+    for key, times in stamps.items():
+        lengths = np.array([len(one) for one in data[key]], np.intp)
+        longest = int(lengths.max())
+        joined = b"".join(one.ljust(longest, b"\0") for one in data[key])
+        packed = np.frombuffer(joined, np.uint8).reshape(len(times), longest)
+        frames[key] = Frames(np.array(times, np.float64) - first, packed, lengths)
+    return frames, notes
+
+
+def _messages(path: Path, kind: str, lines: Lines) -> Iterator[can.Message]:
+    if kind == "blf":
+        yield from _blf(path, lines)
+    elif kind not in _TEXTS:
+        yield from _mf4(path)
+    else:
+        reader, lines_of = _TEXTS[kind]
+        with open_text(path, encoding_of(path)) as stream:
+            yield from reader(_Source(lines_of(lines, stream)))
+
+
+class _Source:
+    """File object of filtered lines, from which python-can reads."""
+
+    def __init__(self, lines: Iterator[str]) -> None:
+        self._lines = lines
+
+    def __iter__(self) -> Iterator[str]:
+        return self._lines
+
+    def read(self, size: int = -1) -> str:
+        """Return the next line; python-can requires this method."""
+        return next(self._lines, "")
+
+    def close(self) -> None:
+        """Do nothing; the function that opened the stream closes it."""
+
+
+def _mf4(path: Path) -> Iterator[can.Message]:
+    """Yield the frames of the bus logging of an MF4 file, with times since its start."""
+    library("asammdf", path, "MDF", "mdf")
+    with heard("asammdf"), open_binary(path) as stream:
+        reader = can.io.MF4Reader(cast(BinaryIO, stream))
+        # Seconds since 1970 leave a double a quarter of a microsecond.
+        reader._start_timestamp = 0.0
+        yield from reader
+
+
+def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
+    """Yield the frames of a BLF file, with times since the start of the file."""
+    with open_binary(path) as stream:
+        reader = can.io.BLFReader(cast(BinaryIO, stream))
+        # Seconds since 1970 leave a double a quarter of a microsecond.
+        reader.start_timestamp = 0.0
+        yielded = 0
+        for message in reader:
+            yielded += 1
+            yield message
+    size = path.stat().st_size if path.suffix.lower() == ".blf" else reader.file_size
+    if size < reader.file_size:
+        lines.notes.append(
+            f"the file is cut off: {size} of {reader.file_size} bytes; the frames before the "
+            "cut are read"
+        )
+    elif not reader.file_size:
+        lines.notes.append("the logger did not close the file; its complete frames are read")
+    if 0 < yielded < reader.object_count:
+        lines.notes.append(f"{reader.object_count - yielded} objects that are not frames left out")
+
+
+MOST_BITS = 64
+_FLOATS = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class BusSignal:
+    """One signal of a CAN message.
+
+    Attributes:
+        name: Name of the signal's column.
+        positions: Numbers of the bits in the frame, least significant first; bit 0 is the lowest
+            bit of the first byte.
+        signed: Whether the raw value is in two's complement.
+        real: Whether the raw value is a number by IEEE 754.
+        factor: Value of one raw unit.
+        offset: Value at raw 0.
+        unit: Unit as the source states it.
+        low: Least value that the source allows, or None if the source states no range.
+        high: Greatest value that the source allows, or None.
+        selector: The multiplexer that determines whether the signal is in a frame, or None for a
+            signal that is in every frame.
+        pages: Raw values of the selector with which the signal is in the frame.
+    """
+
+    name: str
+    positions: Sequence[int]
+    signed: bool = False
+    real: bool = False
+    factor: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    selector: BusSignal | None = None
+    pages: frozenset[int] = frozenset()
+
+    def present(self, frames: Frames) -> Mask:
+        """Return a mask of the frames that contain the signal, by their length and their
+        multiplexers.
+        """
+        there: Mask = frames.lengths > max(self.positions) // 8
+        if self.selector is not None:
+            there = there & self.selector.present(frames)
+            there = there & np.isin(self.selector.bits(frames), list(self.pages))
+        return there
+
+    def bits(self, frames: Frames) -> NDArray[np.uint64]:
+        """Return the raw bits in each frame; zero if a frame is too short."""
+        value = np.zeros(len(frames.data), np.uint64)
+        for place, position in enumerate(self.positions):
+            byte, low = divmod(position, 8)
+            if byte < frames.data.shape[1]:
+                bit = (frames.data[:, byte] >> np.uint8(low)) & np.uint8(1)
+                value |= bit.astype(np.uint64) << np.uint64(place)
+        return value
+
+    def values(self, frames: Frames, rows: Mask) -> tuple[Array, str]:
+        """Return the values in the given frames, and a note if values were changed."""
+        bits = self.bits(frames)[rows]
+        if self.real:
+            unsigned, kind = _FLOATS[len(self.positions)]
+            # The bits of a float may also represent NaN or infinity.
+            with np.errstate(over="ignore", invalid="ignore"):
+                raw = bits.astype(unsigned).view(kind).astype(np.float64)
+                return raw * self.factor + self.offset, ""
+        whole: NDArray[np.uint64] | NDArray[np.int64] = bits
+        if self.signed:
+            shift = np.uint64(MOST_BITS - len(self.positions))
+            whole = (bits << shift).view(np.int64) >> np.int64(shift)
+        if self.factor == 1.0 and self.offset == 0.0:
+            return as_doubles(whole)
+        return whole.astype(np.float64) * self.factor + self.offset, ""
+
+
+@dataclass(frozen=True)
+class BusMessage:
+    """One CAN message with its signals.
+
+    Attributes:
+        name: First part of the names of the columns; empty if the names of the signals suffice.
+        identifier: Identifier, with the flag for 29 bits.
+        signals: Signals in the order of the source.
+        by_group: Whether frames with other priorities and source addresses are also this message,
+            as in SAE J1939.
+        left_out: Texts on the parts of the message that cannot be read.
+        fault: Text on wrong places of bits in the source, which are read nevertheless; empty for
+            none.
+    """
+
+    name: str
+    identifier: int
+    signals: tuple[BusSignal, ...]
+    by_group: bool = False
+    left_out: tuple[str, ...] = field(default=())
+    fault: str = ""
+
+
+def big_endian(start: int, width: int) -> tuple[int, ...]:
+    """Return the bits of a big-endian signal whose most significant bit has the DBC number
+    ``start``, least significant first.
+    """
+    positions = [start]
+    while len(positions) < width:
+        at = positions[-1]
+        positions.append(at + 15 if at % 8 == 0 else at - 1)
+    return tuple(positions[::-1])
+
+
+_FLOAT_WIDTHS = (16, 32, 64)
+
+
+def _messages_of(path: Path) -> list[BusMessage]:
+    """Return the messages of a DBC file."""
+    try:
+        database, faults = load_dbc(path)
+    except ConfigurationError as error:
+        raise InputError(str(error)) from error
+    return [_message(message, faults.get(at, "")) for at, message in enumerate(database.messages)]
+
+
+def _message(message: Any, fault: str) -> BusMessage:
+    found: dict[str, BusSignal] = {}
+    left_out: list[str] = []
+    if message.is_container:
+        left_out.append(f"{message.name} (a container of other messages)")
+    by_name = {signal.name: signal for signal in message.signals}
+    for signal in message.signals:
+        words = _obstacle(signal)
+        if words:
+            left_out.append(f"{message.name}.{signal.name} ({words})")
+        elif not message.is_container:
+            _signal(signal, by_name, found)
+    return BusMessage(
+        name=message.name,
+        identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
+        signals=tuple(found[name] for name in by_name if name in found),
+        by_group=message.protocol == "j1939" and message.is_extended_frame,
+        left_out=tuple(left_out),
+        fault=fault,
+    )
+
+
+def _obstacle(signal: Any) -> str:
+    """Return the reason why a signal cannot be read; empty if it can be read."""
+    if signal.length > MOST_BITS:
+        return f"{signal.length} bits, at most {MOST_BITS} are read"
+    if signal.is_float and signal.length not in _FLOAT_WIDTHS:
+        return f"a floating-point number of {signal.length} bits"
+    return ""
+
+
+def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -> BusSignal | None:
+    """Return a signal, after its multiplexers were added to ``found``, or None if a multiplexer
+    cannot be read.
+    """
+    if signal.name in found:
+        return found[signal.name]
+    selector = None
+    if signal.multiplexer_ids and signal.multiplexer_signal:
+        above = by_name.get(signal.multiplexer_signal)
+        if above is None or above is signal or _obstacle(above):
+            return None
+        selector = _signal(above, by_name, found)
+        if selector is None:
+            return None
+    little = signal.byte_order == "little_endian"
+    low, high = signal.minimum, signal.maximum
+    stated = low is not None and high is not None and low < high
+    found[signal.name] = BusSignal(
+        name=signal.name,
+        positions=range(signal.start, signal.start + signal.length)
+        if little
+        else big_endian(signal.start, signal.length),
+        signed=bool(signal.is_signed),
+        real=bool(signal.is_float),
+        factor=float(signal.scale),
+        offset=float(signal.offset),
+        unit=str(signal.unit or ""),
+        low=float(low) if stated else None,
+        high=float(high) if stated else None,
+        selector=selector,
+        pages=frozenset(signal.multiplexer_ids or ()) if selector is not None else frozenset(),
+    )
+    return found[signal.name]
+
+
+_UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
+_COUNTER_BITS = 32
+_PDO_STEP = 0x100
+"""Difference of the identifiers of two successive PDOs of a node in the predefined connection
+set.
+"""
+_Scale = tuple[str, float, float]
+"""Name of a column, SI units per raw unit, and SI value at raw value 0."""
+
+
+def _messages_of_bench(path: Path) -> list[BusMessage]:
+    """Return the messages of a bench's drive and joint encoder as a run maps them."""
+    document = load_bench(path)
+    bench = document.value
+    try:
+        if isinstance(bench.servo, DbcServoSection):
+            found = list(_dbc(document, bench.servo))
+        elif isinstance(bench.servo, ServoSection) and getattr(bench.bus, "bitrate", None):
+            found = list(_drive(document, bench.servo))
+        else:
+            raise InputError(
+                f"{path}: the drive of this bench is not on a CAN bus; name a DBC file instead"
+            )
+        if isinstance(bench.encoder, EncoderSection):
+            found += _encoder(document, bench.encoder)
+    except ConfigurationError as error:
+        raise InputError(f"{path}: {error}") from error
+    return found
+
+
+def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessage]:
+    """Yield the PDOs of a CiA 402 drive as messages."""
+    data = servo.device_data(document.path.parent)
+    scales = servo_scales(servo, document.value.machine, data)
+    motion = servo_motion(servo, scales, data)
+    eds = eds_path(document, "servo")
+    link = CanopenLink(SimulatedClock(), _never_opened)
+    node = link.add_node(servo.node, eds, servo_axis(servo, data))
+    sent = objects.cyclic(node, scales)
+    angle = (scales.motor_rad_per_count, scales.offset_rad * scales.gear_ratio)
+    meaning: dict[ObjectAddress, _Scale] = {
+        cia402.STATUSWORD: ("statusword", 1.0, 0.0),
+        cia402.CONTROLWORD: ("controlword", 1.0, 0.0),
+        objects.POSITION: ("motor_angle", *angle),
+        TARGET_POSITION: ("command", scales.joint_rad_per_count, scales.offset_rad),
+    }
+    optional: tuple[tuple[ObjectAddress | None, str, float], ...] = (
+        (sent.current, "current", scales.sign * sent.current_unit_A),
+        (sent.speed, "velocity", scales.sign * scales.joint_speed_unit_rad_s),
+        (sent.time, "device_time", 1e-6),
+        (sent.voltage, "voltage", scales.sign * scales.voltage_unit_V),
+        (sent.supply, "supply_voltage", scales.supply_unit_V),
+        (sent.temperature, "temperature", scales.temperature_unit_C),
+        (sent.torque, "torque_6077h", 1.0),
+    )
+    meaning |= {at: (name, unit, 0.0) for at, name, unit in optional if at is not None}
+    for direction, layouts in (
+        (RECEIVE, objects.outputs(motion)),
+        (TRANSMIT, objects.inputs(sent, node)),
+    ):
+        for layout in layouts:
+            yield _pdo(direction, layout.number, servo.node, eds, layout.objects, meaning)
+
+
+def _encoder(document: Document[Bench], encoder: EncoderSection) -> Iterator[BusMessage]:
+    """Yield the PDO of a CiA 406 encoder as a message, without its time stamp."""
+    scales = encoder_scales(encoder, document.value.limits)
+    position = (0x6004, 0)
+    meaning = {position: ("angle", scales.rad_per_count, scales.offset_rad)}
+    eds = eds_path(document, "encoder")
+    yield _pdo(TRANSMIT, 1, encoder.node, eds, (position,), meaning)
+
+
+def _pdo(
+    direction: Direction,
+    number: int,
+    node: int,
+    eds: Path,
+    mapped: Sequence[ObjectAddress],
+    meaning: Mapping[ObjectAddress, _Scale],
+) -> BusMessage:
+    dictionary = read_eds(eds, node)
+    signals = []
+    start = 0
+    for address in mapped:
+        item = variable(dictionary, *address)
+        name, factor, offset = meaning[address]
+        width = len(item)
+        signals.append(
+            BusSignal(
+                name,
+                range(start, start + width),
+                # A counter of 32 bits counts from zero in both directions.
+                signed=item.data_type in datatypes.SIGNED_TYPES or width == _COUNTER_BITS,
+                factor=factor,
+                offset=offset,
+                unit=_UNITS.get(name, ""),
+            )
+        )
+        start += width
+    identifier = direction.identifiers + (number - 1) * _PDO_STEP + node
+    return BusMessage(f"{direction.name}{number}_node{node}", identifier, tuple(signals))
+
+
+def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessage]:
+    """Yield the messages of the drive's DBC file; a signal that the map assigns to a channel has
+    the name of the channel.
+    """
+    gear = document.value.machine.gear_ratio
+    channels = {
+        "position": ("motor_angle", 1.0, gear * servo.drive(gear, 1.0).offset_rad),
+        "velocity": ("velocity", 1.0 / gear, 0.0),
+        "torque": ("torque", gear, 0.0),
+        "current": ("current", 1.0, 0.0),
+        "voltage": ("voltage", 1.0, 0.0),
+        "supply_voltage": ("supply_voltage", 1.0, 0.0),
+        "temperature": ("temperature", 1.0, 0.0),
+    }
+    meaning: dict[str, list[tuple[str, Quantity, float, float]]] = {}
+    for name, (channel, factor, zero) in channels.items():
+        quantity: Quantity | None = getattr(servo.inputs, name)
+        if quantity is not None:
+            meaning.setdefault(quantity.signal, []).append((channel, quantity, factor, zero))
+    for message in _messages_of(dbc_path(servo, document.path)):
+        signals = []
+        for signal in message.signals:
+            signals.append(signal)
+            for channel, quantity, factor, zero in meaning.get(f"{message.name}.{signal.name}", ()):
+                gain = factor * quantity.sign * quantity.scale
+                bias = factor * quantity.sign * quantity.offset + zero
+                signals.append(
+                    dataclasses.replace(
+                        signal,
+                        name=channel,
+                        factor=gain * signal.factor,
+                        offset=gain * signal.offset + bias,
+                        unit=_UNITS.get(channel, ""),
+                        low=None,
+                        high=None,
+                    )
+                )
+        yield dataclasses.replace(message, signals=tuple(signals))
+
+
+def _never_opened() -> NoReturn:
+    raise AssertionError("only the map of this bench is read, and its bus must not be opened")
+
+
+STAMPS = "time"
+"""Name of the column of a message's time stamps."""
+_OTHER_STAMPS = "frame_time"
+_MOST_NAMED = 6
+_DESTINATION_FORMATS = 240
+"""PDU format of SAE J1939 below which the PDU specific byte is a destination address, and not a
+group extension.
+"""
+
+
+class _Base(NamedTuple):
+    """Frames that contain certain signals: all frames of a message, or the frames of some of its
+    pages.
+    """
+
+    frames: Frames
+    rows: Mask
+
+
+class _Column(NamedTuple):
+    base: int
+    signal: BusSignal | None
+    """Signal of the column, or None for the column of time stamps."""
+
+
+class CanTable(Table):
+    """Table with one column per signal, named ``Message.Signal``, and the time stamps of each
+    message, ``Message.time``, in s since the first frame of the file.
+
+    Each message has its own time base. Signals that a multiplexer puts into only some frames of a
+    message also have their own time base (``Message.Signal.time``). All time bases are on the clock
+    of the file. The name of a message that occurs on several buses begins with the bus. Error
+    frames, remote frames and frames of unknown messages are left out and counted.
+
+    Args:
+        path: The file.
+        options: The DBC files or the bench file, and the bus.
+
+    Raises:
+        InputError: No DBC or bench file is given or can be read, none of its messages is in the
+            file, or the file is damaged.
+    """
+
+    def __init__(self, path: Path, options: ReadSection) -> None:
+        self.path = path
+        found_frames, notes = _read_traffic(path)
+        for words in notes:
+            self.note(words)
+        frames = self._of_bus(found_frames, options.bus)
+        if not options.dbc_files and options.bench is None:
+            raise InputError(
+                f"{path}: CAN traffic, {_listed(frames)}; the meaning of the frames is unknown: "
+                "give a DBC file (read.dbc, or --dbc), or the bench file of the drive "
+                "(read.bench, or --bench)"
+            )
+        known = [message for name in options.dbc_files for message in _messages_of(Path(name))]
+        if options.bench is not None:
+            known = _messages_of_bench(Path(options.bench))
+        named = self._named(frames, _by_identifier(known, {i for _, i in frames}))
+        self._bases: list[_Base] = []
+        self._columns: list[_Column] = []
+        names: list[str] = []
+        base_names: list[str] = []
+        for name, message, found in named:
+            for suffix, base, signals in _pages(message, found):
+                place = len(self._bases)
+                self._bases.append(base)
+                prefix = f"{name}." if name else ""
+                base_names.append(f"{name}{suffix}")
+                self._columns += [_Column(place, None), *(_Column(place, s) for s in signals)]
+                taken = {signal.name for signal in message.signals}
+                stamps = _OTHER_STAMPS if STAMPS in taken else STAMPS
+                names.append(f"{prefix}{suffix[1:]}.{stamps}" if suffix else f"{prefix}{stamps}")
+                names += [f"{prefix}{signal.name}" for signal in signals]
+        if not names:
+            raise InputError(f"{path}: no signal of the map fits into the frames of the file")
+        self.names = tuple(names)
+        self.base_names = tuple(base_names)
+        self.bases = tuple(column.base for column in self._columns)
+        self.units = tuple("s" if c.signal is None else c.signal.unit for c in self._columns)
+        self.counts = {
+            k: (c.signal.factor, c.signal.offset)
+            for k, c in enumerate(self._columns)
+            if c.signal is not None and not c.signal.real
+        }
+
+    def _of_bus(self, frames: Mapping[Key, Frames], bus: str | int | None) -> dict[Key, Frames]:
+        """Return the frames of one bus, or of all buses."""
+        if bus is None:
+            return dict(frames)
+        kept = {key: found for key, found in frames.items() if key[0] == str(bus)}
+        if not kept:
+            there = ", ".join(dict.fromkeys(key[0] for key in frames))
+            raise InputError(
+                f"{self.path}: the file has no bus {bus}; set read.bus to one of {there}"
+            )
+        return kept
+
+    def _named(
+        self, frames: Mapping[Key, Frames], known: Mapping[int, BusMessage]
+    ) -> list[tuple[str, BusMessage, Frames]]:
+        """Return name, message and frames of each message that is in the file, and note the frames
+        of unknown messages.
+        """
+        groups = {_group(m.identifier): m for m in known.values() if m.by_group}
+        found: list[tuple[str, int, BusMessage, Frames]] = []
+        unknown: dict[Key, Frames] = {}
+        for (bus, identifier), one in frames.items():
+            message = known.get(identifier)
+            if message is None and identifier & EXTENDED_FLAG:
+                message = groups.get(_group(identifier))
+            if message is None:
+                unknown[bus, identifier] = one
+            else:
+                found.append((bus, identifier, message, one))
+        if not found:
+            raise InputError(
+                f"{self.path}: none of the {len(known)} messages of the map is in the file, which "
+                f"holds {_listed(frames)}; name the DBC file of this bus or, with a bench file, "
+                "check its node numbers"
+            )
+        if unknown:
+            count = sum(len(one.stamps) for one in unknown.values())
+            self.note(f"{count} frames of unknown messages left out: {_listed(unknown)}")
+        result = []
+        for bus, identifier, message, one in found:
+            for words in message.left_out:
+                self.note(f"left out: {words}")
+            if message.fault:
+                self.note(
+                    f"{message.fault}: every signal is read from the bits that the DBC states; the "
+                    f"values of these signals are doubtful; correct the DBC file"
+                )
+            same = [(b, i) for b, i, m, _ in found if m is message]
+            name = message.name
+            if len({b for b, _ in same}) > 1:
+                name = f"{bus}.{name}"
+            if len({i for _, i in same}) > 1:
+                name = f"{name}[{identifier & 0xFF:02X}h]"
+            if identifier != message.identifier:
+                self.note(
+                    f"{name}: matched by its J1939 parameter group, source address "
+                    f"{identifier & 0xFF:02X}h"
+                )
+            result.append((name, message, one))
+        return result
+
+    def _read(self, columns: Sequence[int]) -> list[Array]:
+        found = []
+        for k in columns:
+            base, signal = self._bases[self._columns[k].base], self._columns[k].signal
+            if signal is None:
+                found.append(base.frames.stamps[base.rows])
+                continue
+            values, note = signal.values(base.frames, base.rows)
+            if note:
+                self.note(f"`{self.names[k]}`: {note}")
+            self._check_range(self.names[k], signal, values)
+            found.append(values)
+        return found
+
+    def _check_range(self, name: str, signal: BusSignal, values: Array) -> None:
+        if signal.low is None or signal.high is None:
+            return
+        slack = 1e-9 * max(abs(signal.low), abs(signal.high))
+        outside = int(np.sum((values < signal.low - slack) | (values > signal.high + slack)))
+        if outside:
+            self.note(
+                f"`{name}`: {outside} of {len(values)} values are outside of {signal.low:g} to "
+                f"{signal.high:g}, the range in the DBC file; some devices send such values if "
+                f"they have no valid value"
+            )
+
+    def stamps(self, base: int) -> Array | None:
+        """Return the time stamps of a message's frames; see :meth:`Table.stamps`."""
+        found = self._bases[base]
+        return found.frames.stamps[found.rows]
+
+
+def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
+    """Yield groups of signals that occur in equal sets of frames, each with a suffix for the name
+    of the group's time base.
+    """
+    every = np.ones(len(frames.stamps), dtype=np.bool_)
+    groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}
+    for signal in message.signals:
+        rows = signal.present(frames)
+        if rows.any():
+            groups.setdefault(rows.tobytes(), (rows, []))[1].append(signal)
+    for rows, signals in groups.values():
+        if signals:
+            suffix = "" if rows.all() else f".{signals[0].name}"
+            yield suffix, _Base(frames, rows), signals
+
+
+def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, BusMessage]:
+    """Return messages by identifier."""
+    found: dict[int, BusMessage] = {}
+    for message in messages:
+        other = found.setdefault(message.identifier, message)
+        if other is not message and message.identifier in seen:
+            raise InputError(
+                f"{other.name} and {message.name} of the DBC files both have the identifier "
+                f"{hexadecimal(message.identifier)}; name only the DBC file of one bus, and set "
+                "read.bus to this bus"
+            )
+    return found
+
+
+def _group(identifier: int) -> int:
+    """Return the parameter group of a 29-bit identifier (SAE J1939-21)."""
+    group = identifier >> 8 & 0x3FFFF
+    return group & 0x3FF00 if group >> 8 & 0xFF < _DESTINATION_FORMATS else group
+
+
+def _listed(frames: Mapping[Key, Frames]) -> str:
+    several = len({bus for bus, _ in frames}) > 1
+    names = [
+        f"{hexadecimal(identifier)}{f' on {bus}' if several else ''}" for bus, identifier in frames
+    ]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"identifiers {', '.join(names[:_MOST_NAMED])}{more}"

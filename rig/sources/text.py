@@ -1,0 +1,501 @@
+"""Reads delimited text files (CSV and similar), plain or gzipped.
+
+Files in which every row has as many cells as the header are read with numpy's compiled reader,
+which is fast. Other files are read row by row, and may have empty cells, quotes, row names, dates
+and times, and trailing commas.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import date
+from itertools import islice
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from rig.common.errors import InputError
+from rig.config.campaign_sections import ReadSection
+from rig.sources.table import EXACT, Array, Table, open_binary
+
+BLANKS = " "
+"""Symbol for the delimiter of aligned columns: any number of blanks or tabs."""
+EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
+DAY_NS = 86_400 * 10**9
+"""Least value of a time with a date, ns; a time of day without a date is smaller."""
+END_MARKS = frozenset({"eof", "end of file"})
+_DELIMITERS = (";", "\t", "|", ",")
+_WINDOWS_NAN = re.compile(r"[+-]?\d?\.?#(ind|q?nan|snan|inf)\d*|[+-]?nan\(.*\)", re.IGNORECASE)
+"""NaN and infinity in the form in which the C library of Windows writes them."""
+_DAY = re.compile(
+    r"(?:(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]\s*)?(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*"
+    r"(?:Z|UTC|([+-])(\d{2}):?(\d{2}))?",
+    re.IGNORECASE,
+)
+_COMMENT = re.compile(r"\s#(?!n/a|ind|inf|q?nan|snan)", re.IGNORECASE)
+_UNIT_LENGTH = 24
+_QUOTED = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
+
+
+def open_text(path: Path, encoding: str) -> TextIO:
+    """Open a text file; it is decompressed by gzip if its name ends in ``.gz``.
+
+    Raises:
+        OSError: The file cannot be opened.
+    """
+    return io.TextIOWrapper(open_binary(path), encoding, errors="replace")
+
+
+def encoding_of(path: Path) -> str:
+    """Return the encoding of a file: UTF-16 if its first bytes show this, else Latin-1.
+
+    Latin-1 decodes every byte, so that a degree sign in the header of a file cannot prevent the
+    reading of numbers.
+
+    Raises:
+        OSError, EOFError, zlib.error: The file cannot be read.
+    """
+    with open_binary(path) as stream:
+        head = stream.read(64)
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    even, odd = head[0::2], head[1::2]
+    if len(head) >= 8 and not any(odd) and all(even):
+        return "utf-16-le"
+    if len(head) >= 8 and not any(even) and all(odd):
+        return "utf-16-be"
+    return "latin-1"
+
+
+def _utf8(text: str) -> str:
+    """Return a line that was decoded as Latin-1; if the bytes of the line are UTF-8, return the
+    line decoded as UTF-8.
+    """
+    try:
+        return text.encode("latin-1").decode("utf-8").lstrip("\ufeff")
+    except UnicodeError:
+        return text.lstrip("\ufeff")
+
+
+def _guess_delimiter(lines: Sequence[str], decimal: str) -> str:
+    """Return the delimiter of the first lines with content, header first."""
+    text = lines[0]
+    counts = {delimiter: text.count(delimiter) for delimiter in _DELIMITERS if delimiter != decimal}
+    best = max(counts, key=lambda delimiter: counts[delimiter])
+    if counts[best]:
+        return best
+    quoted = [split(line, ",") if '"' in line else [] for line in lines[-2:]]
+    if decimal == "," and all(len(cells) > 1 and _numbers(cells, decimal) for cells in quoted):
+        return ","
+    widths = {len(split(line, BLANKS)) for line in lines[1:] or lines}
+    plain = not any(mark in line for line in lines[1:] for mark in _DELIMITERS if mark != decimal)
+    if (
+        plain
+        and len(widths) == 1
+        and min(widths) > 1
+        and _numbers(split(lines[-1], BLANKS), decimal)
+    ):
+        return BLANKS
+    return "," if decimal == "." else ";"
+
+
+def _numbers(cells: Sequence[str], decimal: str) -> bool:
+    return all(_is_number(pointed(cell, decimal)) for cell in cells)
+
+
+def split(text: str, delimiter: str) -> list[str]:
+    """Split one line into cells, without the characters that spreadsheet programs add."""
+    text = text.strip(" \r\n")
+    if delimiter == BLANKS:
+        found = text.split() if '"' not in text else _QUOTED.findall(text)
+        return [cell.strip('"') for cell in found]
+    if delimiter != ",":
+        text = text.rstrip(",")
+    if (
+        len(text) > 1
+        and text[0] == text[-1] == '"'
+        and text.count('"') % 2 == 0
+        and f'"{delimiter}"' not in text
+    ):
+        text = text[1:-1].replace('""', '"')
+    if '"' not in text:
+        return text.split(delimiter)
+    cells, quoted = [""], False
+    for character in text:
+        if character == '"':
+            quoted = not quoted
+        elif character == delimiter and not quoted:
+            cells.append("")
+        else:
+            cells[-1] += character
+    return cells
+
+
+def pointed(cell: str, decimal: str) -> str:
+    """Return a cell with a decimal point."""
+    return cell if decimal == "." else cell.replace(",", ".", 1)
+
+
+def _is_empty(cell: str) -> bool:
+    """Return whether a cell is empty or contains a word for a missing value."""
+    return cell.lower() in EMPTY or _WINDOWS_NAN.fullmatch(cell) is not None
+
+
+def _is_number(cell: str) -> bool:
+    """Return whether a cell contains a number, or a word for a missing number."""
+    text = cell.strip(' "\t')
+    if _is_empty(text):
+        return text != ""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return "_" not in text
+
+
+def _without_comment(text: str) -> str:
+    """Return a line without its comment; a comment starts with a # at the start of the line or
+    after a blank.
+
+    A # inside a cell, as in ``-1.#IND``, starts no comment.
+    """
+    if "#" in text:
+        if text.lstrip().startswith("#"):
+            return ""
+        text = _COMMENT.split(text, maxsplit=1)[0]
+    return text.strip(" \r\n")
+
+
+def _counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
+    """Return whether the first line is 0, 1, 2, ...: the header of a table whose columns have no
+    names.
+    """
+    if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
+        return False
+    return len(cells) > 2 or (len(cells) == 2 and any("." in cell for cell in below))
+
+
+def _are_units(cells: Sequence[str], width: int) -> bool:
+    """Return whether a line below the names is a line of units: only short words and no number.
+
+    A dash means no unit if another cell has a unit.
+    """
+    given = [cell.strip(' "\t') for cell in cells]
+    words = [word for word in given if word != "-"]
+    return (
+        len(given) <= width
+        and any(words)
+        and not any(_is_number(word) or _is_number(pointed(word, ",")) for word in words)
+        and not any(nanoseconds(word) is not None for word in words)
+        and all(len(word) <= _UNIT_LENGTH for word in words)
+        and given[0].lower() not in END_MARKS
+    )
+
+
+def nanoseconds(cell: str) -> int | None:
+    """Return a date and time, or a time of day, in ns since the year 1, or None for any other cell.
+
+    A date must start with the year (ISO 8601); an offset from UTC is subtracted.
+    """
+    match = _DAY.fullmatch(cell.strip(' "\t'))
+    if match is None:
+        return None
+    year, month, day, hour, minute, second, fraction, sign, hours, minutes = match.groups()
+    try:
+        days = date(int(year), int(month), int(day)).toordinal() if year else 0
+    except ValueError:
+        return None
+    seconds = days * 86400 + int(hour) * 3600 + int(minute) * 60 + int(second)
+    if sign:
+        offset = int(hours) * 3600 + int(minutes) * 60
+        seconds -= offset if sign == "+" else -offset
+    return seconds * 10**9 + int((fraction or "0").ljust(9, "0"))
+
+
+_MOST_DIGITS = 300
+"""Number of digits up to which a double represents every integer exactly."""
+_HEAD_LINES = 6
+"""Number of lines with content at the start of the file from which the layout is detected."""
+
+
+class DelimitedTable(Table):
+    """A text file with one row of numbers per line, with or without a header line.
+
+    Args:
+        path: The file; it is decompressed by gzip if its name ends in ``.gz``.
+        options: Delimiter and lines to skip.
+
+    Raises:
+        InputError: The file contains no line after the skipped lines, or is damaged.
+    """
+
+    def __init__(self, path: Path, options: ReadSection) -> None:
+        self.path = path
+        self._encoding = encoding_of(path)
+        with open_text(path, self._encoding) as stream:
+            skipped = [text for text in islice(stream, options.skip_rows) if text.strip()]
+            head = _head(stream, options.skip_rows)
+        if not head:
+            where = f" after the {options.skip_rows} skipped lines" if options.skip_rows else ""
+            raise InputError(f"{path}: the file is empty{where}")
+        line, text = head[0]
+        if "\0" in text:
+            raise InputError(
+                f"{path}: line {line} contains zero bytes, so that the file is not text; use the "
+                "file extension of its format"
+            )
+        self._decimal = options.decimal
+        self._delimiter = options.delimiter or _guess_delimiter(
+            [text for _, text in head], options.decimal
+        )
+        self._lay_out(head)
+        above = split(skipped[-1], self._delimiter) if skipped else []
+        if len(above) == len(self.names) > 1 and _numbers(above, self._decimal):
+            self.note("the last skipped line contains numbers: check read.skip_rows")
+
+    def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
+        """Detect header, units, row names and columns of dates in the first lines."""
+        line, text = head[0]
+        cells = split(text, self._delimiter)
+        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if _without_comment(row)]
+        counted = bool(rows) and _counts_columns(cells, rows[0][1])
+        has_header = counted or not all(_is_number(self._pointed(cell)) for cell in cells)
+        if has_header and any(nanoseconds(cell) is not None for cell in cells):
+            # A row of dates and numbers is data, because the name of a column is not a date.
+            has_header = not all(
+                _is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
+            )
+        if not has_header:
+            rows.insert(0, (line, cells))
+        self.names = tuple(cell.strip().lstrip("#").strip() if has_header else "" for cell in cells)
+        self._skip = line if has_header else line - 1
+        self._first_row = 0
+        if self._encoding != "latin-1":
+            self.note(f"text in {self._encoding.upper()}")
+        if self._delimiter == BLANKS:
+            self.note("columns separated by blanks")
+        if counted:
+            self.note(
+                f"line {line} numbers the columns from 0 to {len(cells) - 1}: read as the header"
+            )
+        while has_header and len(rows) > 1 and _are_units(rows[0][1], len(cells)):
+            at, words = rows.pop(0)
+            self.units = tuple(word.strip(' "\t') for word in words)
+            self._skip = at
+            self.note(f"line {at} below the names read as units: {', '.join(self.units)[:80]}")
+        self._has_header = has_header
+        self._find_row_names(head, rows)
+        self._find_dates(rows)
+
+    def _find_row_names(
+        self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
+    ) -> None:
+        """Detect row names: every row has one cell more than the header has names, and the first
+        cell is quoted or a word.
+        """
+        width = len(self.names)
+        if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
+            return
+        lines = dict(head)
+        if all(_names_its_row(lines[at], row[0]) for at, row in rows):
+            self._first_row = 1
+            self.note("the first cell of each row is a row name, for which the header has no name")
+
+    def _find_dates(self, rows: Sequence[tuple[int, list[str]]]) -> None:
+        self._zero: dict[int, int] = {}
+        for column, cell in enumerate(rows[0][1][self._first_row :] if rows else ()):
+            when = nanoseconds(cell)
+            digits = cell.strip(' "\t-+')
+            if digits.isdecimal() and int(digits[:_MOST_DIGITS]) > EXACT:
+                self.note(
+                    f"column {self._name(column)} holds integers beyond 2^53: rounded to multiples "
+                    f"of {np.spacing(float(digits)):.0f}"
+                )
+            if when is not None and column < len(self.names):
+                dated = when >= DAY_NS
+                self._zero[column] = when if dated else 0
+                what, since = (
+                    ("dates", cell.strip()[:40]) if dated else ("times of day", "midnight")
+                )
+                self.note(
+                    f"column {self._name(column)} holds {what}: read as seconds since {since}"
+                )
+
+    def _read(self, columns: Sequence[int]) -> list[Array]:
+        try:
+            fast = self._decimal == "." and not self._zero and self._even()
+            table = self._read_fast(columns) if fast else self._read_tolerant(columns)
+        except ValueError:
+            table = self._read_tolerant(columns)
+        if table.size == 0:
+            raise InputError(f"{self.path}: no rows of numbers below line {self._skip}")
+        return [table[:, k] for k in range(len(columns))]
+
+    def place(self, row: int) -> str:
+        """Return the line number of a row; blank lines and comment lines are counted."""
+        with open_text(self.path, self._encoding) as stream:
+            for index, (line, _) in enumerate(self._rows(stream)):
+                if index == row:
+                    return f"{self.path}:{line}"
+        return super().place(row)
+
+    def _even(self) -> bool:
+        """Return whether each row has as many cells as the header, and no row has quotes or
+        comments.
+        """
+        if self._first_row:
+            return False
+        delimiter, others = self._delimiter, 0
+        counts: Counter[int] = Counter()
+        with open_text(self.path, self._encoding) as stream:
+            for text in islice(stream, self._skip, None):
+                if text == "\n":
+                    continue
+                others += '"' in text or "#" in text
+                counts[len(text.split()) - 1 if delimiter == BLANKS else text.count(delimiter)] += 1
+        return not others and set(counts) <= {len(self.names) - 1}
+
+    def _read_fast(self, columns: Sequence[int]) -> Array:
+        with open_text(self.path, self._encoding) as stream:
+            if next(self._rows(stream), None) is None:
+                return np.empty((0, len(columns)))
+        return np.loadtxt(
+            str(self.path.resolve()),
+            delimiter=None if self._delimiter == BLANKS else self._delimiter,
+            comments=None,
+            skiprows=self._skip,
+            usecols=list(columns),
+            ndmin=2,
+            encoding=self._encoding,
+        )
+
+    def _read_tolerant(self, columns: Sequence[int]) -> Array:
+        width = len(columns)
+        with open_text(self.path, self._encoding) as stream:
+            values = np.fromiter(self._cells(stream, columns), np.float64)
+        return values.reshape(-1, width)
+
+    def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
+        """Yield the required cells row by row. Rows without values count as missing samples, and
+        are dropped at the end of the file.
+        """
+        empty: list[int] = []
+        short = 0
+        for line, text in self._rows(stream):
+            cells = [cell.strip(' "\t') for cell in split(text, self._delimiter)]
+            if cells[0].lower() in END_MARKS and not any(cells[1:]):
+                self._end(stream, line, cells[0])
+                break
+            if not any(cells):
+                empty.append(line)
+                continue
+            for _ in empty:
+                yield from (float("nan") for _ in columns)
+            empty = []
+            short += self._check_width(cells, line)
+            for column in columns:
+                if column + self._first_row >= len(cells):
+                    raise InputError(
+                        f"{self.path}:{line}: {len(cells)} columns, but column "
+                        f"{self._name(column)} is needed"
+                        f" (got {text[:60]!r}); repair or remove the line"
+                    )
+                yield self._number(cells[column + self._first_row], line, column)
+        if empty:
+            self.note(f"{len(empty)} rows without values at the end dropped")
+        if short:
+            self.note(f"{short} rows have fewer cells than the first line: read from the left")
+
+    def _end(self, stream: TextIO, line: int, mark: str) -> None:
+        """Add a note on the line that marks the end of the file."""
+        if any(text.strip() for text in stream):
+            raise InputError(
+                f"{self.path}:{line}: {mark}, but more lines follow; if the file ends here, remove "
+                f"the lines that follow, otherwise remove this line"
+            )
+        self.note(f"line {line} ({mark}) read as the end of the file")
+
+    def _check_width(self, cells: Sequence[str], line: int) -> bool:
+        """Reject a row that is longer than the header; return whether the row is shorter than the
+        header.
+        """
+        width = len(self.names) + self._first_row
+        if not any(cells[width:]):
+            return len(cells) < width
+        what = "names in the header" if self._has_header else "cells in the first row"
+        remedy = (
+            "name every column in the header (in R, write.table(..., col.names = NA) also names "
+            "the column of row names), or skip the header with read.skip_rows and give columns "
+            "by index"
+            if len(cells) == width + 1
+            else "repair the line, or check read.delimiter and read.skip_rows"
+        )
+        raise InputError(
+            f"{self.path}:{line}: {len(cells)} cells, but {width} {what}, so that the names of "
+            f"the columns are uncertain; {remedy}"
+        )
+
+    def _number(self, text: str, line: int, column: int) -> float:
+        if column in self._zero:
+            when = nanoseconds(text)
+            if when is not None:
+                return (when - self._zero[column]) * 1e-9
+        text = self._pointed(text)
+        if _is_empty(text):
+            if "#" in text or "(" in text:
+                self.note(f"cells such as {text[:20]} read as missing samples")
+            return float("nan")
+        if _is_number(text) and column not in self._zero:
+            return float(text)
+        if _is_number(text.replace(",", ".", 1)):
+            hint = '; if the comma is a decimal comma, set read.decimal: ","'
+        else:
+            hint = (
+                "; skip header lines with read.skip_rows"
+                if line <= self._skip + 2
+                else "; repair or remove the line"
+            )
+        raise InputError(
+            f"{self.path}:{line}: column {self._name(column)} is not a number (got "
+            f"{text[:60]!r}){hint}"
+        )
+
+    def _pointed(self, cell: str) -> str:
+        return pointed(cell, self._decimal)
+
+    def _name(self, column: int) -> str:
+        name = self.names[column] if column < len(self.names) else ""
+        return f"{name!r}" if name else f"{column}"
+
+    def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
+        """Yield line number and text of each line with a row of numbers."""
+        for line, text in enumerate(stream, start=1):
+            if line > self._skip:
+                content = _without_comment(text)
+                if content:
+                    yield line, content
+
+
+def _names_its_row(line: str, cell: str) -> bool:
+    """Return whether the first cell is a row name: a word, or quoted if the next cell is not."""
+    rest = line.lstrip()
+    return (rest.startswith('"') and rest.count('"') == 2) or not _is_number(cell)
+
+
+def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
+    """Return number (from 1) and text of the first lines with content; ``skip`` lines have been
+    read before.
+    """
+    found: list[tuple[int, str]] = []
+    for line, text in enumerate(stream, start=skip + 1):
+        if found and (text.strip().lower() in END_MARKS or not _without_comment(text)):
+            continue
+        if text.strip().lstrip("\ufeff"):
+            found.append((line, _utf8(text)))
+            if len(found) == _HEAD_LINES:
+                break
+    return found
