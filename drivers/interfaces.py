@@ -19,7 +19,7 @@ from drivers.errors import ConfigurationError, DeviceError, DriveFault
 
 @dataclass(frozen=True)
 class Lacks:
-    """Limits and values that a drive lacks.
+    """Limits and values that a device lacks.
 
     Attributes:
         limits: Fields of :class:`~drivers.interfaces.ServoLimits` that the drive does not enforce.
@@ -35,7 +35,7 @@ class Lacks:
 
 
 NOTHING = Lacks()
-"""Record of a drive that enforces all limits and reports all values."""
+"""Record of a device that enforces all limits and reports all values."""
 
 
 KNOWN_SPREAD: Final = 2.2

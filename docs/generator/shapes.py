@@ -11,7 +11,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import annotated_types
-from pydantic import AfterValidator, BaseModel, Discriminator, Tag
+from pydantic import AfterValidator, AllowInfNan, BaseModel, Discriminator, Tag
 from pydantic.fields import FieldInfo
 
 _SCALARS = {
@@ -137,7 +137,7 @@ def _limits(metadata: tuple[Any, ...]) -> Iterator[str]:
                 yield "(one character)"
             case AfterValidator(func=check) if check.__name__ in _VALIDATORS:
                 yield _VALIDATORS[check.__name__]
-            case Discriminator() | Tag():
+            case AllowInfNan() | Discriminator() | Tag():
                 pass
             case _ if (pattern := getattr(item, "pattern", None)) is not None:
                 yield f"of `{pattern.strip('^$')}`"

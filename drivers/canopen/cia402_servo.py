@@ -41,7 +41,6 @@ from drivers.interfaces import (
     LimitSteps,
     Link,
     Measuring,
-    Servo,
     ServoLimits,
     ServoMotion,
     ServoReadings,
@@ -60,7 +59,7 @@ from drivers.objects import (
     read_identity,
     short_name,
 )
-from drivers.transitions import await_state, exchanges
+from drivers.transitions import FAULTS, SteppedServo
 from drivers.units import ServoScales
 
 HOMING: Final = 6
@@ -131,10 +130,9 @@ control loop end then at the latest, so that a drive that does not answer or obe
 """
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
-_FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
 
 
-class Cia402Servo(SpeedUnit, Homes, Servo):
+class Cia402Servo(SpeedUnit, Homes, SteppedServo):
     """A drive that follows a position. Only :meth:`enable`, which :meth:`begin_homing` calls,
     changes the state of the drive toward power.
 
@@ -161,10 +159,9 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         motion: Motion | None = None,
         stops_alone: bool | None = None,
     ) -> None:
-        super().__init__(scales)
+        SpeedUnit.__init__(self, scales)
+        SteppedServo.__init__(self, link, state_timeout_s)
         self._channel = channel
-        self._link = link
-        self._clock = link.clock
         self._motion = motion or CyclicPosition()
         self._sent = objects.cyclic(channel, scales)
         # The limits that the EDS of the drive has and that the drive obeys in this mode.
@@ -180,8 +177,6 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
             stops_alone = objects.stops_alone(channel.describes)
         self.watch_s = watch_s if stops_alone else None
         link.has_watchdog = link.has_watchdog and stops_alone
-        self._timeout_s = state_timeout_s
-        self._cycle_ns = 0
         self._word = cia402.DISABLE_VOLTAGE
         self._target = 0
         self._previous = 0
@@ -489,11 +484,7 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         The heartbeat time-out is active only from :meth:`enable` to :meth:`disable`, so that the
         control loop may pause at all other times.
         """
-        state = self.state()
-        if state.energised:
-            raise StateError(
-                f"the drive is in state '{state.value}': disable it before it is prepared"
-            )
+        self._require_off()
         self._word = cia402.DISABLE_VOLTAGE
         self._cycle_ns = 0
         self.prepared = False
@@ -514,24 +505,16 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
             self._release()
         self._stage(channel.read(*objects.POSITION))
 
-    def enable(self) -> None:
-        if not self._cycle_ns:
-            raise StateError("the drive is not prepared: call prepare() first")
-        state = self.state()
-        if state in _FAULTS:
-            raise self.fault()
+    def _require_way(self, state: ServoState) -> None:
         controlword(state, Command.ENABLE)
         self._motion.reset()
-        try:
-            with self._channel.kept_alive(_ENABLE_SHARE * self._timeout_s):
-                self._arm()
-                self._word = cia402.DISABLE_VOLTAGE
-                self._stage(self._channel.read(*objects.POSITION))
-                self._walk(in_mode=self._select_mode())
-        except DeviceError:
-            with suppress(DeviceError):
-                self.disable()
-            raise
+
+    def _energise(self) -> None:
+        with self._channel.kept_alive(_ENABLE_SHARE * self._timeout_s):
+            self._arm()
+            self._word = cia402.DISABLE_VOLTAGE
+            self._stage(self._channel.read(*objects.POSITION))
+            self._walk(in_mode=self._select_mode())
 
     def disable(self) -> None:
         channel = self._channel
@@ -539,7 +522,7 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
             self._command(Command.DISABLE)
         # The drive has accepted the command.
         with channel.kept_alive(_DISABLE_SHARE * self._watch_s):
-            self._await(lambda state: not state.energised, "a de-energised state")
+            self._await(self.state, lambda state: not state.energised, "a de-energised state")
             if self._motion.takes_offset:
                 channel.write(*TORQUE_OFFSET, 0)
             if self._armed or not self._cycle_ns:
@@ -554,7 +537,8 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         if word == cia402.FAULT_RESET:
             self._channel.write(*cia402.CONTROLWORD, word)
             self._channel.write(*cia402.CONTROLWORD, cia402.DISABLE_VOLTAGE)
-        self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled")
+        off = ServoState.SWITCH_ON_DISABLED
+        self._await(self.state, lambda state: state is off, off.value)
 
     def set_target(self, angle_rad: float) -> None:
         counts = self._scales.counts(angle_rad)
@@ -634,9 +618,6 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         self._channel.unwatch()
         self._armed = False
 
-    def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
-        await_state(self.state, reached, wanted, self._clock, self._timeout_s)
-
     def _in_mode(self) -> bool:
         """Return whether the mode of operation is active, that is, shown in object 6061h."""
         return self._channel.read(*objects.MODE_DISPLAY) == self._motion.mode
@@ -646,7 +627,7 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         if (error := self._not_offered()) is not None:
             raise error
         self._channel.write(*objects.MODE, self._motion.mode)
-        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
+        for in_time in self._exchanges():
             if self._in_mode():
                 return True
             if not in_time:
@@ -654,10 +635,10 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
         return False
 
     def _walk(self, in_mode: bool) -> None:
-        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
+        for in_time in self._exchanges():
             statusword, position = self._values.motion()
             state = decode_state(statusword)
-            if state in _FAULTS:
+            if state in FAULTS:
                 raise self.fault()
             if state in objects.NEEDED_IN and not in_mode:
                 in_mode = self._in_mode()
@@ -673,10 +654,7 @@ class Cia402Servo(SpeedUnit, Homes, Servo):
             if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
                 return
             if not in_time:
-                raise StateError(
-                    f"the drive is still in state '{state.value}', {self._timeout_s:g} s after the "
-                    "command to enable: check its supply and its enable input"
-                )
+                raise self._not_up(state)
             if self._channel.fresh:
                 self._word = controlword(state, Command.ENABLE)
                 self._stage(position)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from typing import Final
 
 from drivers.can.port import hexadecimal
@@ -20,7 +19,6 @@ from drivers.interfaces import (
     Identity,
     LimitSteps,
     Measuring,
-    Servo,
     ServoLimits,
     ServoMotion,
     ServoReadings,
@@ -28,7 +26,7 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.objects import problem_of
-from drivers.transitions import await_state, exchanges
+from drivers.transitions import FAULTS, SteppedServo
 from drivers.units import Unwrapper
 
 _ANSWER_S: Final = 0.3
@@ -190,12 +188,11 @@ class Feedback:
         return max(answer_s, PERIODS_KEPT * slot.message.period_s)
 
 
-_FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
 _STATUSWORDS: Final = {state: value for _, value, state in cia402.STATUS}
 _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
-class DbcServo(Servo):
+class DbcServo(SteppedServo):
     """A drive with its own CAN frames. Only :meth:`enable` changes its state toward power.
 
     Args:
@@ -208,12 +205,11 @@ class DbcServo(Servo):
     def __init__(
         self, link: DbcLink, channel: DbcChannel, drive: DbcDrive, state_timeout_s: float = 1.0
     ) -> None:
-        self._link = link
-        self._clock = link.clock
+        super().__init__(link, state_timeout_s)
+        self._bus = link
         self._channel = channel
         self._wiring = wiring = channel.wiring
         self._drive = drive
-        self._timeout_s = state_timeout_s
         self._feedback = Feedback(link, channel)
         self._effort = "current" if "current" in wiring.inputs else "torque"
         self._effort_per_A = 1.0 if "current" in wiring.inputs else drive.torque_constant_N_m_A
@@ -223,7 +219,6 @@ class DbcServo(Servo):
         self.limits_taken = dbc_limits.taken(wiring)
         self.limit_places = dbc_limits.places(wiring)
         link.has_watchdog = link.has_watchdog and drive.watchdog_s is not None
-        self._cycle_ns = 0
         self._target = self._previous = 0.0
         self._staged_in = 0
         self._stopped_ns = 0
@@ -280,7 +275,7 @@ class DbcServo(Servo):
         settable = self._wiring.limits
         self._channel.pin({})
         for identifier, data in self._channel.settings(dbc_limits.images(self._wiring, wanted)):
-            self._link.send(identifier, data)
+            self._bus.send(identifier, data)
         held = self._feedback.limits()
         dbc_limits.verify(wanted, held, settable, self._channel.label)
         self._channel.pin(held)
@@ -347,14 +342,10 @@ class DbcServo(Servo):
         """Set the cycle time, and wait until every message of the drive has been received without
         error. The drive is not energised.
         """
-        state = self.state()
-        if state.energised:
-            raise StateError(
-                f"the drive is in state '{state.value}': disable it before it is prepared"
-            )
+        self._require_off()
         self._require_watchdog(cycle_s)
         channel = self._channel
-        self._link.set_cycle(cycle_s, channel.label)
+        self._bus.set_cycle(cycle_s, channel.label)
         channel.set_cycle(cycle_s)
         channel.order(self._wiring.disable)
         for name in (*self._wiring.received, *self._wiring.pages):
@@ -364,32 +355,27 @@ class DbcServo(Servo):
         self._feedback.restart_time()
         self._stage(self._feedback.value("position"))
 
-    def enable(self) -> None:
-        if not self._cycle_ns:
-            raise StateError("the drive is not prepared: call prepare() first")
-        state = self.state()
-        if state in _FAULTS:
-            raise self._channel.fault()
+    def _require_way(self, state: ServoState) -> None:
         if state not in self._wiring.enable:
             raise StateError(f"'enable' is not allowed in state '{state.value}': disable first")
-        try:
-            self._walk()
-        except DeviceError:
-            with suppress(DeviceError):
-                self.disable()
-            raise
 
     def disable(self) -> None:
         self._command(self._wiring.disable)
-        self._link.stop(self._channel)
-        self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
+        self._bus.stop(self._channel)
+        # The orders are repeated, because a frame may have been lost.
+        self._await(
+            self.state,
+            lambda state: not state.energised,
+            "a de-energised state",
+            lambda: self._command(self._wiring.disable),
+        )
 
     def quick_stop(self, *, at_once: bool = True) -> None:
         del at_once  # no answer is waited for
         # The periodic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
         self._stopped_ns = self._clock.now_ns()
-        self._link.stop(self._channel)
+        self._bus.stop(self._channel)
         self._command(self._wiring.stop)
 
     def reset_fault(self) -> None:
@@ -400,13 +386,9 @@ class DbcServo(Servo):
         # disable orders.
         orders = (disable, reset, disable) if word == cia402.FAULT_RESET else (disable,)
         self._command(*orders)
-        await_state(
-            self._told,
-            lambda state: state is ServoState.SWITCH_ON_DISABLED,
-            "switch on disabled",
-            self._clock,
-            self._timeout_s,
-            lambda: self._command(*orders),
+        off = ServoState.SWITCH_ON_DISABLED
+        self._await(
+            self._told, lambda state: state is off, off.value, lambda: self._command(*orders)
         )
 
     def set_target(self, angle_rad: float) -> None:
@@ -478,36 +460,21 @@ class DbcServo(Servo):
     def _command(self, *orders: Order) -> None:
         for order in orders:
             self._channel.order(order)
-            self._link.command(self._channel)
+            self._bus.command(self._channel)
 
-    def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Order) -> None:
-        # The orders are repeated, because a frame may have been lost.
-        await_state(
-            self.state,
-            reached,
-            wanted,
-            self._clock,
-            self._timeout_s,
-            lambda: self._command(*orders),
-        )
-
-    def _walk(self) -> None:
+    def _energise(self) -> None:
         channel, wiring = self._channel, self._wiring
         channel.order(wiring.disable)
         step: ServoState | None = None
-        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
+        for in_time in self._exchanges():
             state = channel.state
-            if state in _FAULTS:
+            if state in FAULTS:
                 raise channel.fault()
             if channel.fresh and state is ServoState.OPERATION_ENABLED:
                 channel.order(wiring.enable[ServoState.OPERATION_ENABLED], hold=True)
                 return
             if not in_time:
-                shown = "unknown" if state is None else state.value
-                raise StateError(
-                    f"the drive is still in state '{shown}', {self._timeout_s:g} s after the "
-                    "command to enable: check its supply and its enable input"
-                )
+                raise self._not_up(state)
             if channel.fresh and state is not None and state in wiring.enable:
                 # The order of each state is sent once, because a message that is sent only with an
                 # order must not be repeated.

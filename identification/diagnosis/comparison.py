@@ -17,10 +17,27 @@ from identification.effects.device import REFERENCE_MASS_KG
 from identification.effects.effect import Context, Dimension
 from identification.model.parameters import LINEAR, parameter_title
 from identification.recording import Array
+from identification.views.nominal import Nominal
 from identification.views.view import View, speed_scale, torque_scale, travel_scale
 
 USUAL_CURRENT_A, USUAL_VOLTAGE_V, USUAL_INERTIA_KG_M2 = 13.0, 40.0, 0.2
 """Greatest current and voltage, and inertia at the joint, on the practical bench."""
+UNSCALED = frozenset(
+    {
+        Dimension.NUMBER,
+        Dimension.CYCLES,
+        Dimension.TIME,
+        Dimension.FREQUENCY,
+        Dimension.PHASE,
+        Dimension.ANGLE,
+        Dimension.LAYER_RATE,
+        Dimension.TAPER,
+        Dimension.EROSION,
+        Dimension.HEAT_FLOW,
+        Dimension.AREA,
+    }
+)
+"""Dimensions whose ranges are the same on every bench."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +88,7 @@ def advantage(chosen: Joint, rival: Joint) -> float:
 
 
 def _corrected_advantage(chosen: Joint, rival: Joint) -> float:
-    """Return :func:`advantage` with Schwarz's correction of log n squares for each additional
-    parameter.
-    """
+    """Return :func:`advantage` with Schwarz's correction, log n squares a further parameter."""
     loss, spread = _loss(chosen, rival)
     more = _effect_parameters(rival) - _effect_parameters(chosen)
     loss += more * math.log(len(chosen.residual))
@@ -84,6 +99,10 @@ def _loss(chosen: Joint, rival: Joint) -> tuple[float, float]:
     """Return the difference of the whitened squares of two fits, and its standard error."""
     stack = chosen.stack
     loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
+    white = all(e.white for e in chosen.equations)
+    if white and float(np.mean(chosen.residual**2)) <= RULES.tested_from:
+        # White noise is left, so that the variance is known and need not be estimated from blocks.
+        return float(np.sum(loss)), 2.0 * float(np.linalg.norm(rival.residual - chosen.residual))
     return float(np.sum(loss)), float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
 
 
@@ -111,10 +130,9 @@ def implausible(joint: Joint) -> str:
     last = joint.effects[-1]
     views = joint.views
     found = last.parameters(Context(views, joint.nominal))
-    scales = _scales(views, joint.nominal.get("J"))
     motion = views[0].recording.bench.motion
     for q in last.term.parameters:
-        scale = scales[q.dimension]
+        scale = 1.0 if q.dimension in UNSCALED else _scale(q.dimension, views, joint.nominal)
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
         if motion == LINEAR and q.dimension is Dimension.ANGLE:
@@ -129,14 +147,8 @@ def implausible(joint: Joint) -> str:
     return ""
 
 
-def _scales(views: Sequence[View], inertia: float) -> dict[Dimension, float]:
-    """Return the scale of this bench relative to the practical bench, for which the ranges of the
-    catalogue are stated, by dimension; a dimension without a scale is an error.
-
-    Args:
-        views: Recordings.
-        inertia: Nominal inertia at the joint, kg m^2, or kg on a linear axis.
-    """
+def _scale(dimension: Dimension, views: Sequence[View], nominal: Nominal) -> float:
+    """Return the scale of this bench relative to the practical bench, to which ranges refer."""
     torque, speed, angle = torque_scale(views), speed_scale(views), travel_scale(views)
     current = _greatest([v.current for v in views], USUAL_CURRENT_A)
     mass = max(v.recording.weight_mass for v in views) / REFERENCE_MASS_KG
@@ -144,15 +156,7 @@ def _scales(views: Sequence[View], inertia: float) -> dict[Dimension, float]:
     # A slow motion needs a small part of the supply voltage; the resistance of the supply does not
     # follow the motion.
     supply = _greatest([c for v in views for c in (v.voltage, v.supply)], USUAL_VOLTAGE_V)
-    same = (
-        Dimension.NUMBER,
-        Dimension.CYCLES,
-        Dimension.TIME,
-        Dimension.FREQUENCY,
-        Dimension.PHASE,
-        Dimension.ANGLE,
-    )
-    return dict.fromkeys(same, 1.0) | {
+    scales = {
         Dimension.CURRENT: current,
         Dimension.CURRENT_RATE: current,
         Dimension.VOLTAGE: voltage,
@@ -168,15 +172,14 @@ def _scales(views: Sequence[View], inertia: float) -> dict[Dimension, float]:
         # The inertia of a load is stated for the reference mass. The scale is that of the
         # identified inertia too, because a fast machine moves more inertia than follows from
         # torque, travel and speed.
-        Dimension.INERTIA: max(torque * angle / speed**2, inertia / USUAL_INERTIA_KG_M2)
+        Dimension.INERTIA: max(torque * angle / speed**2, nominal.get("J") / USUAL_INERTIA_KG_M2)
         / (mass or 1.0),
     }
+    return scales[dimension]
 
 
 def _greatest(channels: Sequence[Array | None], usual: float) -> float:
-    """Return the ratio of the greatest absolute value of a channel to the usual value; 1 if the
-    channel was not recorded.
-    """
+    """Return the greatest absolute value over the usual value; 1 if nothing was recorded."""
     known = [float(np.nanmax(np.abs(c))) for c in channels if c is not None]
     return max(known, default=usual) / usual or 1.0
 
@@ -187,18 +190,13 @@ def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
     first. The best fit and the differences are computed with Schwarz's correction for the number of
     parameters.
     """
-    best = min(joints, key=_criterion)
+    best = min(joints, key=lambda j: j.cost + _effect_parameters(j) * math.log(len(j.residual)))
     near = [
         k
         for k, joint in enumerate(joints)
         if joint is best or _corrected_advantage(best, joint) < RULES.simpler
     ]
     return min(near, key=lambda k: (sizes[k], k))
-
-
-def _criterion(joint: Joint) -> float:
-    """Return the whitened squares with Schwarz's penalty for the parameters of the effects."""
-    return joint.cost + _effect_parameters(joint) * math.log(len(joint.residual))
 
 
 def preferred(name: str, preference: float, beyond: str = "") -> str:

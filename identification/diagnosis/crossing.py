@@ -22,6 +22,7 @@ from identification.diagnosis.comparison import Contender, Round, advantage
 from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.result import Step
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.significance import runs
 from identification.effects.effect import Clearance, Effect
 from identification.effects.transmission import ROTOR_SHARE, count_of_twist, lead
 from identification.recording import Array
@@ -91,18 +92,15 @@ def crossing_torque(
 def _columns(
     view: View, nominal: Nominal, gap: float, rotor: float
 ) -> tuple[Array, list[tuple[int, int]]]:
-    """Return regressors of the drive's torque, shape (m, 3), and for each crossing its first sample
-    and the sample after its last.
-    """
+    """Return regressors of the torque, shape (m, 3), and first and last sample of each crossing."""
     gear = view.recording.bench.gear_ratio
     speed = view.motor_speed / gear
     way = lead(view, nominal, gap, rotor) / (0.5 * gap)
     # If the joint falls, its weight and not the motion of the motor closes the loop.
     held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
     inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
-    turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
     columns = np.stack([_quick_acceleration(view), np.sign(speed), way], axis=1)
-    return columns, [(int(a), int(b)) for a, b in turns.reshape(-1, 2) if b - a >= LEAST_SAMPLES]
+    return columns, [(a, b) for a, b in runs(inside) if b - a >= LEAST_SAMPLES]
 
 
 def _quick_acceleration(view: View) -> Array:
@@ -174,16 +172,7 @@ def gap_or_loop(
 def _preference(
     views: Sequence[View], own: Added, joint: Joint, beside: Joint, seen: Crossing | None
 ) -> float:
-    """Return by how many standard errors the other effect of the pair is preferred to the
-    identified effect.
-
-    Args:
-        views: Recordings.
-        own: The identified effect.
-        joint: Fit with the identified effect.
-        beside: Fit with the other effect in place of the identified effect, as the last effect.
-        seen: Torque from the crossings, or None if too few crossings last long enough.
-    """
+    """Return by how many standard errors the other effect of the pair is preferred to ``own``."""
     loop = own if _rises(own) else beside.effects[-1]
     prefers_loop = (
         _loop_preference(views, _kind(loop).closing_torque(loop.shape))
@@ -232,13 +221,7 @@ def _weight_exceeds_friction(views: Sequence[View], nominal: Nominal) -> bool:
 def _with_travel(
     kind: Clearance, travel: float, seen: Crossing | None, rotor: float, twist: float
 ) -> Added:
-    """Return the start values of the other effect of the pair, with the travel of the identified
-    effect; a loop has the closing torque from the crossings.
-
-    The fit of a loop starts from the rotor inertia that is estimated from the crossings, or from
-    the assumed inertia ``rotor``, kg m^2, and from a shaft compliance of ``twist``, rad/(N m), per
-    encoder count.
-    """
+    """Return start values of the other effect of the pair, with the travel of the first."""
     if not kind.torque_rises or seen is None or seen.torque <= 0.0:
         return Added(*kind.of_travel(travel, rotor, twist, None), (1.0,))
     found = seen.inertia if seen.inertia > 0.0 else rotor

@@ -43,6 +43,7 @@ from identification.diagnosis.result import (
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Options, Progress, Search, search
 from identification.diagnosis.significance import crowded_recordings, rests_under_torque
+from identification.diagnosis.stack import Stack
 from identification.diagnosis.statement import statement, warnings_of
 from identification.diagnosis.unexplained import unexplained, unrecorded_effects
 from identification.diagnosis.within_limits import choose, fit_from_estimate, views_and_fit
@@ -50,7 +51,7 @@ from identification.effects import MOTION
 from identification.effects.effect import Effect
 from identification.estimate.parameter_table import units_of
 from identification.prepare import prepare
-from identification.recording import Dataset, RecordingError
+from identification.recording import Array, Dataset, RecordingError
 from identification.views.view import View, forget, views
 
 Maps = tuple[Map, ...]
@@ -104,7 +105,10 @@ def diagnose(
         found, shift, more = _with_estimate(found, estimate(dataset), shift)
         scored, why = found.baseline, (*why, *more)
     main, fits = fits_of(found.baseline, scored, aside, bandwidth, drawn)
-    unseen, traces = collinear_effects(found.baseline, terms), traces_of(found.baseline, scored)
+    unseen, traces = (
+        collinear_effects(found.baseline, terms),
+        traces_of(found.baseline.stack, found.baseline.residual, scored.residual),
+    )
     findings = _findings(found, judged, traces, (*here, *aside), rng)
     return Diagnosis(
         verdict=verdict,
@@ -208,9 +212,7 @@ def _with_estimate(
     estimated: tuple[Mapping[str, float | None], tuple[str, ...]],
     shift: Mapping[str, Shift],
 ) -> tuple[Search, dict[str, Shift], tuple[str, ...]]:
-    """Return a search with the nominal model at estimated values, the nominal parameters before and
-    after, and the estimator's warnings.
-    """
+    """Return the search and the shifts at estimated values, and the estimator's warnings."""
     values, warnings = estimated
     given = {n: v for n, v in values.items() if v is not None}
     nominal = nominal_at(found.baseline, given)
@@ -324,7 +326,7 @@ def fits_of(
     for equation in baseline.equations:
         rows = baseline.stack.part(equation.name)
         rms = [
-            equation.sigma * math.sqrt(float(np.mean(j.residual[rows] ** 2)))
+            equation.sigma * math.sqrt(float(np.mean(j.residual[rows][equation.owner >= 0] ** 2)))
             for j in (baseline, final)
         ]
         out.append(
@@ -342,12 +344,12 @@ def fits_of(
     return next((f for f in out if drawn and f.equation == drawn[0].equation), out[0]), tuple(out)
 
 
-def traces_of(baseline: Joint, final: Joint) -> tuple[ResidualTrace, ...]:
-    """Return the mismatch of every recording and equation by two models, against time."""
+def traces_of(stack: Stack, first: Array, last: Array) -> tuple[ResidualTrace, ...]:
+    """Return whitened rows by two models as the mismatch of every recording and equation."""
     out = []
-    for equation in baseline.equations:
-        rows = baseline.stack.part(equation.name)
-        before, after = (equation.sigma * j.residual[rows] for j in (baseline, final))
+    for equation in stack.equations:
+        rows = stack.part(equation.name)
+        before, after = (equation.sigma * left[rows] for left in (first, last))
         for view in equation.views:
             mine = equation.owner == view.index
             if np.any(mine):

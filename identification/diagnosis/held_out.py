@@ -26,10 +26,9 @@ from identification.diagnosis.joint import Joint, nominal_after_effects, undeter
 from identification.diagnosis.linear import Added, effect_derivatives
 from identification.diagnosis.removal import LEAST_FURTHER, judging_equations
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows import Equation, equations
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
-from identification.diagnosis.stack import Stack, stack_of, with_effect_basis
+from identification.diagnosis.stack import Stack, with_effect_basis
 from identification.diagnosis.within_limits import (
     cross_validation_residual,
     parameter_derivatives,
@@ -51,13 +50,10 @@ def validation_residual(
     equation, constants such as the zero of an encoder are fitted but not reported. Unknown states
     at the start of a recording, of the effects of the fit and of ``starts``, are fitted too.
     """
-    rows = equations(aside, joint.nominal, joint.unit)
-    sigma = {e.name: e.sigma for e in joint.equations}
-    rows = tuple(_with_noise(e, sigma[e.name]) for e in rows if e.name in sigma)
-    if not rows:
+    stack = joint.unseen(aside)
+    if stack is None:
         return None
-    stack = stack_of(rows, joint.nominal)
-    left = np.concatenate([e.residual / e.sigma for e in rows])
+    left = np.concatenate([e.residual / e.sigma for e in stack.equations])
     for effect in joint.effects:
         # An effect that occurs in one recording only, such as a mislabelled weight, does not occur
         # in recordings set aside.
@@ -68,19 +64,8 @@ def validation_residual(
     return stack, _without_start_states(stack, (*joint.effects, *starts), left)
 
 
-def _with_noise(equation: Equation, sigma: float) -> Equation:
-    """Return an equation relative to another noise; the own noise of each recording does not
-    change.
-    """
-    ratio = (equation.sigma / sigma) ** 2
-    own = {index: max(1.0, power * ratio) for index, power in equation.own.items()}
-    return replace(equation, sigma=sigma, own=own)
-
-
 def _with_own_constants(stack: Stack, rows: Array) -> Array:
-    """Return whitened rows, shape (n, k), after a linear fit of the parameters of all equations
-    except the torque equation.
-    """
+    """Return whitened rows after a fit of the parameters of all equations but the torque's."""
     out = rows.copy()
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
         if equation.name != "torque":
@@ -90,9 +75,7 @@ def _with_own_constants(stack: Stack, rows: Array) -> Array:
 
 
 def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -> Array:
-    """Return rows after a fit of the unknown states of the effects at the start of each recording,
-    such as the temperature of the winding.
-    """
+    """Return rows after a fit of the effects' unknown states at the start of each recording."""
     owner = np.concatenate([e.owner for e in stack.equations])
     for effect in effects:
         if not effect.term.start:
@@ -117,7 +100,7 @@ def validation_rms(joint: Joint, aside: Sequence[View]) -> dict[str, float]:
         return {}
     stack, left = found
     return {
-        e.name: e.sigma * float(np.sqrt(np.mean(left[stack.part(e.name)] ** 2)))
+        e.name: e.sigma * float(np.sqrt(np.mean(left[stack.part(e.name)][e.owner >= 0] ** 2)))
         for e in stack.equations
     }
 
@@ -239,10 +222,7 @@ def validated_effects(found: Search, aside: Sequence[View]) -> Search:
 def _with_replacing_rival(
     case: _Case, joint: Joint, taken: Round, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint:
-    """Return the fit with the first rival of a dropped effect that reduces the error significantly,
-    or the fit without the dropped effect if there is no such rival. The selection round of the
-    rival and a step are added.
-    """
+    """Return the fit with the first rival of a dropped effect that reduces the error, if any."""
     for rival in taken.rivals:
         tried = _fit_with_rival(case, joint, rival)
         if tried is None:
@@ -260,12 +240,7 @@ def _with_replacing_rival(
 def _without_undetermined(
     case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint | None:
-    """Return the fit without an effect whose size has an interval that contains zero, or None if
-    there is no such effect.
-
-    The effect that was selected first is kept. The selection round of the dropped effect is
-    removed, and a step is added.
-    """
+    """Return the fit without a later effect whose size may be zero, or None if there is none."""
     for k, effect in enumerate(joint.effects):
         name = effect.term.name
         first = name == next(iter(rounds), name)
@@ -367,9 +342,7 @@ def _others(joint: Joint, name: str) -> set[str]:
 
 
 def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, list[str]] | None:
-    """Return rows and residual of the recordings set aside, and the equations by which an effect is
-    judged, or None if these recordings cannot show the effect.
-    """
+    """Return rows, residual and judging equations of recordings that show the effect, or None."""
     own = next((e for e in joint.effects if e.term.name == name), None)
     if own is None or own.term.place is not None or not case.aside:
         return None
@@ -412,9 +385,7 @@ def _step(
 
 
 def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
-    """Return the fit with a rival added to the accepted effects, or None if this fit is
-    implausible.
-    """
+    """Return the fit with a rival added to the accepted effects, or None if it is implausible."""
     added = rival.joint.effects[-1]
     if (
         rival.beyond
@@ -434,9 +405,7 @@ def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
 
 
 def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
-    """Return by how many standard errors, computed from blocks of time, an effect reduces the error
-    in the equations by which it is judged.
-    """
+    """Return by how many standard errors over blocks an effect reduces the error."""
     names = judging_equations(joint, effect.term)
     # An unknown initial state is fitted to the recordings set aside, for the fit with and for the
     # fit without the effect.
@@ -474,9 +443,7 @@ def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequenc
 
 
 def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
-    """Whether the mean square of a residual over the named equations together exceeds the noise;
-    otherwise no effect can reduce the residual.
-    """
+    """Whether the mean square exceeds the noise; otherwise no effect can reduce it."""
     rows = judged_rows(stack, left, names)
     return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)
 
@@ -491,17 +458,16 @@ def folds(joint: Joint) -> Array:
     stack = joint.stack
     squares = parameter_derivatives(joint) ** 2
     owner = np.concatenate([e.owner for e in stack.equations])
-    if len(np.unique(owner)) > 1 and not np.any(_sole_parts(squares, owner)):
+    if len(np.unique(owner[owner >= 0])) > 1 and not np.any(_sole_parts(squares, owner)):
         return owner
     parts = stack.block % RULES.parts
     return np.where(np.isin(parts, np.unique(parts)[_sole_parts(squares, parts)]), -1, parts)
 
 
 def _sole_parts(squares: Array, parts: Array) -> Array:
-    """Return a mask of the parts that alone determine a parameter, because nearly all squares of
-    the derivative with respect to this parameter are in the part, shape (parts,).
-    """
-    energy = np.array([np.sum(squares[parts == part], axis=0) for part in np.unique(parts)])
+    """Return a mask of the parts with nearly all squares of a parameter's derivative."""
+    known = np.unique(parts[parts >= 0])
+    energy = np.array([np.sum(squares[parts == part], axis=0) for part in known])
     return np.asarray(np.any(energy > RULES.sole_share * np.sum(energy, axis=0), axis=1))
 
 
@@ -543,12 +509,17 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
     A gap and a loop are distinguished by the torque during crossings, which no regressor contains.
     """
     own = final.effects[place]
-    stack = _stack_of_one_effect(final, place)
+    stack = replace(final.stack, effect_basis=np.zeros((len(final.stack.residual), 0)))
+    others = [e for k, e in enumerate(final.effects) if k != place]
+    if others:
+        stack = with_effect_basis(stack, effect_derivatives(stack, others))
     columns = stack.columns(own.term, own.shape)
     if not columns:
         return []
     made = stack.projected(stack.whitened(columns) @ np.array(own.coefficients)[:, None])[:, 0]
-    others = [e for k, e in enumerate(final.effects) if k != place]
+    white = all(e.white for e in stack.equations)
+    # In white noise the expected preference is half the norm of the difference.
+    least = (2.0 * RULES.rejected) ** 2 / float(made @ made) if white else LEAST_FURTHER
     # Regressors that depend on the drive's torque must not contain the torque of the identified
     # effect.
     without = replace(stack, nominal=nominal_after_effects(final.nominal, others), own={})
@@ -564,24 +535,14 @@ def _indistinct_effects(final: Joint, place: int, terms: Sequence[Effect]) -> li
             width = max((c.shape[1] for c in its.values()), default=0)
             if not width or term.freedom + width > parameter_count(own):
                 continue
-            if _unexplained_share(stack, made, its) <= LEAST_FURTHER:
+            if _unexplained_share(stack, made, its) <= least:
                 found.append(term.name)
                 break
     return found
 
 
-def _stack_of_one_effect(final: Joint, place: int) -> Stack:
-    """Return the stack with the nominal tangent and all effects except one projected out."""
-    bare = replace(final.stack, effect_basis=np.zeros((len(final.stack.residual), 0)))
-    others = [e for k, e in enumerate(final.effects) if k != place]
-    return with_effect_basis(bare, effect_derivatives(bare, others)) if others else bare
-
-
 def _unexplained_share(stack: Stack, made: Array, columns: Mapping[str, Array]) -> float:
-    """Return the share of the squares of a contribution, shape (n,), that regressors do not
-    explain. The nominal tangent and the effect basis are projected out of contribution and
-    regressors.
-    """
+    """Return the share of a contribution's squares that regressors do not explain."""
     whole = stack.whitened(columns)
     square = whole.T @ whole
     for equation, basis in zip(stack.equations, stack.basis, strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -86,6 +86,8 @@ class Joint:
     equations: tuple[Equation, ...]
     residual: Array
     stack: Stack
+    limited: ClassVar[bool] = False
+    """Whether the fit keeps all parameters within their limits."""
 
     @property
     def cost(self) -> float:
@@ -111,6 +113,21 @@ class Joint:
     def rows_at(self, nominal: Nominal) -> tuple[Equation, ...]:
         """Return the equations of the fitted recordings at other nominal values."""
         return equations(self.views, nominal, self.unit, self.stack.equations)
+
+    def problem(self) -> tuple[Array, Array, tuple[Array, Array], Array]:
+        """Return the linear problem of a fit that is within its limits: whitened derivatives,
+        present values, limits, and centre of the ridge penalty.
+        """
+        raise NotImplementedError
+
+    def unseen(self, aside: Sequence[View]) -> Stack | None:
+        """Return the stack of recordings set aside, relative to the noise of this fit; None if too
+        few samples are in steady motion.
+        """
+        sigma = {e.name: e.sigma for e in self.equations}
+        rows = equations(aside, self.nominal, self.unit)
+        known = [with_noise(e, sigma[e.name]) for e in rows if e.name in sigma]
+        return stack_of(known, self.nominal) if known else None
 
 
 def fit(
@@ -139,7 +156,12 @@ def fit(
     stack = None if before is None else before.stack
     for k in range(ROUNDS):
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
-        _require_motion(rows)
+        if not any(equation.name == "torque" for equation in rows):
+            raise RecordingError(
+                "no sample of the recordings with role fit is in steady motion, so these "
+                "recordings determine neither friction nor inertia; add a recording with longer "
+                "steady motion"
+            )
         here = stack = stack_of(rows, nominal, stack)
         effects = _with_nonlinear_parameters(here, effects, k)
         solved = solve(here, effects)
@@ -177,9 +199,7 @@ def fit(
 def _with_nonlinear_parameters(
     stack: Stack, effects: tuple[Added, ...], round_: int
 ) -> tuple[Added, ...]:
-    """Return effects with fitted nonlinear parameters, one effect after the other: on a grid in the
-    first rounds, by Gauss-Newton steps in later rounds.
-    """
+    """Fit nonlinear parameters: on a grid in the first rounds, later by Gauss-Newton steps."""
     for place in range(len(effects)):
         if round_ < len(GRID_REACHES):
             shaped = _grid_search(stack, effects, place, GRID_REACHES[round_])
@@ -187,14 +207,6 @@ def _with_nonlinear_parameters(
             shaped = _gauss_newton(stack, effects, place)
         effects = (*effects[:place], shaped, *effects[place + 1 :])
     return effects
-
-
-def _require_motion(rows: Sequence[Equation]) -> None:
-    if not any(equation.name == "torque" for equation in rows):
-        raise RecordingError(
-            "no sample of the recordings with role fit is in steady motion, so these recordings "
-            "determine neither friction nor inertia; add a recording with longer steady motion"
-        )
 
 
 def _closing_steps(best: Joint, solved: Solution) -> Joint:
@@ -225,10 +237,7 @@ def _closing_steps(best: Joint, solved: Solution) -> Joint:
 
 
 def _fit_after_step(best: Joint, step: Array, enough: float) -> tuple[Joint, Solution] | None:
-    """Return the fit after a step of its nominal parameters, or None if the attained torque
-    mismatch is at least ``enough``, or if the cost rises by a share of more than
-    :data:`CLOSING_EXCESS`.
-    """
+    """Return the fit after a step, or None if it leaves ``enough`` or raises the cost."""
     nominal = best.nominal.moved(step, np.zeros(len(step)))
     stack = stack_of(best.rows_at(nominal), nominal, best.stack)
     solved = solve(stack, best.effects)
@@ -248,9 +257,7 @@ def start_fit(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tupl
 
 
 def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
-    """Return the effects after a step, within limits, of the nonlinear parameters that determine an
-    effect's size.
-    """
+    """Return the effects after a step of the nonlinear parameters that determine a size."""
     left, placed = list(steps), []
     for effect in effects:
         shape = effect.shape
@@ -308,9 +315,7 @@ def _single_effect(stack: Stack, effects: Sequence[Added], k: int) -> _SingleEff
 
 
 def _grid_search(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
-    """Return effect ``k`` with its nonlinear parameters from a grid, with the nominal tangent and
-    the other effects free.
-    """
+    """Return effect ``k`` with its nonlinear parameters from a grid, all else free."""
     effect = effects[k]
     if not effect.term.refine:
         return effect
@@ -362,9 +367,7 @@ def _gauss_newton(stack: Stack, effects: Sequence[Added], k: int) -> Added:
 def _decreasing_step(
     others: _SingleEffect, effect: Added, step: Array, least: float
 ) -> Shape | None:
-    """Return the nonlinear parameters after the largest share of a step that lowers the cost by
-    more than the rounding error, or None if no share lowers the cost.
-    """
+    """Return the nonlinear parameters after the largest share of a step that lowers the cost."""
     share = 1.0
     while share >= LEAST_STEP_SHARE:
         shape = effect.shape
@@ -379,9 +382,7 @@ def _decreasing_step(
 
 
 def _grid_minimum(cost: Callable[[Shape], float], effect: Added, share: float) -> Shape:
-    """Return the nonlinear parameters of least cost, by a search of one parameter after the other
-    on grids that become finer.
-    """
+    """Return the nonlinear parameters of least cost, by finer and finer grids."""
     best, least = effect.shape, cost(effect.shape)
     width = share
     for _ in range(GRID_REFINEMENTS):
@@ -447,7 +448,11 @@ def without_effect(joint: Joint, k: int) -> Stack:
     effect; the nominal tangent and the other effects are projected out.
     """
     others = tuple(e for j, e in enumerate(joint.effects) if j != k)
-    nominal = nominal_after_effects(_without_own_values(joint.nominal, joint.effects[k]), others)
+    plain, _ = start_fit(joint.nominal, ())
+    begun, _ = joint.effects[k].term.begin(plain, joint.effects[k].shape)
+    own = [name for name in SET_BY_EFFECTS if getattr(begun, name) != getattr(plain, name)]
+    left_out = replace(joint.nominal, **{name: getattr(plain, name) for name in own})
+    nominal = nominal_after_effects(left_out, others)
     rows = joint.rows_at(nominal)
     bare = stack_of(rows, nominal, joint.stack)
     left = np.concatenate([e.residual / e.sigma for e in rows])
@@ -455,14 +460,6 @@ def without_effect(joint: Joint, k: int) -> Stack:
         left = left - contribution(bare, effect)
     bare = replace(bare, residual=bare.projected(left[:, None])[:, 0])
     return with_effect_basis(bare, effect_derivatives(bare, others))
-
-
-def _without_own_values(nominal: Nominal, effect: Added) -> Nominal:
-    """Return the nominal values without those that the effect has set."""
-    bare, _ = start_fit(nominal, ())
-    begun, _ = effect.term.begin(bare, effect.shape)
-    own = [name for name in SET_BY_EFFECTS if getattr(begun, name) != getattr(bare, name)]
-    return replace(nominal, **{name: getattr(bare, name) for name in own})
 
 
 APPROXIMATION_SHARE, APPROXIMATION_RAD = 0.02, 0.01
@@ -506,7 +503,10 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         half = {
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)),
-                _approximation_error(name, values[name]),
+                # Approximate regressors.
+                APPROXIMATION_RAD
+                if name.split("_")[0] in ("phase", "center", "zero", "rest")
+                else APPROXIMATION_SHARE * abs(values[name]),
             )
             if np.any(s != 0.0)
             else 0.0
@@ -540,15 +540,6 @@ def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
     return None
 
 
-def _approximation_error(name: str, value: float) -> float:
-    """Return the error of a parameter due to an approximate regressor, as a half width of 90 %."""
-    return (
-        APPROXIMATION_RAD
-        if name.split("_")[0] in ("phase", "center", "zero", "rest")
-        else APPROXIMATION_SHARE * abs(value)
-    )
-
-
 def identifiable(joint: Joint, name: str) -> bool:
     """Whether a nominal parameter is identifiable: its 90 % half width is below half its value (for
     a static level, half its rise; for a Stribeck speed, 0.5 in the logarithm).
@@ -580,9 +571,7 @@ def identifiable(joint: Joint, name: str) -> bool:
 
 
 def _parameters_after_steps(effect: Added, context: Context) -> list[dict[str, float]]:
-    """Return the parameters of the effect after a small step along each column of
-    :func:`effect_derivatives`.
-    """
+    """Return the parameters after a step along each column of :func:`effect_derivatives`."""
     moves = []
     coefficients = np.array(effect.coefficients)
     if effect.term.size is None:
@@ -636,9 +625,7 @@ def with_lower_noise(baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
 
 
 def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
-    """Return an equation with the noise that is estimated from the residual of a fit, but at most
-    the present noise.
-    """
+    """Return an equation with the noise by the residual of a fit, if this noise is lower."""
     if not equation.judges:
         return equation
     rest = without_tones(
@@ -659,7 +646,7 @@ def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
     """
     pairs = list(zip(equations, baseline.equations, strict=True))
     if all(e.sigma >= LOWER_NOISE_RATIO * old.sigma for e, old in pairs):
-        pairs = [(_with_noise(e, old.sigma), old) for e, old in pairs]
+        pairs = [(with_noise(e, old.sigma), old) for e, old in pairs]
         if all(
             power >= LOWER_NOISE_RATIO**2 * old.own.get(index, 1.0)
             for e, old in pairs
@@ -675,7 +662,7 @@ def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
     return replace(baseline, equations=kept, residual=residual, stack=stack)
 
 
-def _with_noise(equation: Equation, sigma: float) -> Equation:
+def with_noise(equation: Equation, sigma: float) -> Equation:
     """Return an equation with another noise; the own noise of each recording, if greater than the
     noise of the equation, does not change.
     """

@@ -123,7 +123,11 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
         if between and equation.name == "voltage":
             hidden = (between_samples(equation.views) / equation.sigma) ** 2 / equation.allowed()
             rows = rows / np.sqrt(1.0 + np.minimum(hidden, VISIBLE**2 / RULES.excess - 1.0))
-        if float(np.mean(rows**2)) > least or greatest(rows, equation) > RULES.excess_of_one:
+        if (
+            equation.white
+            or float(np.mean(rows**2)) > least
+            or greatest(rows, equation) > RULES.excess_of_one
+        ):
             return True
     return False
 
@@ -144,7 +148,8 @@ def main_equation(found: Search) -> Equation:
         return _most_reduced(base.equations, base.stack, base.residual, found.final.residual)
     loudest = found.loudest.split(" ")[0]
     named = [e for e in judges if e.name == loudest]
-    return named[0] if named else max(judges, key=lambda e: _beyond_noise(found.baseline, e))
+    left = {e.name: over_own_noise(found.baseline, e) for e in judges}
+    return named[0] if named else max(judges, key=lambda e: np.sum(left[e.name] ** 2 - 1.0))
 
 
 def _most_reduced(
@@ -169,14 +174,6 @@ def _most_reduced(
         return most
     others = [e for e in equations if e.judges]
     return max(others, key=lambda e: reduction(e) / max(1, len(e.residual)))
-
-
-def _beyond_noise(joint: Joint, equation: Equation) -> float:
-    """Return the sum of whitened squares beyond the noise that a fit leaves in an equation; the
-    noise includes the errors of the sensors and the own noise of each recording.
-    """
-    rows = over_own_noise(joint, equation)
-    return float(rows @ rows) - len(rows)
 
 
 def _open_rivals(taken: Round) -> tuple[str, ...]:
@@ -230,8 +227,11 @@ def _effect(
     open_names = _open_rivals(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
-    needed = excess[own.name].before if alone else _needing(found.final, k, rows)
-    confidence = confidence_of(taken, quality, _more_is_missing(found), needed, alone)
+    made = contribution(found.final.stack, found.final.effects[k])
+    without = float(np.mean((found.final.residual + made)[rows] ** 2))
+    needed = excess[own.name].before if alone else without
+    incomplete = found.p_after <= RULES.level or little_unseen(found)
+    confidence = confidence_of(taken, quality, incomplete, needed, alone)
     rivals = tuple(
         Rival(
             r.name,
@@ -264,14 +264,7 @@ def _location_of(
     shown: Sequence[Equation],
     rng: np.random.Generator,
 ) -> Location:
-    """Return the location of effect ``k``.
-
-    Args:
-        found: The search.
-        k: Index of the effect in the fit.
-        shown: Equations in which the effect has regressors.
-        rng: Random generator for the bands of the maps.
-    """
+    """Return the location of effect ``k``, which has regressors in the equations ``shown``."""
     effect, missing, left = found.final.effects[k], found.baseline.stack, found.baseline.residual
     if len(found.final.effects) > 1:
         missing = without_effect(found.final, k)
@@ -289,27 +282,12 @@ def _location_of(
     return replace(where, recordings=(names[index],))
 
 
-def _more_is_missing(found: Search) -> bool:
-    """Whether the test finds further missing physics, or the effects explain too little of the
-    mismatch on recordings set aside.
-    """
-    return found.p_after <= RULES.level or little_unseen(found)
-
-
 def little_unseen(found: Search) -> bool:
     """Whether the effects explain less of the mismatch on recordings set aside than the right
     effects would (`nearly_complete`).
     """
     share = found.unseen_share
     return share is not None and share < RULES.nearly_complete
-
-
-def _needing(final: Joint, k: int, rows: slice) -> float:
-    """Return the mean-square mismatch of the corrected model without the contribution of effect
-    ``k``, relative to that of the noise, in ``rows``.
-    """
-    made = contribution(final.stack, final.effects[k])
-    return float(np.mean((final.residual + made)[rows] ** 2))
 
 
 def confidence_of(

@@ -200,9 +200,7 @@ def _step_with_following(
 
 
 def _size_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives with respect to the nonlinear parameters that determine an
-    effect's size, shape (n, g).
-    """
+    """Return whitened derivatives with respect to parameters that determine a size, (n, g)."""
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
         for index, reach in size_entries(effect).items():
@@ -214,9 +212,7 @@ def _size_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
 
 
 def _projected_least_squares(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
-    """Return the coefficients of columns, with the tangent and the effect basis of the stack
-    projected out, and the residual.
-    """
+    """Return coefficients of projected columns, and the residual."""
     left = stack.projected(target[:, None])[:, 0]
     columns = stack.projected(free)
     scale = np.linalg.norm(columns, axis=0)
@@ -226,9 +222,7 @@ def _projected_least_squares(stack: Stack, target: Array, free: Array) -> tuple[
 
 
 def _nominal_step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
-    """Return the least-squares step of the nominal parameters for whitened rows; zero for names in
-    ``without``.
-    """
+    """Return the least-squares step of the nominal parameters; zero for names in ``without``."""
     free = stack.nominal.free
     step = np.zeros(len(free))
     for equation in stack.equations:

@@ -13,7 +13,6 @@ from identification.diagnosis.rows import (
     FROM_TORQUE,
     LEAST_ROWS,
     LOAD,
-    MAPPED,
     Equation,
     at_rows,
     edges,
@@ -177,10 +176,10 @@ def maps(
     """
     block = stack.block[stack.part(equation.name)]
     weight, alone = weight_of(equation), mismatch_of(stack, equation.name)
-    sense, load = (at_rows(c, equation, weight) for c in (DIRECTION, LOAD))
+    sense, known = at_rows(DIRECTION, equation, weight), equation.owner >= 0
     bench, amperes = equation.views[0].recording.bench, stack.equations[0].unit == "A"
     found = []
-    for coordinate in MAPPED:
+    for coordinate in equation.mapped:
         if not shows(coordinate, equation.views, coordinate.name == own):
             continue
         measured = equation.name in NOMINAL_IN and coordinate.name in FROM_TORQUE
@@ -188,13 +187,13 @@ def maps(
             continue
         values = at_rows(coordinate, equation, weight)
         unit = coordinate.unit if coordinate.periodic else ""
-        axis = Axis(
-            coordinate.name, unit or unit_on(bench.motion, coordinate.unit, amperes), values
-        )
+        unit = unit or unit_on(bench.motion, coordinate.unit, amperes)
         sets = functions_at_rows(coordinate, equation, values, alone.step, stack.cache)
         # Harmonics have the weights of the rows already.
         plain = np.ones(len(sense)) if coordinate.periodic else weight
-        factors = [plain] + [plain * load] * coordinate.by_load
+        factors = [plain]
+        if coordinate.by_load:
+            factors.append(plain * at_rows(LOAD, equation, weight))
         share = max(alone.explained(sets, f[:: alone.step]) for f in factors)
         sided = max(
             [alone.explained(sets, (sense * f)[:: alone.step]) for f in factors]
@@ -203,7 +202,9 @@ def maps(
         )
         sign = sense if sided > share else np.ones(len(sense))
         bins = TURN_BINS if coordinate.periodic and len(values) > TURN_ROWS else BINS
-        made = map_over(equation, axis, sign * before, sign * after, block, stack.blocks, rng, bins)
+        axis, mismatches = Axis(coordinate.name, unit, values[known]), (sign * before, sign * after)
+        first, last = (m[known] for m in mismatches)
+        made = map_over(equation, axis, first, last, block[known], stack.blocks, rng, bins)
         if made is not None:
             found.append(
                 replace(

@@ -104,9 +104,7 @@ def _trials(stack: Stack, context: Context, term: Effect) -> Iterator[_Trial]:
 
 
 def _explained(trials: Sequence[_Trial]) -> Array:
-    """Return, for each pair of trial parameters, the share of the span of the first regressors that
-    the span of the second regressors contains, shape (t, t).
-    """
+    """Return the share of each trial's span that each other trial's span contains, shape (t, t)."""
     if not trials:
         return np.zeros((0, 0))
     every = np.concatenate([t.span for t in trials], axis=1)
@@ -118,9 +116,7 @@ def _explained(trials: Sequence[_Trial]) -> Array:
 
 
 def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
-    """Return the effects that explain the regressor of one effect at more than half of its trial
-    parameters.
-    """
+    """Return the effects that explain one effect at more than half of its trial parameters."""
     found = {}
     for name in {t.term.name for t in trials} - {trials[own[0]].term.name}:
         others = [k for k, t in enumerate(trials) if t.term.name == name]

@@ -18,7 +18,7 @@ from identification.diagnosis.held_out import validation_rms
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.significance import trial_candidates
-from identification.diagnosis.stack import Candidate, Stack
+from identification.diagnosis.stack import Stack
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Context, Effect, Shape
 from identification.prepare import torque_unit
@@ -74,7 +74,10 @@ def oracle(
     }
     joint = baseline
     while left:
-        best = _best_candidate(joint, list(left.values()))
+        trials = trial_candidates(
+            joint.stack, Context(joint.views, joint.nominal), list(left.values())
+        )
+        best = max(trials, key=lambda c: c.score, default=None)
         if best is None:
             return None
         added = Added(left.pop(best.name), best.shape, tuple(float(c) for c in best.coefficients))
@@ -89,27 +92,12 @@ def oracle(
     for effect in joint.effects:
         rest = tuple(e for e in joint.effects if e is not effect)
         without = baseline.again(joint.nominal, rest) if rest else baseline
-        remaining_strength[effect.term.name] = _remaining_strength(without, joint, list(noise))
+        beyond = [
+            float(np.mean(without.residual[rows] ** 2 - joint.residual[rows] ** 2))
+            for rows in map(joint.stack.part, noise)
+        ]
+        remaining_strength[effect.term.name] = math.sqrt(max(0.0, *beyond))
     return HeldOut(where, before[where], after[where], noise[where], remaining_strength)
-
-
-def _remaining_strength(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
-    """Return the rms by which the mismatch without an effect exceeds the mismatch with the effect,
-    over the noise, in the equation in which this ratio is greatest.
-    """
-    beyond = []
-    for name in equations:
-        rows = joint.stack.part(name)
-        beyond.append(float(np.mean(without.residual[rows] ** 2 - joint.residual[rows] ** 2)))
-    return math.sqrt(max(0.0, *beyond))
-
-
-def _best_candidate(joint: Joint, terms: Sequence[Effect]) -> Candidate | None:
-    """Return the effect, at one set of trial parameters, that explains most of the remaining
-    mismatch.
-    """
-    context = Context(joint.views, joint.nominal)
-    return max(trial_candidates(joint.stack, context, terms), key=lambda c: c.score, default=None)
 
 
 MOST_STEPS = 40
@@ -206,9 +194,7 @@ def library(joint: Joint, terms: Sequence[Effect]) -> Library:
 
 
 def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return whitened regressors with the tangent projected out; empty if a regressor is collinear
-    with the nominal model.
-    """
+    """Return whitened, projected regressors; empty if one is collinear with the nominal model."""
     out: dict[str, Array] = {}
     before: Array | float = 0.0
     after: Array | float = 0.0
@@ -222,9 +208,7 @@ def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _folds(stack: Stack) -> np.ndarray:
-    """Return the fold of each recording by its index, assigned in turn; -1 for a recording without
-    rows.
-    """
+    """Return the fold of each recording by its index; -1 for a recording without rows."""
     recordings = sorted({v.index for e in stack.equations for v in e.views})
     fold = np.full(recordings[-1] + 1, -1, dtype=np.int64)
     fold[recordings] = np.arange(len(recordings)) % FOLDS
@@ -241,7 +225,8 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
     for _ in range(MOST_STEPS):
         gains = _gains(gram, moment, given.groups)
         scores = [
-            _bic_change(given.rows, power, gain, g)
+            given.rows * math.log(max(1.0 - gain / power, 1e-12))
+            + (g.columns.stop - g.columns.start) * math.log(given.rows)
             for gain, g in zip(gains, given.groups, strict=True)
         ]
         best = int(np.argmin(scores))
@@ -260,12 +245,7 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
 
 
 def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
-    """Return the sum of squares that each group (one effect at one set of trial parameters)
-    explains.
-
-    The sum is 0 if the group is collinear with the selected groups, or a coefficient has an
-    unphysical sign.
-    """
+    """Return the squares that each group explains; 0 if collinear or of unphysical sign."""
     gains = np.zeros(len(groups))
     widths = np.array([g.columns.stop - g.columns.start for g in groups])
     for width in np.unique(widths):
@@ -282,11 +262,6 @@ def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
         ]
         gains[mine] = np.where(signs, np.einsum("gk,gk->g", coefficients, its), 0.0)
     return [float(gain) for gain in gains]
-
-
-def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
-    width: int = group.columns.stop - group.columns.start
-    return rows * math.log(max(1.0 - gain / power, 1e-12)) + width * math.log(rows)
 
 
 def sparse(given: Library) -> tuple[str, ...]:
@@ -324,9 +299,7 @@ def sparse(given: Library) -> tuple[str, ...]:
 
 
 def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array) -> list[Array]:
-    """Return coefficients, shape (p,), at each of the rising thresholds; the regression at a
-    threshold starts with the groups that remain at the previous threshold.
-    """
+    """Return coefficients, shape (p,), at each of the rising thresholds, each from the last."""
     left = list(groups)
     coefficients = np.zeros(len(moment))
     out = []
@@ -349,9 +322,7 @@ def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array
 
 
 def _stays(group: Group, gram: Array, coefficients: Array, threshold: float) -> bool:
-    """Whether the contribution of a group is at least the threshold of the sparse regression, with
-    coefficients of physical sign.
-    """
+    """Whether a group stays in the sparse regression: strong enough, of physical sign."""
     own = coefficients[group.columns]
     power = float(own @ gram[group.columns, group.columns] @ own)
     return power >= threshold**2 and all(own[k] > 0.0 for k in group.positive)

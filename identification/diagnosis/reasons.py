@@ -4,7 +4,7 @@ of a mismatch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -39,8 +39,8 @@ def is_hysteretic(joint: Joint) -> bool:
     speed or rest time.
     """
     rows = joint.residual[joint.stack.part("torque")]
-    torque = next(e for e in joint.equations if e.name == "torque")
-    if float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
+    torque = next((e for e in joint.equations if e.name == "torque"), None)
+    if torque is None or float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
         return False
     gains = {}
     for name, columns in families(torque):
@@ -108,31 +108,41 @@ def judged_equation(found: Search) -> Excess:
     judges = [e for e in excess_of(found) if e.equation not in AT_INSTANTS]
     acting = equations_of_effects(found) | {"torque"}
     judges = [e for e in judges if e.equation in acting] or judges
-    return max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
+    sizes = {e.name: len(e.residual) for e in found.baseline.equations}
+    return max(judges, key=lambda e: (e.before - 1.0) * sizes[e.equation])
 
 
-def insufficient(found: Search, share: float = RULES.adequate) -> bool:
-    """Whether the effects explain less than ``share`` of the mismatch beyond the noise."""
+def adequate(found: Search) -> float:
+    """Return the share of the mismatch beyond the noise that the effects must explain."""
+    name = judged_equation(found).equation
+    white = next(e for e in found.final.equations if e.name == name).white
+    return RULES.adequate_white if white else RULES.adequate
+
+
+def insufficient(found: Search, share: float) -> bool:
+    """Whether the effects explain less than ``share`` of the mismatch beyond the noise, and a
+    mismatch beyond the noise is left.
+    """
     worst = judged_equation(found)
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (
         worst.after > RULES.excess * level(equation)
         or greatest_mean_square(found.final, equation) > RULES.excess_of_one
+        or (equation.white and found.p_after <= RULES.level)
     )
     return worst.explained < share and left
-
-
-def _rows(found: Search, equation: str) -> int:
-    rows = found.baseline.stack.part(equation)
-    return int(rows.stop - rows.start)
 
 
 def hysteretic_remainder(found: Search) -> bool:
     """Whether the effects explain less of the torque mismatch than right effects would
     (`nearly_complete`), and the remaining mismatch is hysteretic.
     """
-    torque = next(e for e in excess_of(found) if e.equation == "torque")
-    return torque.explained < RULES.nearly_complete and is_hysteretic(found.final)
+    torque = next((e for e in excess_of(found) if e.equation == "torque"), None)
+    return (
+        torque is not None
+        and torque.explained < RULES.nearly_complete
+        and is_hysteretic(found.final)
+    )
 
 
 # Tests whether two identified effects nearly cancel each other, so that their small sum resembles
@@ -188,24 +198,18 @@ def direction_dependent(joint: Joint) -> tuple[str, ...]:
     """
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
-    torque = next(e for e in joint.equations if e.name == "torque")
-    if float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
+    torque = next((e for e in joint.equations if e.name == "torque"), None)
+    if torque is None or float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
         return ()
-    return tuple(name for name, gain in _gains(joint) if gain >= RULES.nearly_all * beyond)
-
-
-def _gains(joint: Joint) -> Iterator[tuple[str, float]]:
-    """Yield the name of each effect in the torque equation, and the whitened squares that separate
-    coefficients for the two directions of motion would explain in addition.
-    """
-    torque = next(e for e in joint.equations if e.name == "torque")
-    ahead = torque.rows(lambda v: v.sense) > 0.0
+    ahead, found = torque.rows(lambda v: v.sense) > 0.0, []
     for effect in joint.effects:
         columns = joint.stack.columns(effect.term, effect.shape).get("torque")
         if columns is not None:
             each = np.concatenate([columns * ahead, columns * ~ahead], axis=1)
             split = joint.stack.independent(effect.term.name, "torque", each)
-            yield effect.term.name, 0.0 if split is None else split.gain
+            if split is not None and split.gain >= RULES.nearly_all * beyond:
+                found.append(effect.term.name)
+    return tuple(found)
 
 
 class Kind(Enum):
@@ -259,8 +263,8 @@ def reason_outside(found: Search, searched: Search) -> Reason | None:
             return Reason(kind, found, concerned)
     if infeasible(searched.final):
         return Reason(Kind.INFEASIBLE, searched, before)
-    if insufficient(searched):
-        return Reason(Kind.TOO_LITTLE, searched, before)
+    if insufficient(searched, adequate(searched)):
+        return Reason(Kind.TOO_LITTLE, searched, before, adequate(searched))
     least = RULES.adequate_after_removal
     if set(names) != set(before) and insufficient(found, least):
         return Reason(Kind.TOO_LITTLE, found, names, least)

@@ -66,9 +66,7 @@ def with_needed_effects(
 
 
 def _why_removed(share: float, needed: float) -> str:
-    """Return a text that states why an effect is removed, from the share that it explains and the
-    needed share.
-    """
+    """Return the reason of a removal from the explained and the needed share."""
     explains = (
         f"explains {100.0 * share:.0f} % of the mismatch beyond the noise that remains without it"
     )
@@ -82,9 +80,7 @@ def _why_removed(share: float, needed: float) -> str:
 def _explained_share(
     baseline: Joint, without: Joint, joint: Joint, term: Effect
 ) -> tuple[float, float]:
-    """Return the share of the mismatch beyond the noise that one effect explains, and the share
-    that it must explain.
-    """
+    """Return the share of the mismatch that one effect explains, and the share it must explain."""
     parts = _judging_rows(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
@@ -114,17 +110,13 @@ def would_be_removed(baseline: Joint, joint: Joint, term: Effect, candidate: Can
 
 
 def _least_gain(beside: Joint, term: Effect) -> float:
-    """Return the gain, relative to that of the other effects, below which the gain of an effect may
-    be due to errors of the other effects' regressors, if no other mismatch remains.
-    """
+    """Return the relative gain that errors of the other effects' regressors may cause."""
     error = _regressor_error(beside, term)
     return RULES.shape_errors * error if error > EXACT else error
 
 
 def _regressor_error(beside: Joint, term: Effect) -> float:
-    """Return the error of the regressors of the other effects, relative to the gain of these
-    effects.
-    """
+    """Return the error of the other effects' regressors, relative to their gain."""
     return max(
         (e.term.shape_error for e in beside.effects if share_equation(e.term, term)), default=EXACT
     )

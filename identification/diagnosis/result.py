@@ -49,7 +49,7 @@ class Location:
         unit: Unit of the ranges.
         ranges: Ranges of the coordinate in which the mismatch is significant.
         share_of_mismatch: Share of the mismatch's power that a function of this coordinate predicts
-            beside the nominal parameters; of a gas generator, that the mean explains.
+            beside the nominal parameters.
         recordings: Names of the recordings in which the mismatch shows.
     """
 
@@ -120,7 +120,7 @@ class Map:
     """The mismatch against one coordinate, with simultaneous 90 % bands.
 
     Attributes:
-        equation: ``torque``, ``transmission``, ``voltage`` or ``breakaway``.
+        equation: ``torque``, ``transmission``, ``voltage``, ``breakaway`` or ``pressure``.
         coordinate: Coordinate, as in :class:`Location`.
         unit: Unit of the coordinate.
         residual_unit: Unit of the mismatch.
@@ -130,7 +130,7 @@ class Map:
         high: Upper band around ``mean``, shape (b,).
         after: Mean mismatch in each bin by the corrected model, shape (b,).
         share: Share of the mismatch's power that a function of the coordinate predicts beside the
-            nominal parameters; of a gas generator, that ``mean`` explains.
+            nominal parameters.
         against_motion: Whether the mismatch was multiplied by the direction of motion, like
             friction.
         mean_share: Share of the mismatch's power that ``mean`` explains.

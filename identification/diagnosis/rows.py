@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +91,7 @@ def between_samples(views: Sequence[View]) -> float:
 
 
 def _instant(channels: Sequence[Array | None]) -> float:
-    """Return the rms error of using samples in place of means over their periods, from the changes
-    between the samples.
-    """
+    """Return the rms error of samples in place of means over their periods."""
     changes = [np.diff(c[np.isfinite(c)]) for c in channels if c is not None]
     every = np.concatenate([np.zeros(1), *changes])
     return float(np.sqrt(np.mean(every**2) / 12.0))
@@ -146,9 +145,7 @@ def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
 
 
 def _tone(rows: Array, time: Array) -> Array:
-    """Return the sine that explains the greatest part of the rows; ``time`` are the times of the
-    rows, which need not be evenly spaced.
-    """
+    """Return the sine that explains most of the rows; the times may be uneven."""
     step = float(np.min(np.diff(time)))
     place = np.round(time / step).astype(np.int64)
     even = np.zeros(int(place[-1]) + 1)
@@ -225,6 +222,20 @@ class Equation:
     sigma: float
     own: Mapping[int, float] = field(default_factory=dict)
     accuracy: float = 0.0
+    white: ClassVar[bool] = False
+    """Whether the noise of the rows is white and known well, as that of a transducer."""
+    firm: tuple[int, ...] = ()
+    """Rows that are deviations of constants from their nominal values, in standard deviations."""
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Coordinates on which the mismatch may depend."""
+        return COORDINATES
+
+    @property
+    def mapped(self) -> tuple[Coordinate, ...]:
+        """Coordinates over which the mismatch is located."""
+        return MAPPED
 
     @property
     def judges(self) -> bool:
@@ -368,9 +379,7 @@ def least_noise(equation: Equation) -> float:
 
 
 def _count(views: Sequence[View], channel: str) -> float:
-    """Return the quantisation step of an encoder, rad; if no recording has enough small steps to
-    determine it, the smallest step in all recordings.
-    """
+    """Return the step of an encoder, rad; if unknown, the smallest repeated step."""
     series = [v.recording.channels[channel] for v in views]
     known = max(quantum(values) for values in series)
     if known > 0.0:
@@ -445,9 +454,7 @@ def _rise(view: View) -> Array:
 
 
 def _sharpness(view: View) -> Array:
-    """Return the weights of breakaways, which are lower the faster the torque rises, because a
-    sample then differs more from the torque at the breakaway.
-    """
+    """Return weights of breakaways: the faster the torque rises, the less a sample states."""
     last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
     unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
     return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_N_M) ** 2))
@@ -565,6 +572,7 @@ def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple
             if len(mine) > 8:
                 length = max(length, BLOCK_CORRELATION_TIMES * correlation_samples(mine) * step)
     views = {v.index: v for e in equations for v in e.views}
+    priors = any(np.any(e.owner < 0) for e in equations)
     longest = max(float(v.time[-1] - v.time[0]) for v in views.values())
     length = min(length, GREATEST_BLOCK_S, max(LEAST_BLOCK_S, longest / 4.0))
     first: dict[int, int] = {}
@@ -574,7 +582,7 @@ def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple
         count += max(1, round(float(views[index].time[-1] - views[index].time[0]) / length))
     parts = []
     for equation in equations:
-        for_rows = np.empty(len(equation.residual), dtype=np.int64)
+        for_rows = np.full(len(equation.residual), count, dtype=np.int64)
         for view in equation.views:
             mine = equation.owner == view.index
             span = float(view.time[-1] - view.time[0])
@@ -582,7 +590,7 @@ def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple
             place = (equation.time[mine] - view.time[0]) / span * number
             for_rows[mine] = first[view.index] + np.clip(place.astype(np.int64), 0, number - 1)
         parts.append(for_rows)
-    return np.concatenate(parts), count
+    return np.concatenate(parts), count + priors
 
 
 BINS = 8
@@ -615,6 +623,7 @@ class Coordinate:
         by_direction: Whether the two directions of motion have separate bins.
         by_load: Whether the mismatch may be proportional to the load as well.
         periodic: Whether the coordinate is an angle of which full turns are equal.
+        bins: Number of bins of a generic family.
     """
 
     name: str
@@ -623,12 +632,11 @@ class Coordinate:
     by_direction: bool = True
     by_load: bool = False
     periodic: bool = False
+    bins: int = BINS
 
 
 def _load(view: View) -> Array:
-    """Return the force of the load at the lever, with that of declared loads that turn with the
-    joint, N, shape (m,).
-    """
+    """Return the force of the load at the lever and of loads that turn with the joint, N."""
     arm = view.recording.bench.moment_arm or 1.0
     return np.asarray((view.moment + np.abs(view.hanging)) / arm)
 
@@ -697,7 +705,7 @@ def at_rows(coordinate: Coordinate, equation: Equation, weight: Array) -> Array:
     if coordinate.periodic:
         first = equation.rows(partial(_harmonic, coordinate, 1))
         return np.asarray(np.arctan2(first[:, 0], first[:, 1]) % (2.0 * np.pi))
-    values = equation.rows(partial(_values, coordinate))[:, 0] / weight
+    values = equation.rows(partial(_values, coordinate))[:, 0] / np.where(weight > 0.0, weight, 1.0)
     # Filtered constants differ by rounding.
     scale = float(np.max(np.abs(values), initial=0.0))
     return np.asarray(scale * np.round(values / scale, DIGITS)) if scale > 0.0 else values
@@ -785,15 +793,16 @@ def families(equation: Equation) -> Iterator[tuple[str, Array]]:
     sharp edges.
     """
     sense = equation.rows(lambda v: v.sense)[:, 0]
-    for coordinate in COORDINATES:
+    for coordinate in equation.coordinates:
         if any(coordinate.values(v) is None for v in equation.views):
             continue
         values = equation.rows(partial(_values, coordinate))[:, 0]
-        grid = edges(values)
+        grid = edges(values[equation.owner >= 0], coordinate.bins)
         if len(grid) < 3:
             continue
         place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
         columns = (place[:, None] == np.arange(len(grid) - 1)).astype(np.float64)
+        columns[equation.owner < 0] = 0.0
         if coordinate.by_direction:
             columns = np.concatenate(
                 [columns * (sense[:, None] > 0.0), columns * (sense[:, None] <= 0.0)], axis=1

@@ -34,6 +34,9 @@ class SelectionRules:
         least_share: Power of an effect's contribution, over the power of the noise in the equations
             of the effect, below which the contribution is negligible. Basis: a tenth of the noise's
             amplitude.
+        least_share_white: The same for rows of white noise. Basis: effects that are nearly
+            collinear with the nominal constants leave a small remainder, which is significant in
+            white noise.
         outlier: Magnitude of a row, over the noise, from which the row is an outlier. Basis: normal
             noise exceeds this value in one of 5e8 rows.
         outlier_blocks: Share of blocks in which an outlier may occur by chance. Basis: on simulated
@@ -93,6 +96,8 @@ class SelectionRules:
         adequate: Share of the mismatch's power beyond the noise that the effects must explain
             together. Basis: chosen on development trials; the proofs in docs/measurements.md were
             run with this value.
+        adequate_white: The same in an equation with white noise. Basis: the gas balance, unlike
+            friction, has no unmodelled details, so that the right effect explains nearly all.
         adequate_after_removal: Share of the mismatch's power beyond the noise that the remaining
             effects must explain if others were dropped because they do not reduce the error on
             unused recordings. Basis: chosen; more than half must be explained.
@@ -131,6 +136,7 @@ class SelectionRules:
     accuracy: float = 2e-4
     excess_of_one: float = 2.0
     least_share: float = 0.01
+    least_share_white: float = 5e-4
     outlier: float = 6.0
     outlier_blocks: float = 0.01
     collinear_below: float = 1e-3
@@ -154,6 +160,7 @@ class SelectionRules:
     least_crossings: int = 10
     hysteretic_share: float = 1.0 / 3.0
     adequate: float = 0.70
+    adequate_white: float = 0.9
     adequate_after_removal: float = 0.5
     nearly_complete: float = 0.95
     cancelled: float = 0.1

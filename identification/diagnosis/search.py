@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,7 +68,7 @@ def best_of_each(candidates: Sequence[Candidate], terms: Mapping[str, Effect]) -
         each.setdefault(candidate.name, []).append(candidate)
     best = [max(c, key=lambda c: _rank(c, terms[c.name])) for c in each.values()]
     return sorted(
-        (c for c in best if c.score > 0.0 and c.share > RULES.least_share),
+        (c for c in best if c.score > 0.0 and c.relevant),
         key=lambda c: -c.score,
     )
 
@@ -132,8 +133,8 @@ def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
 def unscored(
     joint: Joint, terms: Mapping[str, Effect], scored: Collection[Candidate]
 ) -> list[Candidate]:
-    """Return candidates of the effects without a score whose size is given by a nonlinear
-    parameter, in the equations whose mismatch is beyond the noise.
+    """Return candidates of the effects without a score that are nonlinear in their size, in the
+    equations whose mismatch is beyond the noise.
 
     The regressors of these effects depend on the nominal values. If the nominal values are far from
     the true values, for example without a fall of friction with speed, the score of the right
@@ -144,17 +145,18 @@ def unscored(
     beyond = beyond_noise(joint)
     out = []
     for name, term in terms.items():
-        if name in names or term.size is None or not beyond & {*judging_equations(joint, term)}:
+        nonlinear = term.size is not None or term.simulated
+        if name in names or not nonlinear or not beyond & {*judging_equations(joint, term)}:
             continue
         shapes = list(term.shapes(context))
         places = {(2 * k + 1) * len(shapes) // (2 * TRIALS) for k in range(TRIALS)}
-        out += [_trial(name, shapes[k]) for k in sorted(places) if k < len(shapes)]
+        blocks, weights = np.zeros((0, 1)), np.zeros((0, 1, 1))
+        out += [
+            Candidate(name, shapes[k], np.full(1, term.scale), 0.0, 0.0, 0.0, blocks, weights, 0.0)
+            for k in sorted(places)
+            if k < len(shapes)
+        ]
     return out
-
-
-def _trial(name: str, shape: Shape) -> Candidate:
-    none = np.zeros((0, 1))
-    return Candidate(name, shape, np.ones(1), 0.0, 0.0, 0.0, none, np.zeros((0, 1, 1)), 0.0)
 
 
 Progress = Callable[[str, float], None]
@@ -204,24 +206,8 @@ class Options:
     thorough: bool = False
 
 
-@dataclass(frozen=True)
-class _Case:
-    """Effects to choose from, by name, and options of the search."""
-
-    terms: Mapping[str, Effect]
-    options: Options
-
-
-@dataclass(frozen=True)
-class _Test:
-    """Result of a test whether physics is missing.
-
-    Attributes:
-        trials: Scores of the effects of the catalogue at trial parameters.
-        unnamed: Scores of the generic families.
-        p_value: p-value of the test.
-        loudest: Name of the most significant candidate.
-    """
+class _Test(NamedTuple):
+    """Test whether physics is missing: scores of effects and of generic families, p-value."""
 
     trials: tuple[Candidate, ...]
     unnamed: tuple[Candidate, ...]
@@ -248,45 +234,19 @@ def search(
         progress: Called with the current step.
         options: Options of the search.
     """
-    case = _Case({t.name: t for t in terms}, options)
-    joint = baseline
-    rounds: list[Round] = []
-    steps: list[Step] = []
-    p_values: list[float] = []
-    while True:
-        named = {e.term.name for e in joint.effects}
-        left = [t for t in terms if t.name not in named]
-        progress(f"screening {len(left)} effects", len(rounds) / (RULES.most_effects + 1))
-        test = _missing_test(joint, case, left, rng)
-        p_values.append(test.p_value)
-        steps.append(
-            Step("test", test.loudest, test.p_value, 0.0, "this is the most significant candidate")
-        )
-        if test.p_value > RULES.level or len(rounds) == RULES.most_effects:
-            break
-        tell = partial(_tell, progress, (len(rounds) + 0.5) / (RULES.most_effects + 1))
-        taken = _next_effect(case, (baseline, joint), test, rng, tell, steps)
-        if taken is None:
-            break
-        joint, added = taken
-        rounds.append(added)
-        baseline, joint = with_lower_noise(baseline, joint)
-        if options.until_flexible and case.terms[added.name].flexible:
-            break
-    ended = options.until_flexible and rounds and case.terms[rounds[-1].name].flexible
-    if not ended:
-        joint, rounds = _final_effects(case, (baseline, joint), rounds, progress, steps)
-    p_value, p_after = p_values[0], p_values[-1]
-    return Search(baseline, joint, tuple(rounds), p_value, p_after, test.loudest, tuple(steps))
+    return _Selection(baseline, terms, rng, progress, options).run()
 
 
-def _missing_test(
-    joint: Joint, case: _Case, left: Sequence[Effect], rng: np.random.Generator
-) -> _Test:
+def missing_test(joint: Joint, left: Sequence[Effect], rng: np.random.Generator) -> _Test:
     """Test whether physics is missing, by size and by sign flips.
 
     Only equations whose mismatch is beyond the noise are tested. Effects that may vary by their
     full amplitude from row to row are tested in any case, because the noise estimate contains them.
+
+    Args:
+        joint: The fit.
+        left: Effects that may be missing.
+        rng: Random generator for the sign flips.
     """
     beyond = beyond_noise(joint)
     shown = [t for t in left if t.fast or beyond & {*judging_equations(joint, t)}]
@@ -304,192 +264,170 @@ def _missing_test(
     return _Test(trials, unnamed, min(1.0, 2.0 * min(by_flips, by_size)), loudest)
 
 
-def _tell(progress: Progress, share: float, finalists: Sequence[Candidate]) -> None:
-    progress("fitting " + ", ".join(c.name for c in finalists), share)
+class _Selection:
+    """One search: the effects to choose from, and those selected so far."""
 
+    def __init__(
+        self,
+        baseline: Joint,
+        terms: Sequence[Effect],
+        rng: np.random.Generator,
+        progress: Progress,
+        options: Options,
+    ) -> None:
+        self.baseline = self.joint = baseline
+        self.terms = {t.name: t for t in terms}
+        self.rng, self.progress, self.options = rng, progress, options
+        self.rounds: list[Round] = []
+        self.steps: list[Step] = []
 
-def _next_effect(
-    case: _Case,
-    fits: tuple[Joint, Joint],
-    test: _Test,
-    rng: np.random.Generator,
-    tell: Callable[[Sequence[Candidate]], None],
-    steps: list[Step],
-) -> tuple[Joint, Round] | None:
-    """Return the fit with the best further effect, or None if no further effect is acceptable.
-
-    Args:
-        case: Inputs of the search.
-        fits: Fits of the nominal model, and with the effects selected so far.
-        test: Test by which one more effect is needed.
-        rng: Random generator for the tests of single equations.
-        tell: Called with the effects that are being fitted.
-        steps: Steps of the search so far, to which the new step is appended.
-    """
-    baseline, joint = fits
-    best = best_of_each(test.trials, case.terms)
-    if case.options.thorough and not joint.effects:
-        tried = [*best[: RULES.finalists], *unscored(joint, case.terms, best)]
-        tell(tried)
-        return _best_finalist(case, fits, tried, test.p_value, steps)
-    if not best:
-        return None
-    missing = partial(_missing, joint, case.terms, (*test.trials, *test.unnamed), rng)
-    for finalists in finalist_groups(baseline, joint, case.terms, best, missing):
-        tell(finalists)
-        taken = _best_finalist(case, fits, finalists, test.p_value, steps)
-        if taken is not None:
-            return taken
-    return None
-
-
-def _final_effects(
-    case: _Case,
-    fits: tuple[Joint, Joint],
-    rounds: list[Round],
-    progress: Progress,
-    steps: list[Step],
-) -> tuple[Joint, list[Round]]:
-    """Try to remove each effect, then to replace each remaining effect by its rivals; return the
-    final fit and the selection rounds.
-    """
-    baseline, before = fits
-    joint, rounds = with_needed_effects(baseline, before, rounds, steps)
-    dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
-    if len(before.effects) > 1:
-        progress("comparison with rivals", 0.9)
-        joint, rounds = with_best_rivals(baseline, joint, rounds, dropped, steps)
-    return gap_or_loop(baseline, joint, rounds, list(case.terms.values()), steps)
-
-
-def _best_finalist(
-    case: _Case,
-    fits: tuple[Joint, Joint],
-    finalists: Sequence[Candidate],
-    p_value: float,
-    steps: list[Step],
-) -> tuple[Joint, Round] | None:
-    """Fit each finalist jointly with the selected effects; return the fit with the best finalist,
-    or None if no finalist is plausible and explains more than chance.
-    """
-    if not finalists:
-        return None
-    terms, joint = case.terms, fits[1]
-    finalists, fitted = one_of_each(
-        [(candidate, _fit_with(case, fits, candidate)) for candidate in finalists]
-    )
-    beyond = [implausible(f) for f in fitted]
-    ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
-    order = [k for k in ranked if not beyond[k]]
-    if not order:
-        first = finalists[0]
-        steps.append(
-            Step("stop", first.name, p_value, first.gain, f"fits only with {beyond[ranked[0]]}")
+    def run(self) -> Search:
+        """Carry out the search."""
+        p_values = []
+        ended = False
+        while True:
+            named = {e.term.name for e in self.joint.effects}
+            left = [t for t in self.terms.values() if t.name not in named]
+            share = len(self.rounds) / (RULES.most_effects + 1)
+            self.progress(f"screening {len(left)} effects", share)
+            test = missing_test(self.joint, left, self.rng)
+            p_values.append(test.p_value)
+            self._note("test", test.loudest, test, 0.0, "this is the most significant candidate")
+            if test.p_value > RULES.level or len(self.rounds) == RULES.most_effects:
+                break
+            if not self._take_next(test):
+                break
+            self.baseline, self.joint = with_lower_noise(self.baseline, self.joint)
+            ended = self.options.until_flexible and self.joint.effects[-1].term.flexible
+            if ended:
+                break
+        if not ended:
+            self._settle()
+        return Search(
+            self.baseline,
+            self.joint,
+            tuple(self.rounds),
+            p_values[0],
+            p_values[-1],
+            test.loudest,
+            tuple(self.steps),
         )
-        return None
-    winner = order[
-        simplest(
-            [fitted[k] for k in order], [parameter_count(fitted[k].effects[-1]) for k in order]
+
+    def _note(self, action: str, name: str, test: _Test, gain: float, note: str) -> None:
+        self.steps.append(Step(action, name, test.p_value, gain, note))
+
+    def _settle(self) -> None:
+        """Try to remove each effect, then to replace each by its rivals."""
+        base, before, steps = self.baseline, self.joint, self.steps
+        joint, rounds = with_needed_effects(base, before, self.rounds, steps)
+        dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
+        if len(before.effects) > 1:
+            self.progress("comparison with rivals", 0.9)
+            joint, rounds = with_best_rivals(base, joint, rounds, dropped, steps)
+        terms = list(self.terms.values())
+        self.joint, self.rounds = gap_or_loop(base, joint, rounds, terms, steps)
+
+    def _take_next(self, test: _Test) -> bool:
+        """Select the best further effect; return whether an effect is acceptable."""
+        best = best_of_each(test.trials, self.terms)
+        if self.options.thorough and not self.joint.effects:
+            tried = [*best[: RULES.finalists], *unscored(self.joint, self.terms, best)]
+            return self._take_best(tried, test)
+        if not best:
+            return False
+        missing = partial(self._missing, (*test.trials, *test.unnamed))
+        groups = finalist_groups(self.baseline, self.joint, self.terms, best, missing)
+        return any(self._take_best(finalists, test) for finalists in groups)
+
+    def _take_best(self, finalists: Sequence[Candidate], test: _Test) -> bool:
+        """Select the best plausible finalist that explains more than chance, if there is one."""
+        share = (len(self.rounds) + 0.5) / (RULES.most_effects + 1)
+        self.progress("fitting " + ", ".join(c.name for c in finalists), share)
+        if not finalists:
+            return False
+        finalists, fitted = one_of_each([(c, self._fit_with(c)) for c in finalists])
+        beyond = [implausible(f) for f in fitted]
+        own = [f.effects[-1] for f in fitted]
+        ranked = sorted(
+            range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty
         )
-    ]
-    ranked.remove(winner)
-    rivals = tuple(
-        Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
-        for k in ranked
-        if share_equation(terms[finalists[k].name], terms[finalists[winner].name])
-        and not infeasible(fitted[k])
-        and not contains(
-            fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner]
+        order = [k for k in ranked if not beyond[k]]
+        if not order:
+            first, why = finalists[0], f"fits only with {beyond[ranked[0]]}"
+            self._note("stop", first.name, test, first.gain, why)
+            return False
+        sizes = [parameter_count(own[k]) for k in order]
+        winner = order[simplest([fitted[k] for k in order], sizes)]
+        ranked.remove(winner)
+        best, name = fitted[winner], finalists[winner].name
+        for k in ranked:
+            turned = own[k].term.one_sided and own[k].coefficients[0] < 0.0
+            if turned and preference(fitted[k], best) >= RULES.rejected:
+                why = "fits better than any other effect, but with a size of the opposite sign"
+                gain = self.joint.cost - fitted[k].cost
+                self._note("stop", finalists[k].name, test, gain, why)
+                return False
+        rivals = tuple(
+            Contender(finalists[k].name, fitted[k], preference(best, fitted[k]), beyond[k])
+            for k in ranked
+            if share_equation(own[k].term, own[winner].term)
+            and not infeasible(fitted[k])
+            and not contains(own[k], fitted[k], own[winner], best)
         )
-    )
-    gain = joint.cost - fitted[winner].cost
-    if gain <= 2.0 * finalists[winner].penalty:
-        steps.append(
-            Step(
-                "stop",
-                finalists[winner].name,
-                p_value,
-                gain,
-                "explains no more than expected by chance",
-            )
-        )
-        return None
-    steps.append(Step("add", finalists[winner].name, p_value, gain, _why(rivals)))
-    return fitted[winner], Round(finalists[winner].name, rivals)
-
-
-def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
-    """Return the fit with a candidate and the selected effects.
-
-    An effect with several forms is fitted in each form in turn; a later form is selected only if it
-    fits significantly better than the earlier forms.
-    """
-    taken, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
-    for other in others:
-        if preference(other, taken) >= RULES.rejected:
-            taken = other
-    return taken
-
-
-def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
-    """Return the trial parameters of a candidate in each form of the effect, in the order of the
-    forms of the term; but the form of the candidate comes first, unless it is the last form of the
-    term.
-    """
-    shapes = [candidate.shape]
-    for index, values in case.terms[candidate.name].forms.items():
-        own = candidate.shape[index]
-        if own != values[-1]:
-            values = (own, *(v for v in values if v != own))
-        shapes = [(*s[:index], value, *s[index + 1 :]) for value in values for s in shapes]
-    return shapes
-
-
-def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
-    """Return the fit with the selected effects and a candidate; the search for the nonlinear
-    parameters of the candidate starts from ``shape``.
-    """
-    baseline, joint = fits
-    added = Added(
-        case.terms[candidate.name],
-        shape,
-        tuple(float(c) for c in candidate.coefficients),
-    )
-    tried = baseline.again(joint.nominal, (*joint.effects, added))
-    if added.term.follows and tried.nominal.flat:
-        # An effect that depends on the fall of friction with speed may have masked this fall in the
-        # nominal fit.
-        tried = with_assumed_fall(tried, joint.nominal, case.options.fixed)
-    return feasible_or_first(tried)
-
-
-def _missing(
-    joint: Joint,
-    terms: Mapping[str, Effect],
-    candidates: Sequence[Candidate],
-    rng: np.random.Generator,
-    name: str,
-) -> bool:
-    """Whether the mismatch of one equation is significant, by the tests of :func:`_missing_test`
-    with the rows of this equation only.
-    """
-    judged = len(joint.equations)
-    if 2.0 * judged * size_p_value(joint, name) <= RULES.level:
+        gain = self.joint.cost - best.cost
+        if gain <= 2.0 * finalists[winner].penalty:
+            self._note("stop", name, test, gain, "explains no more than expected by chance")
+            return False
+        told = "; ".join(preferred(r.name, r.preference, r.beyond) for r in rivals)
+        none = "no other effect fits nearly as well as this effect"
+        self._note("add", name, test, gain, told or none)
+        self.joint = best
+        self.rounds.append(Round(name, rivals))
         return True
-    # The name of a generic family starts with the name of its equation.
-    own = [
-        c
-        for c in candidates
-        if (
-            name in judging_equations(joint, terms[c.name])
-            if c.name in terms
-            else c.name.startswith(name)
-        )
-    ]
-    return 2.0 * judged * sign_flip_p_value(own, joint.stack.blocks, rng) <= RULES.level
 
+    def _fit_with(self, candidate: Candidate) -> Joint:
+        """Fit a candidate in its first form, or in a significantly better later form."""
+        taken, *others = (self._fit_from(candidate, shape) for shape in self._forms(candidate))
+        for other in others:
+            if preference(other, taken) >= RULES.rejected:
+                taken = other
+        return taken
 
-def _why(rivals: Sequence[Contender]) -> str:
-    if not rivals:
-        return "no other effect fits nearly as well as this effect"
-    return "; ".join(preferred(r.name, r.preference, r.beyond) for r in rivals)
+    def _forms(self, candidate: Candidate) -> list[Shape]:
+        """Return the trial parameters in each form of the effect; the candidate's comes first."""
+        shapes = [candidate.shape]
+        for index, values in self.terms[candidate.name].forms.items():
+            own = candidate.shape[index]
+            if own != values[-1]:
+                values = (own, *(v for v in values if v != own))
+            shapes = [(*s[:index], value, *s[index + 1 :]) for value in values for s in shapes]
+        return shapes
+
+    def _fit_from(self, candidate: Candidate, shape: Shape) -> Joint:
+        """Fit the selected effects and a candidate, which starts from ``shape``."""
+        term, coefficients = self.terms[candidate.name], candidate.coefficients.tolist()
+        added = Added(term, shape, tuple(coefficients))
+        joint = self.joint
+        tried = self.baseline.again(joint.nominal, (*joint.effects, added))
+        if term.follows and tried.nominal.flat:
+            # An effect that depends on the fall of friction with speed may have masked this fall in
+            # the nominal fit.
+            tried = with_assumed_fall(tried, joint.nominal, self.options.fixed)
+        return feasible_or_first(tried)
+
+    def _missing(self, candidates: Sequence[Candidate], name: str) -> bool:
+        """Whether the mismatch of one equation is significant, by tests with its rows only."""
+        joint, judged = self.joint, len(self.joint.equations)
+        if 2.0 * judged * size_p_value(joint, name) <= RULES.level:
+            return True
+        # The name of a generic family starts with the name of its equation.
+        own = [
+            c
+            for c in candidates
+            if (
+                name in judging_equations(joint, self.terms[c.name])
+                if c.name in self.terms
+                else c.name.startswith(name)
+            )
+        ]
+        return 2.0 * judged * sign_flip_p_value(own, joint.stack.blocks, self.rng) <= RULES.level

@@ -50,23 +50,19 @@ def generic_candidates(stack: Stack) -> Iterator[Candidate]:
 
 
 def sign_flip_p_value(
-    candidates: Sequence[Candidate],
-    blocks: int,
-    rng: np.random.Generator,
-    least: float = RULES.least_share,
+    candidates: Sequence[Candidate], blocks: int, rng: np.random.Generator
 ) -> float:
     """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
     blocks.
 
     One set of flips is applied to all candidates, which accounts for the number and the correlation
-    of the candidates. A candidate that explains less than ``least`` of the noise is irrelevant even
-    if it is significant: it is omitted from the observed statistics, but not from the statistics
-    under flips.
+    of the candidates. A negligible candidate is irrelevant even if it is significant: it is omitted
+    from the observed statistics, but not from the statistics under flips.
     """
     if not candidates:
         return 1.0
     flips = rng.choice((-1.0, 1.0), size=(DRAWS, blocks))
-    seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
+    seen = max((c.surprise for c in candidates if c.relevant), default=-np.inf)
     if seen == -np.inf:
         return 1.0
     # Significance grows with the statistic; of candidates with equally many coefficients only the
@@ -124,10 +120,7 @@ def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
 
 
 def _over_two(score: Array, variance: Array) -> Array:
-    """Return the statistic of scores of two coefficients, shape (d, 2), with covariances (d, 2, 2).
-    This case has a function of its own, because most candidates are waves, with a sine and a
-    cosine.
-    """
+    """Return the statistic of two coefficients, (d, 2): most candidates are waves."""
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T
     left = a * c - b * b
@@ -140,12 +133,14 @@ def _over_two(score: Array, variance: Array) -> Array:
 
 def beyond_noise(joint: Joint) -> set[str]:
     """Return the names of the equations whose mismatch is beyond the noise, over all recordings or,
-    by more than `excess_of_one`, in one recording.
+    by more than `excess_of_one`, in one recording; with white noise, even a mismatch within the
+    noise shows.
     """
     return {
         e.name
         for e in joint.equations
-        if float(np.mean(over_own_noise(joint, e) ** 2)) > RULES.tested_from
+        if e.white
+        or float(np.mean(over_own_noise(joint, e) ** 2)) > RULES.tested_from
         or greatest_mean_square(joint, e) > RULES.excess_of_one
     }
 
@@ -189,7 +184,8 @@ def size_p_value(joint: Joint, only: str = "") -> float:
     is detected by its size. Rows are clipped at `outlier` times the noise, so that a few outliers
     do not count as a mismatch; a row counts as half an observation, because the filter correlates
     neighbouring rows. If outliers recur in many blocks, such as after every reversal with
-    presliding, the number of blocks with an outlier is tested.
+    presliding, the number of blocks with an outlier is tested. Deviations of constants are tested
+    by themselves: a large one is no outlier.
     """
     chances = []
     for equation in joint.equations:
@@ -198,6 +194,9 @@ def size_p_value(joint: Joint, only: str = "") -> float:
         rows = over_own_noise(joint, equation)
         powers = np.minimum(np.abs(rows), RULES.outlier) ** 2
         chances.append(_beyond(powers, RULES.excess))
+        if equation.firm:
+            off = rows[list(equation.firm)]
+            chances.append(float(stats.chi2.sf(off @ off, len(off))))
         chances.append(_recurring(rows, joint.stack.block[joint.stack.part(equation.name)]))
         if equation.name in BY_RECORDING:
             chances += [
@@ -208,9 +207,7 @@ def size_p_value(joint: Joint, only: str = "") -> float:
 
 
 def _beyond(powers: Array, limit: float) -> float:
-    """Return the probability that noise with a mean square of ``limit`` has at least the mean
-    square of ``powers``; 1 without rows.
-    """
+    """Return the probability that noise of mean square ``limit`` reaches that of ``powers``."""
     half = 0.5 * len(powers)
     return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
 
@@ -272,7 +269,7 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
         return
     limit = float(np.max(torques))
     linear = view.recording.bench.motion == "linear"
-    for first, last in _runs(view.still):
+    for first, last in runs(view.still):
         torque = float(np.median(np.abs(view.raw_torque[first:last])))
         if view.time[last - 1] - view.time[first] < LONG_S or torque < TORQUE_RATIO * limit:
             continue
@@ -322,7 +319,7 @@ def shortest(time: Array, power: Array) -> tuple[float, float]:
     return float(time[best]), float(time[ends[best] - 1])
 
 
-def _runs(marks: np.ndarray) -> list[tuple[int, int]]:
+def runs(marks: np.ndarray) -> list[tuple[int, int]]:
     """Return the first sample and the sample after the last of each run of marked samples."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], marks, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -50,6 +50,7 @@ class Candidate:
             many regressors.
         share: Power of the effect's contribution over the noise power, in the rows of its
             equations.
+        least_share: Share up to which the contribution is negligible.
     """
 
     name: str
@@ -61,6 +62,12 @@ class Candidate:
     blocks: Array
     weights: Array
     share: float
+    least_share: float = RULES.least_share
+
+    @property
+    def relevant(self) -> bool:
+        """Whether the contribution is more than negligible."""
+        return self.share > self.least_share
 
     @property
     def score(self) -> float:
@@ -327,6 +334,7 @@ class Stack:
             blocks=sums,
             weights=weights if few else NO_WEIGHTS,
             share=float(score @ score) / sum(len(c) for c in columns.values()),
+            least_share=_least_share([e for e in self.equations if e.name in columns]),
         )
 
     def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
@@ -361,6 +369,7 @@ class Stack:
             sums,
             NO_WEIGHTS,
             share,
+            _least_share([self.equations[number]]),
         )
 
     def term(self, term: Effect, shape: Shape) -> Candidate | None:
@@ -370,6 +379,11 @@ class Stack:
         # An effect that occurs in one recording only is active in few blocks.
         alone = term.place is not None
         return self.candidate(term.name, shape, self.columns(term, shape), term.positive, alone)
+
+
+def _least_share(equations: Iterable[Equation]) -> float:
+    white = all(e.white for e in equations)
+    return RULES.least_share_white if white else RULES.least_share
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:

@@ -27,7 +27,7 @@ from identification.views.view import View
 COUNT = "1/turn"
 """Unit that the sentence of the catalogue states in words, so that it is not printed."""
 _DEG = math.degrees(1.0)
-_FACTORS: Mapping[tuple[str, str], float] = {
+FACTORS: Mapping[tuple[str, str], float] = {
     ("rad", "deg"): _DEG,
     ("N m/rad", "N m/deg"): 1.0 / _DEG,
     ("1/rad", "%/deg"): 100.0 / _DEG,
@@ -101,7 +101,7 @@ def readable(estimate: Estimate, unit: str = "") -> str:
         unit: Unit of the printed value; ignored if the unit of the estimate cannot be converted to
             this unit.
     """
-    factor = _FACTORS.get((estimate.unit, unit))
+    factor = FACTORS.get((estimate.unit, unit))
     shown = unit if factor else estimate.unit
     value, low, high = (x * (factor or 1.0) for x in (estimate.value, estimate.low, estimate.high))
     behind = f" {shown}" if shown and shown != COUNT else ""
@@ -125,9 +125,7 @@ def _field(estimate: Estimate, form: str) -> str:
 
 
 def _places(width: float) -> int | None:
-    """Return the number of decimals with which an interval of this width has one or two digits, or
-    None for values that need an exponent.
-    """
+    """Return the decimals of an interval of this width; None for values with an exponent."""
     exponent = math.floor(math.log10(width))
     places = -exponent + (1 if width / 10.0**exponent < 3.0 else 0)
     return max(places, 0) if places <= 6 and exponent <= 5 else None
@@ -185,7 +183,11 @@ def statement(
         f"noise floor {main.noise_floor_rms:.3g}."
     )
     if verdict is Verdict.OUTSIDE_CATALOGUE:
-        place = _place(where) if where is not None and where.share_of_mismatch > 0.0 else ""
+        place = ""
+        if where is not None and where.share_of_mismatch > 0.0:
+            share = where.share_of_mismatch
+            part = "most" if share > MOST else f"{max(1.0, 100.0 * share):.0f} %"
+            place = f", {part} of it over {where.coordinate}"
         return (
             f"the {main.equation} equation has a mismatch that no effect of the catalogue "
             f"explains{place}; {error}"
@@ -197,13 +199,6 @@ def statement(
         ]
         words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     return f"{words}. {change}"
-
-
-def _place(where: Location) -> str:
-    """Return the part of the sentence that states the location of a mismatch."""
-    share = where.share_of_mismatch
-    part = "most" if share > MOST else f"{max(1.0, 100.0 * share):.0f} %"
-    return f", {part} of it over {where.coordinate}"
 
 
 def unobservable_sentence(names: Sequence[str]) -> str:

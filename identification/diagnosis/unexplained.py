@@ -59,9 +59,7 @@ def unrecorded_effects(
 
 
 def _not_on(bench: Bench) -> frozenset[Needs]:
-    """Return which angles the bench, by its description, does not have; on a linear bench the angle
-    of the motor is known only if the gear ratio (rad/m) is known.
-    """
+    """Return which angles a bench lacks: on a linear one, the motor's without a gear ratio."""
     if bench.motion != LINEAR:
         return frozenset()
     motor = {Needs.MOTOR_TURN} if bench.gear_ratio == 1.0 else set()
@@ -130,9 +128,7 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def _between_samples(found: Search) -> tuple[str, ...]:
-    """Return the text on a mismatch of the voltage equation that voltages and currents between the
-    samples may cause.
-    """
+    """Return the text on a voltage mismatch that values between the samples may cause."""
     voltage = next(e for e in found.baseline.equations if e.name == "voltage")
     rows = found.baseline.residual[found.baseline.stack.part("voltage")]
     rms = voltage.sigma * math.sqrt(float(np.mean(rows**2)))

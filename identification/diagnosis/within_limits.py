@@ -47,6 +47,7 @@ RIDGE = 1e-4
 """Weight of a ridge penalty on every parameter, relative to the weight of the rows; of equivalent
 solutions the penalty selects the smallest.
 """
+Problem = tuple[Array, Array, tuple[Array, Array], Array]
 _JUDGED: WeakKeyDictionary[Joint, bool] = WeakKeyDictionary()
 """Cache: fit to whether it is infeasible, because several comparisons need the answer for one
 fit.
@@ -88,9 +89,7 @@ def infeasible(joint: Joint) -> bool:
 
 
 def _attained_within_limits(joint: Joint) -> bool:
-    """Whether the residual of a fit, after refinement within the limits of the parameters, is about
-    that which the fit predicts.
-    """
+    """Whether a fit, refined within its limits, leaves about what it predicts."""
     promised, _ = predicted_and_attained(joint.stack, joint.effects, joint.residual)
     limited = within_limits(joint)
     rows = limited.residual[limited.stack.part("torque")]
@@ -118,6 +117,8 @@ def within_limits(joint: Joint) -> Joint:
     The residual of the returned fit is computed at the refined values, not predicted by a linear
     step.
     """
+    if joint.limited:
+        return joint
     best = _point_at(joint, joint.nominal, joint.effects, joint.stack)
     for _ in range(ROUNDS):
         better = None
@@ -144,9 +145,7 @@ def parameter_derivatives(joint: Joint) -> Array:
     """Return whitened derivatives of the rows with respect to nominal parameters and coefficients,
     shape (n, k).
     """
-    return _bounded_problem(_Point(joint.nominal, joint.effects, joint.stack, joint.residual), ())[
-        0
-    ]
+    return _problem(joint)[0]
 
 
 def cross_validation_residual(joint: Joint, parts: Array) -> Array:
@@ -158,13 +157,12 @@ def cross_validation_residual(joint: Joint, parts: Array) -> Array:
         parts: Number of the part to which each row belongs, shape (n,), or -1 for rows in no part,
             whose residual is zero.
     """
-    point = _Point(joint.nominal, joint.effects, joint.stack, joint.residual)
-    every, begin, limits, drawn = _bounded_problem(point, ())
+    every, begin, limits, drawn = _problem(joint)
     out = np.where(parts < 0, 0.0, joint.residual)
     for part in np.unique(parts[parts >= 0]):
         mine = parts == part
         found = _bounded_least_squares(
-            every[~mine], point.left[~mine] + every[~mine] @ begin, limits, drawn
+            every[~mine], joint.residual[~mine] + every[~mine] @ begin, limits, drawn
         )
         out[mine] += every[mine] @ (begin - found)
     return out
@@ -186,10 +184,7 @@ def _point_at(joint: Joint, nominal: Nominal, effects: Sequence[Added], like: St
 
 
 def _nuisance_basis(stack: Stack) -> Array:
-    """Return orthonormal columns of those derivatives of the torque that belong to no nominal
-    parameter: with a flexible transmission, the derivative with respect to the rotor's share of the
-    inertia.
-    """
+    """Return the basis of torque derivatives of no nominal parameter: the rotor's inertia share."""
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = equation.tangent[:, [n not in stack.nominal.free for n in equation.names]]
     basis, _ = np.linalg.qr(columns)
@@ -197,9 +192,7 @@ def _nuisance_basis(stack: Stack) -> Array:
 
 
 def _bounded_step(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Added, ...]]:
-    """Return a step of the nominal parameters within their limits, and the effects with the
-    coefficients that belong to this step.
-    """
+    """Return a step of the nominal parameters, and the effects with its coefficients."""
     every, begin, limits, drawn = _bounded_problem(point, held)
     found = _bounded_least_squares(every, point.left + every @ begin, limits, drawn)
     effects, at = [], len(point.nominal.free)
@@ -212,9 +205,14 @@ def _bounded_step(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Adde
     return found[: len(point.nominal.free)], tuple(effects)
 
 
-def _bounded_problem(
-    point: _Point, held: Sequence[str]
-) -> tuple[Array, Array, tuple[Array, Array], Array]:
+def _problem(joint: Joint) -> Problem:
+    """Return the least-squares problem at the values of a fit."""
+    if joint.limited:
+        return joint.problem()
+    return _bounded_problem(_Point(joint.nominal, joint.effects, joint.stack, joint.residual), ())
+
+
+def _bounded_problem(point: _Point, held: Sequence[str]) -> Problem:
     """Return the data of the bounded least-squares problem: whitened columns of nominal parameters
     and coefficients, shape (n, k); present values; limits; and centre of the ridge penalty.
     """
@@ -247,9 +245,7 @@ def _bounded_problem(
 def _bounded_least_squares(
     every: Array, target: Array, limits: tuple[Array, Array], drawn: Array
 ) -> Array:
-    """Return the least-squares solution within limits, with a small ridge penalty toward
-    ``drawn``.
-    """
+    """Return the bounded solution, with a small ridge penalty toward ``drawn``."""
     scale = np.linalg.norm(every, axis=0)
     scale[scale == 0.0] = 1.0
     q, r = np.linalg.qr(every / scale)
@@ -263,9 +259,7 @@ def _bounded_least_squares(
 
 
 def _values(nominal: Nominal) -> Array:
-    """Return the values to which a step is added: for a static level its rise; for a Stribeck speed
-    0, because the step is one of its logarithm.
-    """
+    """Return the values to which a step is added: rises, and 0 for Stribeck speeds."""
     return np.array(
         [
             0.0 if name in SPEEDS else nominal.get(name) - nominal.get(_COULOMB_OF.get(name, ""))
@@ -401,9 +395,7 @@ def _trial_stribeck_speeds(here: Sequence[View]) -> list[float]:
 
 
 def _mean_square(joint: Joint) -> float:
-    """Return the mean-square torque mismatch relative to that of the noise; 0 without torque
-    rows.
-    """
+    """Return the mean-square torque mismatch over that of the noise; 0 without rows."""
     rows = joint.residual[joint.stack.part("torque")]
     return float(np.mean(rows**2)) if len(rows) else 0.0
 
@@ -459,6 +451,21 @@ class Chosen(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
+def fitted_part(dataset: Dataset) -> tuple[Recording, ...]:
+    """Return the recordings with role ``fit``.
+
+    Raises:
+        RecordingError: No recording has the role ``fit``.
+    """
+    fitted = dataset.part("fit")
+    if not fitted:
+        raise RecordingError(
+            "no recording has the role fit, but a diagnosis needs at least one; set `role: fit` in "
+            "the campaign file"
+        )
+    return fitted
+
+
 def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
     """Return the recordings to use, and the bandwidth of all errors.
 
@@ -472,12 +479,7 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
     Raises:
         RecordingError: No recording has the role ``fit``.
     """
-    fitted = dataset.part("fit")
-    if not fitted:
-        raise RecordingError(
-            "no recording has the role fit, but a diagnosis needs at least one; set `role: fit` in "
-            "the campaign file"
-        )
+    fitted = fitted_part(dataset)
     bandwidth = bandwidth_Hz or bandwidth_of(fitted)
     moving = {
         stage: samples_in_motion([prepare(r, bandwidth) for r in fitted if r.stage == stage])

@@ -16,7 +16,7 @@ from identification.effects.gas_generator import GasGeneratorEffect
 def _of(module: ModuleType) -> tuple[Effect, ...]:
     """Return the effects of a module in the order of their definition."""
     own = (c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect))
-    return tuple(c() for c in own if c.__module__ == module.__name__ and "name" in vars(c))
+    return tuple(c() for c in own if c.__module__ == module.__name__ and "equation" in vars(c))
 
 
 MOTION: tuple[Effect, ...] = tuple(

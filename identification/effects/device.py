@@ -57,18 +57,12 @@ def _load(view: View, nominal: Nominal) -> Array:
     return np.asarray(view.sense * view.moment * nominal.coefficient(view))
 
 
-def _is_loaded(view: View) -> bool:
-    return view.loaded
-
-
 def _forces(context: Context) -> set[float]:
     return {round(v.recording.contact_force, 6) for v in context.views if v.loaded}
 
 
 def _of_the_label(view: View, nominal: Nominal) -> Array:
-    """Return the part of the required drive torque that is proportional to the labelled mass, N
-    m.
-    """
+    """Return the drive torque that is proportional to the labelled mass, N m."""
     if view.loaded:
         return _load(view, nominal)
     return np.asarray(-view.known + view.sense * np.abs(view.hanging) * nominal.gear(view))
@@ -80,10 +74,6 @@ def label_kg(view: View) -> float:
     return view.recording.weight_mass if view.loaded or pendulum is None else pendulum.mass
 
 
-def _has_lever_weight(view: View) -> bool:
-    return view.recording.weight_mass > 0.0
-
-
 def _has_weight(view: View) -> bool:
     return view.recording.pendulum is not None
 
@@ -91,9 +81,7 @@ def _has_weight(view: View) -> bool:
 def _with_load(
     nominal: Nominal, sine: float, cosine: float, slope: float, constant: float
 ) -> Nominal:
-    """Return the nominal values with a further load that turns with the joint: coefficients of
-    sin(angle), cos(angle), angle and 1, N m.
-    """
+    """Return nominal values with a further load: of sin, cos, angle and 1, N m."""
     further = (sine, cosine, slope, constant)
     first, second, third, last = (a + b for a, b in zip(nominal.undeclared, further, strict=True))
     return replace(nominal, undeclared=(first, second, third, last))
@@ -102,17 +90,10 @@ def _with_load(
 class GravityImbalance(Effect):
     """Torque of a weight out of balance."""
 
-    name = "gravity_imbalance"
     equation = "J domega/dt = i Km I - M_f - M_L - M sin(theta - theta_0)"
-    assumption = (
-        "the implied assumption that the joint is balanced and nothing but friction loads it (eq. "
-        "1)"
-    )
-    shows_in = "torque"
-    coordinate = (
-        "angle: a sine with one period per joint turn, the same in motion, at rest and in both "
-        "directions"
-    )
+    implied = "the joint is balanced and nothing but friction loads it (eq. 1)"
+    coordinate = """angle: a sine with one period per joint turn, the same in motion, at rest and in
+        both directions"""
     parameters = (
         Quantity("torque_Nm", Dimension.TORQUE, 0.0, 50.0),
         Quantity("zero_rad", Dimension.PHASE, -pi, pi),
@@ -123,18 +104,13 @@ class GravityImbalance(Effect):
         "asymmetric_coulomb",
         "encoder_eccentricity",
     )
-    experiment = (
-        "Slow motion over the widest travel that the stops allow, in both directions: over the "
-        "angle, the torque of gravity is a sine, that of a spring a straight line, and that of an "
-        "offset constant."
-    )
+    experiment = """Slow motion over the widest travel that the stops allow, in both directions:
+        over the angle, the torque of gravity is a sine, that of a spring a straight line, and that
+        of an offset constant."""
     separation = Separation.TRAVEL
-    sentence = (
-        "a weight out of balance pulls with up to {torque_Nm:N m}, and hangs straight down at "
-        "{zero_rad:deg}"
-    )
+    sentence = """a weight out of balance pulls with up to {torque_Nm:N m}, and hangs straight down
+        at {zero_rad:deg}"""
     shape_error = EXACT
-    enters = ("torque", "breakaway")
     polar = ("torque_Nm", "zero_rad")
     needs = frozenset({Needs.COMMON_ZERO, Needs.JOINT_TURN})
     declared_by = "gravity"
@@ -153,13 +129,10 @@ class GravityImbalance(Effect):
 class ReturnSpring(Effect):
     """Torque of a spring."""
 
-    name = "return_spring"
     equation = "J domega/dt = i Km I - M_f - M_L - k (theta - theta_0)"
-    assumption = "the implied assumption that nothing but friction loads the joint (eq. 1)"
-    shows_in = "torque"
-    coordinate = (
-        "angle: a straight line over the travel, the same in motion, at rest and in both directions"
-    )
+    implied = "nothing but friction loads the joint (eq. 1)"
+    coordinate = """angle: a straight line over the travel, the same in motion, at rest and in both
+        directions"""
     parameters = (
         Quantity("stiffness_Nm_rad", Dimension.STIFFNESS, 0.0, 200.0),
         Quantity("rest_rad", Dimension.ANGLE, -pi, pi),
@@ -170,7 +143,6 @@ class ReturnSpring(Effect):
     sentence = "a spring of {stiffness_Nm_rad:N m/deg} pulls the joint toward {rest_rad:deg}"
     positive = (0,)
     shape_error = EXACT
-    enters = ("torque", "breakaway")
     needs = frozenset({Needs.COMMON_ZERO})
 
     @staticmethod
@@ -194,34 +166,25 @@ class ReturnSpring(Effect):
 class EndStop(Effect):
     """Elastic stop at one end of the travel or at both."""
 
-    name = "end_stop"
     equation = "J domega/dt = i Km I - M_f - M_L - k (theta - a) beyond the angle a, zero before it"
-    assumption = "the implied assumption that the travel is free"
-    shows_in = "torque"
-    coordinate = (
-        "angle: zero up to one angle, then a steep torque toward the free travel, in both "
-        "directions of motion"
-    )
+    implied = "the travel is free"
+    coordinate = """angle: zero up to one angle, then a steep torque toward the free travel, in both
+        directions of motion"""
     parameters = (
         Quantity("angle_rad", Dimension.ANGLE, -pi, pi),
         Quantity("stiffness_Nm_rad", Dimension.STIFFNESS, 1.0, 1e5),
         Quantity("other_rad", Dimension.ANGLE, -pi, pi),
     )
     look_alikes = ("return_spring", "position_dependent_friction", "gravity_imbalance")
-    experiment = (
-        "Slow approaches to the suspected angle from the free travel, in steps of a degree, in "
-        "both directions: a stop pushes back at rest too, friction does not."
-    )
+    experiment = """Slow approaches to the suspected angle from the free travel, in steps of a
+        degree, in both directions: a stop pushes back at rest too, friction does not."""
     separation = Separation.TRAVEL
-    sentence = (
-        "an elastic stop of {stiffness_Nm_rad:N m/deg} begins at {angle_rad:deg}{other_rad:?/, and"
-        " another one at the other end of the travel}"
-    )
+    sentence = """an elastic stop of {stiffness_Nm_rad:N m/deg} begins at
+        {angle_rad:deg}{other_rad:?/, and another one at the other end of the travel}"""
     refine = {1: 0.08, 2: 0.08}
     forms = {0: (UPPER, LOWER, BOTH)}
     positive = (0,)
     at_angle = True
-    enters = ("torque", "breakaway")
     needs = frozenset({Needs.COMMON_ZERO})
 
     @staticmethod
@@ -257,10 +220,8 @@ class EndStop(Effect):
 class LoadExponent(Effect):
     """Load friction in proportion to a power of the contact force."""
 
-    name = "load_exponent"
     equation = "M_L = L1 F_ref (F_P / F_ref)^p mu(omega), F_ref = 3000 N, p != 1"
     assumption = "assumption A2, and eq. 12: load friction is proportional to the contact force"
-    shows_in = "torque"
     coordinate = "load: a curve over the weight that is not a straight line, zero without load"
     parameters = (Quantity("exponent", Dimension.NUMBER, 0.3, 2.0),)
     look_alikes = (
@@ -269,21 +230,15 @@ class LoadExponent(Effect):
         "load_position_dependence",
         "lever_pivot_friction",
     )
-    experiment = (
-        "At least three weights, the heaviest at least four times the lightest, at one speed in "
-        "both directions; and accelerations without load that need the same current."
-    )
+    experiment = """At least three weights, the heaviest at least four times the lightest, at one
+        speed in both directions; and accelerations without load that need the same current."""
     separation = Separation.LOADS
-    sentence = (
-        "load friction grows with the contact force to the power {exponent:}, where the nominal "
-        "model has 1"
-    )
+    sentence = """load friction grows with the contact force to the power {exponent:}, where the
+        nominal model has 1"""
     refine = {0: 0.0}
-    positive = (0,)
     size = 1.0
     follows = True
     shape_error = CLOSE
-    enters = ("torque", "breakaway")
     nonlinear = ("exponent",)
 
     @staticmethod
@@ -299,24 +254,18 @@ class LoadExponent(Effect):
 class LoadPositionDependence(Effect):
     """Contact force that depends on the angle."""
 
-    name = "load_position_dependence"
     equation = "F_P -> F_P (1 + s theta)"
     assumption = "assumptions A1 and A3: impact at one point, one touch spot"
-    shows_in = "torque"
     coordinate = "angle: load friction changes over the travel, zero without load"
     parameters = (Quantity("slope_per_rad", Dimension.SLOPE, -2.0, 2.0),)
     look_alikes = ("position_dependent_friction", "load_exponent", "gravity_imbalance")
-    experiment = (
-        "Slow passes over the whole travel in both directions, without load and under two weights:"
-        " friction of the load grows with the weight, friction of the bearing does not."
-    )
+    experiment = """Slow passes over the whole travel in both directions, without load and under two
+        weights: friction of the load grows with the weight, friction of the bearing does not."""
     separation = Separation.TRAVEL
     sentence = "the contact force changes by {slope_per_rad:%/deg} of travel"
     follows = True
     shape_error = CLOSE
-    enters = ("torque", "breakaway")
-    linear = "slope_per_rad"
-    shown_by = staticmethod(_is_loaded)
+    shown_by = staticmethod(lambda view: view.loaded)
     needs = frozenset({Needs.COMMON_ZERO})
 
     @staticmethod
@@ -331,25 +280,19 @@ class WrongWeight(Effect):
     mass; the coefficient of a mass that is sought is the difference over the label.
     """
 
-    name = "wrong_weight"
     equation = "F'_P = (L3/L4) m g with m other than the recording's label (eq. 17)"
-    assumption = "the implied assumption that the weight has the mass on its label"
-    shows_in = "torque"
-    coordinate = (
-        "load: in one recording the load friction is wrong by a constant factor; all other "
-        "recordings fit"
-    )
+    implied = "the weight has the mass on its label"
+    coordinate = """load: in one recording the load friction is wrong by a constant factor; all
+        other recordings fit"""
     parameters = (Quantity("mass_kg", Dimension.MASS, 0.0, 200.0),)
     look_alikes = ("load_exponent", "load_swing", "coulomb_drift")
-    experiment = (
-        "Weigh the load on the lever and repeat this recording; all other recordings remain valid."
-    )
+    experiment = """Weigh the load on the lever and repeat this recording; all other recordings
+        remain valid."""
     separation = Separation.LOADS
     sentence = "the weight in {recordings} is {mass_kg:kg}, which differs from its label"
     place = 0
     follows = True
     shape_error = EXACT
-    enters = ("torque", "breakaway")
 
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -378,33 +321,24 @@ class LoadSwing(Effect):
     then has a phase and a size of its own.
     """
 
-    name = "load_swing"
     equation = "F_P -> F_P (1 + f cos(2 pi nu t) exp(-t / T)), t since the recording's start"
-    assumption = "the implied assumption that the weight hangs still"
-    shows_in = "torque"
-    coordinate = (
-        "time: load friction oscillates at one frequency, with an amplitude that decays from the "
-        "start of the recording"
-    )
+    implied = "the weight hangs still"
+    coordinate = """time: load friction oscillates at one frequency, with an amplitude that decays
+        from the start of the recording"""
     parameters = (
         Quantity("fraction", Dimension.NUMBER, 0.0, 0.9),
         Quantity("frequency_Hz", Dimension.FREQUENCY, 0.1, 10.0),
         Quantity("decay_s", Dimension.TIME, 0.2, 1000.0),
     )
     look_alikes = ("wrong_weight", "load_position_dependence", "torque_ripple")
-    experiment = (
-        "One constant slow speed under load, started immediately after the weight was hung, and "
-        "again after a minute: in the second recording the swing has decayed."
-    )
+    experiment = """One constant slow speed under load, started immediately after the weight was
+        hung, and again after a minute: in the second recording the swing has decayed."""
     separation = Separation.AFTER_HANGING
-    sentence = (
-        "the hung weight swings: the contact force by {fraction:%} at {frequency_Hz:Hz}, dying "
-        "away over {decay_s:s}"
-    )
+    sentence = """the hung weight swings: the contact force by {fraction:%} at {frequency_Hz:Hz},
+        dying away over {decay_s:s}"""
     refine = {0: 0.0, 1: 0.0}
     follows = True
     shape_error = CLOSE
-    enters = ("torque", "breakaway")
 
     @staticmethod
     def torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -442,26 +376,18 @@ class LoadSwing(Effect):
 class LoadInertia(Effect):
     """Inertia in proportion to the mass on the lever."""
 
-    name = "load_inertia"
     equation = "J -> J + J_L m_w / (30.6 kg) where loaded"
-    assumption = (
-        "the implied assumption that the lever's weight adds friction and no inertia (eq. 15)"
-    )
-    shows_in = "torque"
+    implied = "the lever's weight adds friction and no inertia (eq. 15)"
     coordinate = "acceleration: in phase with the acceleration, and proportional to the weight"
     parameters = (Quantity("inertia_kgm2", Dimension.INERTIA, 0.0, 5.0),)
     look_alikes = ("compliance", "current_loop_lag", "load_exponent")
-    experiment = (
-        "Sines of one amplitude and two frequencies under two weights: a torque that grows with "
-        "the square of the frequency and with the weight is due to inertia."
-    )
+    experiment = """Sines of one amplitude and two frequencies under two weights: a torque that
+        grows with the square of the frequency and with the weight is due to inertia."""
     separation = Separation.LOADS_AND_SPEEDS
     sentence = "each 30.6 kg hung on the lever adds {inertia_kgm2:kg m^2} of inertia"
     positive = (0,)
     shape_error = EXACT
-    enters = ("torque", "breakaway")
-    linear = "inertia_kgm2"
-    shown_by = staticmethod(_has_lever_weight)
+    shown_by = staticmethod(lambda view: view.recording.weight_mass > 0.0)
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -471,25 +397,18 @@ class LoadInertia(Effect):
 class LeverPivotFriction(Effect):
     """Coulomb friction of the lever's pivot."""
 
-    name = "lever_pivot_friction"
     equation = "M_L -> M_L + d sgn(omega) where the lever is hung, whatever the mass"
     assumption = "assumption A3: load friction arises at one touch spot alone (eq. 12)"
-    shows_in = "torque"
-    coordinate = (
-        "load: a step between no weight and any weight, against the motion in both directions"
-    )
+    coordinate = """load: a step between no weight and any weight, against the motion in both
+        directions"""
     parameters = (Quantity("torque_Nm", Dimension.TORQUE, 0.0, 20.0),)
     look_alikes = ("load_exponent", "wrong_weight", "coulomb_drift")
-    experiment = (
-        "Two very different weights, and the lever without weight: the straight line of friction "
-        "over mass, extended to zero mass, gives the friction of the pivot."
-    )
+    experiment = """Two very different weights, and the lever without weight: the straight line of
+        friction over mass, extended to zero mass, gives the friction of the pivot."""
     separation = Separation.LOADS
     sentence = "the lever's own pivot adds {torque_Nm:N m} of friction, the same for every weight"
     positive = (0,)
     shape_error = CLOSE
-    enters = ("torque", "breakaway")
-    linear = "torque_Nm"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -502,27 +421,18 @@ class LeverPivotFriction(Effect):
 class LoadDependentFriction(Effect):
     """Friction in proportion to the torque of the known loads that turn with the joint."""
 
-    name = "load_dependent_friction"
     equation = "M_f -> M_f + c |M_load| sgn(omega)"
-    assumption = (
-        "the implied assumption that system friction does not depend on the load torque (eq. 9)"
-    )
-    shows_in = "torque"
-    coordinate = (
-        "load: proportional to the torque of the load, against the motion in both directions"
-    )
+    implied = "system friction does not depend on the load torque (eq. 9)"
+    coordinate = """load: proportional to the torque of the load, against the motion in both
+        directions"""
     parameters = (Quantity("coefficient", Dimension.NUMBER, 0.0, 1.0),)
     look_alikes = ("transmission_efficiency", "torque_saturation", "position_dependent_friction")
-    experiment = (
-        "One slow motion under two loads and without load, raising and lowering: friction that "
-        "grows with the load is the same in both directions, the loss of a gear is not."
-    )
+    experiment = """One slow motion under two loads and without load, raising and lowering: friction
+        that grows with the load is the same in both directions, the loss of a gear is not."""
     separation = Separation.LOADS
     sentence = "friction grows by {coefficient:%} of the load's torque"
     positive = (0,)
     follows = True
-    enters = ("torque", "breakaway")
-    linear = "coefficient"
     fitted_by_estimators = True
 
     @staticmethod

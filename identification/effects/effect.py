@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -35,6 +36,7 @@ other effects had at most 1 to 13 millionths of the gain of the effect in its st
 nothing above 1 % of the noise; in ``CLOSE`` up to 15 millionths, or more in one draw only; in
 ``ROUGH`` more.
 """
+WORDS = frozenset({"equation", "implied", "assumption", "coordinate", "experiment", "sentence"})
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
@@ -171,9 +173,10 @@ class Effect:
     is the quantity to be explained, and as a regressor would explain every mismatch.
 
     Attributes:
-        name: Stable name.
+        name: Stable name: the name of the class in small letters.
         equation: Governing equation.
         assumption: Assumption of the paper that the effect violates.
+        implied: The same after "the implied assumption that".
         shows_in: Equation in which the effect shows: ``torque``, ``transmission``, ``voltage``,
             ``breakaway`` or ``pressure``.
         coordinate: Coordinate over which the effect shows, a colon, and how the effect shows.
@@ -200,8 +203,9 @@ class Effect:
         nonlinear: Parameters of the catalogue that are nonlinear parameters, in their order; a
             number is the value, at given parameters, of a nonlinear parameter that the catalogue
             does not have.
-        linear: Parameter of the catalogue that is the only coefficient; empty if it is another
-            function of the coefficients, or if nonlinear parameters determine the size.
+        linear: Parameter of the catalogue that is the only coefficient: the one that is not
+            nonlinear; empty if it is another function of the coefficients, or if nonlinear
+            parameters determine the size.
         polar: Parameters of the catalogue that are amplitude and phase of a pair of coefficients.
         trials: Trial values of the nonlinear parameters.
         shown_by: Function that returns whether a recording can show the effect; None for every
@@ -210,7 +214,11 @@ class Effect:
             the trial value; 0 for a parameter that is searched within a factor.
         forms: Index of a nonlinear parameter that selects the form of the effect to the values of
             this parameter, the usual form first.
-        positive: Indices of coefficients that must be positive to be physical.
+        positive: Indices of coefficients that must be positive to be physical; a fixed coefficient
+            is.
+        simulated: Whether the response is simulated, and not linear in the size.
+        scale: Size from which the fit of an effect without a score starts.
+        one_sided: Whether an effect of the opposite sign is one outside the catalogue.
         size: Fixed coefficient of a regressor whose size is determined by nonlinear parameters;
             None otherwise.
         shape_error: Class of the error of the regressor; :data:`EXACT` if the regressor is computed
@@ -231,14 +239,15 @@ class Effect:
     name: str
     equation: str
     assumption: str
-    shows_in: str
+    implied: str
+    shows_in = "torque"
     coordinate: str
     parameters: tuple[Quantity, ...]
     look_alikes: tuple[str, ...]
     experiment: str
     sentence: str
     separation: Separation | None = None
-    enters: tuple[str, ...]
+    enters: tuple[str, ...] = ("torque", "breakaway")
     on_drive = False
     modelled: tuple[str, ...] | None = None
     flexible = False
@@ -254,6 +263,9 @@ class Effect:
     refine: Mapping[int, float] = {}
     forms: Mapping[int, tuple[float, ...]] = {}
     positive: tuple[int, ...] = ()
+    one_sided = False
+    simulated = False
+    scale = 1.0
     size: float | None = None
     shape_error: float = ROUGH
     follows = False
@@ -262,6 +274,20 @@ class Effect:
     limits: Mapping[int, tuple[float, float]] = {}
     place: int | None = None
     start: Mapping[str, Columns] = {}
+
+    def __init_subclass__(cls) -> None:
+        """Complete a definition: name, words without line ends, and what follows from the rest."""
+        own = vars(cls)
+        if not cls.__name__.startswith("_"):
+            cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        for words in own.keys() & WORDS:
+            setattr(cls, words, " ".join(own[words].split()))
+        if "implied" in own:
+            cls.assumption = f"the implied assumption that {cls.implied}"
+        if cls.size is not None:
+            cls.positive = (0,)
+        elif "parameters" in own and cls.read is Effect.read and not cls.polar:
+            (cls.linear,) = (q.name for q in cls.parameters if q.name not in cls.nonlinear)
 
     def modified(self, **changes: Any) -> Self:
         """Return the effect with other attributes."""

@@ -100,16 +100,12 @@ def _initial_friction(view: View, nominal: Nominal) -> float:
 
 
 def _last_rest(view: View) -> Array:
-    """Return the duration of the last rest at each sample, s; the sample that ends a rest has the
-    duration of this rest.
-    """
+    """Return the duration of the last rest, s, also at the sample that ends it."""
     return np.asarray(np.maximum(view.rest_time, np.roll(view.rest_time, 1)))
 
 
 def _left_of_the_start(view: View, shape: Shape) -> Array:
-    """Return the remaining share of a state that decays from 1 at the start of the running time,
-    shape (m,).
-    """
+    """Return what is left of a state that is 1 at the start of the running time."""
     return np.asarray(np.exp(-view.run_time / shape[0]))
 
 
@@ -124,14 +120,10 @@ def _coulomb_start(view: View, _nominal: Nominal, shape: Shape) -> Array:
 class AsymmetricCoulomb(Effect):
     """Coulomb friction that is greater in one direction than in the other."""
 
-    name = "asymmetric_coulomb"
     equation = "Mc, Ms -> Mc + d, Ms + d for omega > 0; Mc - d, Ms - d for omega < 0"
-    assumption = "the implied assumption that friction is the same both ways (eq. 9)"
-    shows_in = "torque"
-    coordinate = (
-        "direction: a constant torque in motion, the same at any speed, angle and load; none at "
-        "rest"
-    )
+    implied = "friction is the same both ways (eq. 9)"
+    coordinate = """direction: a constant torque in motion, the same at any speed, angle and load;
+        none at rest"""
     parameters = (Quantity("torque_Nm", Dimension.TORQUE, -20.0, 20.0),)
     look_alikes = (
         "current_offset",
@@ -139,19 +131,13 @@ class AsymmetricCoulomb(Effect):
         "gravity_imbalance",
         "transmission_efficiency",
     )
-    experiment = (
-        "Holding at rest after approaches from either side, at two loads, and over the widest "
-        "travel: at rest asymmetric friction is zero, an offset of the current remains, and "
-        "gravity changes with the angle."
-    )
+    experiment = """Holding at rest after approaches from either side, at two loads, and over the
+        widest travel: at rest asymmetric friction is zero, an offset of the current remains, and
+        gravity changes with the angle."""
     separation = Separation.HOLD
-    sentence = (
-        "friction is {torque_Nm:abs N m} {torque_Nm:?higher/lower} in the positive direction, and "
-        "as much {torque_Nm:?lower/higher} in the negative, at any speed"
-    )
+    sentence = """friction is {torque_Nm:abs N m} {torque_Nm:?higher/lower} in the positive
+        direction, and as much {torque_Nm:?lower/higher} in the negative, at any speed"""
     shape_error = EXACT
-    enters = ("torque", "breakaway")
-    linear = "torque_Nm"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -161,27 +147,19 @@ class AsymmetricCoulomb(Effect):
 class AsymmetricViscous(Effect):
     """Viscous friction that is greater in one direction than in the other."""
 
-    name = "asymmetric_viscous"
     equation = "sigma_2 -> sigma_2 + d for omega > 0; sigma_2 - d for omega < 0"
-    assumption = "the implied assumption that friction is the same both ways (eq. 9)"
-    shows_in = "torque"
+    implied = "friction is the same both ways (eq. 9)"
     coordinate = "speed: proportional to |omega|, with one sign in both directions"
     parameters = (Quantity("coefficient_Nms_rad", Dimension.VISCOSITY, -40.0, 40.0),)
     look_alikes = ("asymmetric_coulomb", "quadratic_drag", "current_offset")
-    experiment = (
-        "Steady speeds in both directions, at least four between the Stribeck speed and the limit:"
-        " an asymmetry that grows with speed is one of viscous friction, a constant asymmetry is "
-        "one of Coulomb friction."
-    )
+    experiment = """Steady speeds in both directions, at least four between the Stribeck speed and
+        the limit: an asymmetry that grows with speed is one of viscous friction, a constant
+        asymmetry is one of Coulomb friction."""
     separation = Separation.SPEEDS
-    sentence = (
-        "viscous friction is {coefficient_Nms_rad:abs N m s/rad} "
-        "{coefficient_Nms_rad:?higher/lower} in the positive direction, and as much "
-        "{coefficient_Nms_rad:?lower/higher} in the negative"
-    )
+    sentence = """viscous friction is {coefficient_Nms_rad:abs N m s/rad}
+        {coefficient_Nms_rad:?higher/lower} in the positive direction, and as much
+        {coefficient_Nms_rad:?lower/higher} in the negative"""
     shape_error = CLOSE
-    enters = ("torque", "breakaway")
-    linear = "coefficient_Nms_rad"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -191,26 +169,18 @@ class AsymmetricViscous(Effect):
 class QuadraticDrag(Effect):
     """Drag in proportion to the square of the speed."""
 
-    name = "quadratic_drag"
     equation = "M_f -> M_f + c omega |omega|"
-    assumption = "the implied assumption that friction grows with speed as a line (eq. 9)"
-    shows_in = "torque"
+    implied = "friction grows with speed as a line (eq. 9)"
     coordinate = "speed: proportional to the square of the speed, greatest at the highest speed"
     parameters = (Quantity("coefficient_Nms2_rad2", Dimension.DRAG, -80.0, 80.0),)
     look_alikes = ("asymmetric_viscous", "stribeck_shape", "viscous_thermal_drift")
-    experiment = (
-        "Steady speeds in both directions up to the limit, at least four above three Stribeck "
-        "speeds, in rising and in falling order: quadratic drag depends on the speed alone, the "
-        "effect of warming also on time."
-    )
+    experiment = """Steady speeds in both directions up to the limit, at least four above three
+        Stribeck speeds, in rising and in falling order: quadratic drag depends on the speed alone,
+        the effect of warming also on time."""
     separation = Separation.SPEEDS
-    sentence = (
-        "drag of {coefficient_Nms2_rad2:N m s^2/rad^2} times the square of speed adds to viscous "
-        "friction"
-    )
+    sentence = """drag of {coefficient_Nms2_rad2:N m s^2/rad^2} times the square of speed adds to
+        viscous friction"""
     positive = (0,)
-    enters = ("torque", "breakaway")
-    linear = "coefficient_Nms2_rad2"
 
     @staticmethod
     def torque(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -225,25 +195,18 @@ class StribeckShape(Effect):
     :data:`SAME_FALL` of the rise remains.
     """
 
-    name = "stribeck_shape"
     equation = "M_f = Mc + (Ms - Mc) exp(-|omega / omega_sf|^alpha) + sigma_2 |omega|, alpha != 2"
     assumption = "the printed exponent alpha = 2 of the Stribeck curve (eq. 13)"
-    shows_in = "torque"
     coordinate = "speed: between zero and three Stribeck speeds, the same in both directions"
     parameters = (Quantity("alpha", Dimension.NUMBER, 0.3, 6.0),)
     look_alikes = ("friction_memory", "presliding", "quadratic_drag")
-    experiment = (
-        "Steady slow speeds, five between a fifth of the Stribeck speed and three Stribeck speeds,"
-        " in both directions, each approached from higher and from lower speed: a Stribeck curve "
-        "does not depend on this history, friction with memory does."
-    )
+    experiment = """Steady slow speeds, five between a fifth of the Stribeck speed and three
+        Stribeck speeds, in both directions, each approached from higher and from lower speed: a
+        Stribeck curve does not depend on this history, friction with memory does."""
     separation = Separation.SLOW
-    sentence = (
-        "friction falls from static to Coulomb with the exponent {alpha:}, where the nominal model"
-        " has 2"
-    )
+    sentence = """friction falls from static to Coulomb with the exponent {alpha:}, where the
+        nominal model has 2"""
     refine = {0: 0.0}
-    positive = (0,)
     size = 1.0
     follows = True
     limits = {0: (0.3, 8.0)}
@@ -277,34 +240,24 @@ class StribeckShape(Effect):
 class FrictionMemory(Effect):
     """Lag of the level of friction, or of the speed on which this level depends."""
 
-    name = "friction_memory"
-    equation = (
-        "T dx/dt = u - x; x is the level M_f(omega) of friction less its viscous part, or "
-        "(of_speed = 1) the speed omega that this level follows"
-    )
-    assumption = "the implied assumption that Stribeck friction is static, without memory (eq. 9)"
-    shows_in = "torque"
-    coordinate = (
-        "time since reversal: loops of friction over speed that widen with the acceleration"
-    )
+    equation = """T dx/dt = u - x; x is the level M_f(omega) of friction less its viscous part, or
+        (of_speed = 1) the speed omega that this level follows"""
+    implied = "Stribeck friction is static, without memory (eq. 9)"
+    coordinate = """time since reversal: loops of friction over speed that widen with the
+        acceleration"""
     parameters = (
         Quantity("time_s", Dimension.TIME, 0.0, 0.2),
         Quantity("of_speed", Dimension.NUMBER, 0.0, 1.0),
     )
     look_alikes = ("current_loop_lag", "time_skew", "stribeck_shape", "presliding")
-    experiment = (
-        "Slow sines of the speed around one Stribeck speed, without reversal, at three "
-        "frequencies; and fast motion without load: friction with memory has loops only where the "
-        "Stribeck curve falls, a lag of the current wherever the current changes."
-    )
+    experiment = """Slow sines of the speed around one Stribeck speed, without reversal, at three
+        frequencies; and fast motion without load: friction with memory has loops only where the
+        Stribeck curve falls, a lag of the current wherever the current changes."""
     separation = Separation.SLOW
-    sentence = (
-        "friction responds to a change of speed with a lag of {time_s:ms} (of_speed {of_speed:}; "
-        "1: friction follows a lagged speed, 0: the friction level lags)"
-    )
+    sentence = """friction responds to a change of speed with a lag of {time_s:ms} (of_speed
+        {of_speed:}; 1: friction follows a lagged speed, 0: the friction level lags)"""
     refine = {0: 0.0}
     forms = {1: LEVEL_OR_SPEED}
-    positive = (0,)
     size = 1.0
     follows = True
     shape_error = EXACT
@@ -337,11 +290,8 @@ class DwellStaticFriction(Effect):
     A short travel removes the growth, so that friction in motion does not change.
     """
 
-    name = "dwell_static_friction"
     equation = "Ms(t_rest) = Ms + dM (1 - exp(-t_rest / T))"
-    assumption = (
-        "the implied assumption that static friction does not depend on the time at rest (eq. 9)"
-    )
+    implied = "static friction does not depend on the time at rest (eq. 9)"
     shows_in = "breakaway"
     coordinate = "rest time: breakaway torque rises with the preceding time at rest"
     parameters = (
@@ -349,19 +299,15 @@ class DwellStaticFriction(Effect):
         Quantity("time_s", Dimension.TIME, 0.02, 100.0),
     )
     look_alikes = ("presliding", "backlash", "friction_memory")
-    experiment = (
-        "Rests of several durations from 0.1 to 8 s, each followed by the same slow rise of torque"
-        " until breakaway, repeated in mixed order."
-    )
+    experiment = """Rests of several durations from 0.1 to 8 s, each followed by the same slow rise
+        of torque until breakaway, repeated in mixed order."""
     separation = Separation.RESTS
-    sentence = (
-        "static friction grows by {growth_Nm:N m} at rest, with a time constant of {time_s:s}"
-    )
+    sentence = """static friction grows by {growth_Nm:N m} at rest, with a time constant of
+        {time_s:s}"""
     refine = {0: 0.0}
     positive = (0,)
     enters = ("breakaway",)
     nonlinear = ("time_s",)
-    linear = "growth_Nm"
     trials = DWELLS_S
 
     @staticmethod
@@ -374,22 +320,17 @@ class DwellStaticFriction(Effect):
 class Presliding(Effect):
     """Friction that changes its sign gradually over a small travel (Dahl)."""
 
-    name = "presliding"
     equation = "dM_f/dtheta = k (1 - M_f sgn(omega) / M_ss(omega)), M_ss the Stribeck curve (Dahl)"
-    assumption = "the implied assumption that a stuck contact does not move at all (eq. 9)"
-    shows_in = "torque"
+    implied = "a stuck contact does not move at all (eq. 9)"
     coordinate = "travel since reversal: friction changes its sign gradually over a small travel"
     parameters = (Quantity("stiffness_Nm_rad", Dimension.STIFFNESS, 50.0, 1e6),)
     look_alikes = ("backlash", "dwell_static_friction", "coupling_hysteresis", "friction_memory")
-    experiment = (
-        "Small loops of torque below breakaway, of two sizes, after short and after long rests: "
-        "with presliding the joint moves like a spring with hysteresis after any rest, a gap is "
-        "crossed without torque, and static friction that grows at rest allows no motion."
-    )
+    experiment = """Small loops of torque below breakaway, of two sizes, after short and after long
+        rests: with presliding the joint moves like a spring with hysteresis after any rest, a gap
+        is crossed without torque, and static friction that grows at rest allows no motion."""
     separation = Separation.SMALL_LOOPS
     sentence = "the contact deforms like a spring of {stiffness_Nm_rad:N m/deg} before it slides"
     refine = {0: 0.0}
-    positive = (0,)
     size = 1.0
     follows = True
     shape_error = CLOSE
@@ -424,10 +365,8 @@ class Presliding(Effect):
 class PositionDependentFriction(Effect):
     """Friction of a worn patch."""
 
-    name = "position_dependent_friction"
     equation = "Mc, Ms -> + d exp(-((theta - theta_0) / w)^2 / 2)"
-    assumption = "the implied assumption that friction is the same everywhere on the travel (eq. 9)"
-    shows_in = "torque"
+    implied = "friction is the same everywhere on the travel (eq. 9)"
     coordinate = "angle: in one range of the travel, against the motion in both directions"
     parameters = (
         Quantity("torque_Nm", Dimension.TORQUE, -10.0, 20.0),
@@ -435,22 +374,16 @@ class PositionDependentFriction(Effect):
         Quantity("width_rad", Dimension.ANGLE, 0.005, 1.0),
     )
     look_alikes = ("end_stop", "gravity_imbalance", "load_position_dependence", "cogging")
-    experiment = (
-        "Slow passes over the whole travel in both directions, without and with load: friction "
-        "changes its sign with the direction, the torque of a spring, a stop or gravity does not; "
-        "the friction of a worn patch of the bearing remains without load."
-    )
+    experiment = """Slow passes over the whole travel in both directions, without and with load:
+        friction changes its sign with the direction, the torque of a spring, a stop or gravity does
+        not; the friction of a worn patch of the bearing remains without load."""
     separation = Separation.TRAVEL
-    sentence = (
-        "friction is {torque_Nm:abs N m} {torque_Nm:?higher/lower} around {center_rad:deg}, over a"
-        " width of {width_rad:deg}"
-    )
+    sentence = """friction is {torque_Nm:abs N m} {torque_Nm:?higher/lower} around {center_rad:deg},
+        over a width of {width_rad:deg}"""
     refine = {0: 0.1, 1: 0.0}
     at_angle = True
     shape_error = CLOSE
-    enters = ("torque", "breakaway")
     nonlinear = ("center_rad", "width_rad")
-    linear = "torque_Nm"
     needs = frozenset({Needs.COMMON_ZERO})
 
     @staticmethod
@@ -467,32 +400,23 @@ class PositionDependentFriction(Effect):
 class ViscousThermalDrift(Effect):
     """Viscous friction that falls with running time."""
 
-    name = "viscous_thermal_drift"
     equation = "sigma_2(t) = sigma_2 (1 - f (1 - exp(-t_run / T)))"
-    assumption = "the implied assumption that friction is the same at any temperature (eq. 9)"
-    shows_in = "torque"
-    coordinate = (
-        "temperature: viscous friction falls with rising temperature, or with running time; zero "
-        "at low speed"
-    )
+    implied = "friction is the same at any temperature (eq. 9)"
+    coordinate = """temperature: viscous friction falls with rising temperature, or with running
+        time; zero at low speed"""
     parameters = (
         Quantity("fraction", Dimension.NUMBER, 0.0, 0.9),
         Quantity("time_s", Dimension.TIME, 1.0, 5000.0),
     )
     look_alikes = ("coulomb_drift", "winding_heating", "current_drift")
-    experiment = (
-        "A slow and a fast speed, each cold and hot, with voltage and current logged: a drift of "
-        "viscous friction shows at the fast speed only, a drift of Coulomb friction equally at "
-        "both speeds, a hot winding in the voltage."
-    )
+    experiment = """A slow and a fast speed, each cold and hot, with voltage and current logged: a
+        drift of viscous friction shows at the fast speed only, a drift of Coulomb friction equally
+        at both speeds, a hot winding in the voltage."""
     separation = Separation.SESSION
-    sentence = (
-        "viscous friction falls by {fraction:%} as the bench runs warm, with a time constant of "
-        "{time_s:s}"
-    )
+    sentence = """viscous friction falls by {fraction:%} as the bench runs warm, with a time
+        constant of {time_s:s}"""
     refine = {0: 0.0}
     shape_error = EXACT
-    enters = ("torque", "breakaway")
     start = {"torque": _viscous_start, "breakaway": _viscous_start}
 
     @staticmethod
@@ -513,37 +437,24 @@ class ViscousThermalDrift(Effect):
 class CoulombDrift(Effect):
     """Coulomb and static friction that change with running time."""
 
-    name = "coulomb_drift"
     equation = "Mc(t) = Mc + r T (1 - exp(-t_run / T)), Ms alike; r t_run where T is long"
-    assumption = (
-        "the implied assumption that friction does not change from one recording to the next (eq. "
-        "9)"
-    )
-    shows_in = "torque"
-    coordinate = (
-        "time: against the motion in both directions and at any speed, changing from recording to "
-        "recording"
-    )
+    implied = "friction does not change from one recording to the next (eq. 9)"
+    coordinate = """time: against the motion in both directions and at any speed, changing from
+        recording to recording"""
     parameters = (
         Quantity("rate_Nm_s", Dimension.TORQUE_RATE, -1.0, 1.0),
         Quantity("time_s", Dimension.TIME, 1.0, 1e7),
     )
     look_alikes = ("viscous_thermal_drift", "winding_heating", "current_drift")
-    experiment = (
-        "One recording repeated at the start, in the middle and at the end of a session, at two "
-        "speeds in both directions: a drift of Coulomb friction changes its sign with the "
-        "direction, a drift of the current's zero does not."
-    )
+    experiment = """One recording repeated at the start, in the middle and at the end of a session,
+        at two speeds in both directions: a drift of Coulomb friction changes its sign with the
+        direction, a drift of the current's zero does not."""
     separation = Separation.SESSION
-    sentence = (
-        "Coulomb friction {rate_Nm_s:?rises/falls} by {rate_Nm_s:abs N m/h} of running at first, "
-        "levelling off with a time constant of {time_s:s}"
-    )
+    sentence = """Coulomb friction {rate_Nm_s:?rises/falls} by {rate_Nm_s:abs N m/h} of running at
+        first, levelling off with a time constant of {time_s:s}"""
     refine = {0: 0.0}
     shape_error = EXACT
-    enters = ("torque", "breakaway")
     nonlinear = ("time_s",)
-    linear = "rate_Nm_s"
     trials = (*WARM_UPS_S, (STEADY_S,))
     start = {"torque": _coulomb_start, "breakaway": _coulomb_start}
 

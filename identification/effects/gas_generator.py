@@ -4,13 +4,11 @@ eq. 3): they show in pressure and valve angle.
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
-from identification.effects.effect import Dimension, Effect, Quantity, Shape
+from identification.effects.effect import Dimension, Effect, Quantity, Shape, rows
 from identification.model import gas_generator as kernel
+from identification.recording import Array
 
 _ALIKE = (
     "Steps of the valve between its least and its greatest throat area, early and late in the "
@@ -21,174 +19,117 @@ _ALIKE = (
 )
 
 
-@dataclass(frozen=True)
-class Size:
-    """One parameter of an effect.
-
-    Attributes: slot: Index in the kernel's vector of effects. scale: A typical observable size, in
-    the unit of the parameter; the fit uses multiples of it. trials: Start values of a nonlinear
-    parameter, whose logarithm is fitted; empty for a size.
-    """
-
-    slot: int
-    scale: float
-    trials: tuple[float, ...] = ()
-
-
 class GasGeneratorEffect(Effect):
     """An effect of the gas generator, which the kernel of the burn simulates.
 
-    Attributes: sizes: Name of each parameter to its slot in the kernel, scale and trial values; the
-    first parameter is the size of the effect, which is zero if the effect is absent.
+    Attributes:
+        slots: Indices of the parameters in the kernel's vector of effects: of the size, which is
+            zero if the effect is absent, and of the nonlinear parameters.
+        scale: A typical observable size; the fit uses multiples of it too.
     """
 
-    enters = ()
-    sizes: Mapping[str, Size]
+    shows_in = "pressure"
+    enters = ("pressure",)
+    varies = ("pressure",)
+    one_sided = True
+    simulated = True
+    slots: tuple[int, ...]
 
-    @property
-    def start_values(self) -> tuple[Shape, ...]:
-        """Trial values of all parameters after the first, the nonlinear parameters."""
-        return tuple(itertools.product(*(s.trials for s in list(self.sizes.values())[1:])))
+    def pressure(self, view: Any, nominal: Any, shape: Shape) -> Array:
+        """Return the change of the pressure over the size of the effect, Pa, shape (1, n)."""
+        return rows(nominal.response(view, self, shape))
+
+    def feeds_back(self, nominal: Any, shape: Shape, coefficients: tuple[float, ...]) -> Any:
+        return nominal.with_effect(self, coefficients[0], shape)
 
 
 class ThroatDeposition(GasGeneratorEffect):
     """Deposit that grows on the rims of the throat."""
 
-    name = "throat_deposition"
     equation = "m_g = p_g A_t(theta; d - 2 h, D - 2 h) / C_r, dh/dt = k"
     assumption = "the implied assumption of eq. 3 and Fig. 3 that the throat keeps its diameters"
-    shows_in = "pressure"
-    coordinate = (
-        "time: the pressure rises during the burn at every angle, most where the throat is "
-        "narrowest"
-    )
+    coordinate = """time: the pressure rises during the burn at every angle, most where the throat
+        is narrowest"""
     parameters = (Quantity("rate_m_s", Dimension.LAYER_RATE, 0.0, 2e-4),)
     look_alikes = ("burning_area_change", "heat_loss", "leakage")
     experiment = _ALIKE
     sentence = "a deposit grows on the rims of the throat at {rate_m_s:mm/min}"
-    sizes = {"rate_m_s": Size(kernel.LAYER_RATE, 1e-6)}
+    slots = (kernel.LAYER_RATE,)
+    scale = 1e-6
 
 
 class BurningAreaChange(GasGeneratorEffect):
     """Burning area that changes with the burnt length."""
 
-    name = "burning_area_change"
     equation = "A_b = (pi D_P^2/4) (1 + t w)^2, w = integral of r dt"
     assumption = "assumption G1: end burning, the burning area constant (eq. 2)"
-    shows_in = "pressure"
-    coordinate = (
-        "web burnt: the pressure changes with the burnt length, by the same share at every angle"
-    )
+    coordinate = """web burnt: the pressure changes with the burnt length, by the same share at
+        every angle"""
     parameters = (Quantity("taper_per_m", Dimension.TAPER, -2.0, 2.0),)
     look_alikes = ("throat_deposition", "heat_loss", "erosive_burning")
     experiment = _ALIKE
-    sentence = (
-        "the grain's diameter {taper_per_m:?grows/shrinks} by {taper_per_m:abs %/m} of burnt length"
-    )
-    sizes = {"taper_per_m": Size(kernel.TAPER, 0.01)}
+    sentence = """the grain's diameter {taper_per_m:?grows/shrinks} by {taper_per_m:abs %/m} of
+        burnt length"""
+    slots = (kernel.TAPER,)
+    scale = 0.01
+    one_sided = False
 
 
 class ErosiveBurning(GasGeneratorEffect):
     """Burning rate that grows with the speed of the gas along the surface."""
 
-    name = "erosive_burning"
-    equation = (
-        "r = a p_g^n (1 + k u), u = A_t R_g T_g / (C_r A_b), the speed at which the gas leaves the"
-        " surface"
-    )
+    equation = """r = a p_g^n (1 + k u), u = A_t R_g T_g / (C_r A_b), the speed at which the gas
+        leaves the surface"""
     assumption = "assumption G5: the burning rate depends on pressure alone (eq. 2)"
-    shows_in = "pressure"
-    coordinate = (
-        "throat area: at wide throats more pressure than eq. 2 gives, immediately when the valve "
-        "opens"
-    )
+    coordinate = """throat area: at wide throats more pressure than eq. 2 gives, immediately when
+        the valve opens"""
     parameters = (Quantity("coefficient_s_m", Dimension.EROSION, 0.0, 0.5),)
     look_alikes = ("leakage", "heat_loss", "burning_area_change")
-    experiment = (
-        "Steps over the whole range of throat areas, with pauses at five or more areas. In a "
-        "logarithmic plot of the steady pressure over the throat area, erosion bends the line "
-        "upward at wide throats, a leak bends the line downward at narrow throats, and with a "
-        "wrong exponent the line stays straight."
-    )
+    experiment = """Steps over the whole range of throat areas, with pauses at five or more areas.
+        In a logarithmic plot of the steady pressure over the throat area, erosion bends the line
+        upward at wide throats, a leak bends the line downward at narrow throats, and with a wrong
+        exponent the line stays straight."""
     sentence = "the burning rate grows by {coefficient_s_m:%/(m/s)} of gas speed along the surface"
-    sizes = {"coefficient_s_m": Size(kernel.EROSION, 1e-3)}
+    slots = (kernel.EROSION,)
+    scale = 1e-3
 
 
 class HeatLoss(GasGeneratorEffect):
     """Heat that cold walls take from the gas."""
 
-    name = "heat_loss"
-    equation = (
-        "m ds/dt = m_r (1 - s) - s Q / h_g, T_g = s T, Q = Q_0 exp(-t / tau), h_g = gamma/(gamma -"
-        " 1) R_g T_g"
-    )
+    equation = """m ds/dt = m_r (1 - s) - s Q / h_g, T_g = s T, Q = Q_0 exp(-t / tau), h_g =
+        gamma/(gamma - 1) R_g T_g"""
     assumption = "assumption G4: the gas temperature remains unchanged (eq. 5, 6)"
-    shows_in = "pressure"
-    coordinate = (
-        "time: too little pressure at first, with a difference that falls as the walls warm, and "
-        "is greatest where little propellant burns"
-    )
+    coordinate = """time: too little pressure at first, with a difference that falls as the walls
+        warm, and is greatest where little propellant burns"""
     parameters = (
         Quantity("heat_flow_W", Dimension.HEAT_FLOW, 0.0, 1e6),
         Quantity("time_s", Dimension.TIME, 0.2, 200.0),
     )
     look_alikes = ("throat_deposition", "burning_area_change", "leakage")
-    experiment = (
-        "A second burn soon after the first, while the walls are still warm: there is no heat loss"
-        " to the walls, but effects of deposits and grain remain. If there is only one burn: steps"
-        " early and late in the burn."
-    )
+    experiment = """A second burn soon after the first, while the walls are still warm: there is no
+        heat loss to the walls, but effects of deposits and grain remain. If there is only one burn:
+        steps early and late in the burn."""
     sentence = "cold walls take {heat_flow_W:kW} from the gas at first, and warm in {time_s:s}"
-    sizes = {
-        "heat_flow_W": Size(kernel.HEAT_FLOW, 1e4),
-        "time_s": Size(kernel.HEAT_TIME, 1.0, (1.0, 3.0, 10.0, 30.0)),
-    }
+    nonlinear = ("time_s",)
+    trials = ((1.0,), (3.0,), (10.0,), (30.0,))
+    refine = {0: 0.0}
+    slots = (kernel.HEAT_FLOW, kernel.HEAT_TIME)
+    scale = 1e4
 
 
 class Leakage(GasGeneratorEffect):
     """Gas that leaks beside the throat."""
 
-    name = "leakage"
     equation = "m_g = p_g (A_t + A_l) / C_r"
     assumption = "the implied assumption of eq. 3 that all gas leaves through the valve's throat"
-    shows_in = "pressure"
-    coordinate = (
-        "throat area: where the throat is narrowest, the pressure is too low and changes faster"
-    )
+    coordinate = """throat area: where the throat is narrowest, the pressure is too low and changes
+        faster"""
     parameters = (Quantity("area_m2", Dimension.AREA, 0.0, 2e-4),)
     look_alikes = ("erosive_burning", "throat_deposition", "heat_loss")
-    experiment = (
-        "Pauses at five or more throat areas between the least and the greatest: the area of a "
-        "leak is constant, so that its share is greatest at the least throat area. A pressure test"
-        " of the cold chamber shows a leak too."
-    )
+    experiment = """Pauses at five or more throat areas between the least and the greatest: the area
+        of a leak is constant, so that its share is greatest at the least throat area. A pressure
+        test of the cold chamber shows a leak too."""
     sentence = "gas leaks beside the throat through {area_m2:mm^2}"
-    sizes = {"area_m2": Size(kernel.LEAK, 1e-6)}
-
-
-@dataclass(frozen=True)
-class GasEffect:
-    """An effect with its parameters, by the catalogue's names."""
-
-    term: GasGeneratorEffect
-    parameters: Mapping[str, float]
-
-    @property
-    def coordinates(self) -> tuple[float, ...]:
-        """Coordinates of the fit: each parameter divided by its scale; for a parameter with trial
-        values, the logarithm of this ratio.
-        """
-        return tuple(
-            math.log(self.parameters[name] / size.scale)
-            if size.trials
-            else self.parameters[name] / size.scale
-            for name, size in self.term.sizes.items()
-        )
-
-
-def effect_at(term: GasGeneratorEffect, coordinates: tuple[float, ...]) -> GasEffect:
-    """Return the effect at fitted coordinates; the inverse of :attr:`GasEffect.coordinates`."""
-    sizes = zip(term.sizes.items(), coordinates, strict=True)
-    return GasEffect(
-        term, {n: s.scale * (math.exp(min(x, 20.0)) if s.trials else x) for (n, s), x in sizes}
-    )
+    slots = (kernel.LEAK,)
+    scale = 1e-6

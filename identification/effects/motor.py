@@ -85,21 +85,12 @@ def _gain(view: View, nominal: Nominal) -> Array:
 
 
 def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
-    """Return the two columns of a wave, or two columns for each recording if each recording has its
-    own origin of angles.
-    """
-    if len(shape) == 1:
-        return wave
-    out = np.zeros((2 * round(shape[1]), wave.shape[1]))
-    if 2 * view.index < len(out):  # in a recording that is not fitted the phase is unknown
-        out[2 * view.index : 2 * view.index + 2] = wave
-    return out
+    """Return the two columns of a wave, for each recording if each has its own origin."""
+    return wave if len(shape) == 1 else of_each_recording(view, round(shape[1]), wave)
 
 
 def _waves(context: Context) -> Sequence[Shape]:
-    """Return trial cycles per motor turn and, if recordings have no common origin of angles, the
-    number of recordings.
-    """
+    """Return trial cycles per motor turn and, without a common origin, the number of recordings."""
     if lacks_common_origin(context.views):
         return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
     return CYCLES_PER_TURN
@@ -123,16 +114,12 @@ def _loss(view: View) -> Array:
 
 @recent
 def _rises(view: View, time_constant: float) -> Array:
-    """Return the winding's temperature rise over thermal resistance, W, and the remainder of an
-    initial temperature rise of 1 K, shape (2, m).
-    """
+    """Return the winding's rise over thermal resistance, and the rest of an initial 1 K, (2, m)."""
     return temperature_rise(_loss(view), view.run_time, time_constant)
 
 
 def _warmth(view: View, magnet: float) -> Array:
-    """Return the change of the voltage if the winding is 1 K warmer, V; with ``magnet`` 1 the
-    magnets are 1 K warmer too.
-    """
+    """Return the change of the voltage by 1 K in winding and, with ``magnet`` 1, magnets, V."""
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
     warmer = COPPER_PER_K * resistance * view.current
@@ -304,31 +291,21 @@ class _Drop(Effect):
 class Cogging(_Wave):
     """Torque without current, periodic in the motor's angle."""
 
-    name = "cogging"
     equation = "J domega/dt = i Km I + A sin(n phi + p) - M_f - M_L"
-    assumption = (
-        "the implied assumption that the motor's torque is Km I, and none without current (eq. 1)"
-    )
-    shows_in = "torque"
-    coordinate = (
-        "motor angle: periodic in the motor's angle, with the same amplitude at any current and "
-        "load"
-    )
+    implied = "the motor's torque is Km I, and none without current (eq. 1)"
+    coordinate = """motor angle: periodic in the motor's angle, with the same amplitude at any
+        current and load"""
     parameters = (
         Quantity("torque_Nm", Dimension.TORQUE, 0.0, 20.0),
         Quantity("per_motor_turn", Dimension.CYCLES, 1.0, 200.0),
         Quantity("phase_rad", Dimension.PHASE, -pi, pi),
     )
     look_alikes = ("torque_ripple", "gear_mesh_ripple", "encoder_eccentricity")
-    experiment = (
-        "One slow turn without load and under two weights: the torque of cogging is constant, that"
-        " of ripple grows with the current."
-    )
+    experiment = """One slow turn without load and under two weights: the torque of cogging is
+        constant, that of ripple grows with the current."""
     separation = Separation.LOADS
-    sentence = (
-        "a torque of {torque_Nm:N m} swings {per_motor_turn:} times per motor turn whatever the "
-        "current (phase {phase_rad:deg})"
-    )
+    sentence = """a torque of {torque_Nm:N m} swings {per_motor_turn:} times per motor turn whatever
+        the current (phase {phase_rad:deg})"""
     shape_error = EXACT
     polar = ("torque_Nm", "phase_rad")
 
@@ -346,15 +323,10 @@ class Cogging(_Wave):
 class TorqueRipple(_Wave):
     """Torque constant that is periodic in the motor's angle."""
 
-    name = "torque_ripple"
     equation = "J domega/dt = i Km I (1 + f sin(n phi + p)) - M_f - M_L"
-    assumption = (
-        "the implied assumption that the torque constant Km is constant over a turn (eq. 1)"
-    )
-    shows_in = "torque"
-    coordinate = (
-        "motor angle: periodic in the motor's angle, with an amplitude proportional to the current"
-    )
+    implied = "the torque constant Km is constant over a turn (eq. 1)"
+    coordinate = """motor angle: periodic in the motor's angle, with an amplitude proportional to
+        the current"""
     parameters = (
         Quantity("fraction", Dimension.NUMBER, 0.0, 0.5),
         Quantity("per_motor_turn", Dimension.CYCLES, 1.0, 200.0),
@@ -363,10 +335,8 @@ class TorqueRipple(_Wave):
     look_alikes = ("cogging", "gear_mesh_ripple", "encoder_eccentricity")
     experiment = Cogging.experiment
     separation = Separation.LOADS
-    sentence = (
-        "the motor's torque per ampere swings by {fraction:%} of itself, {per_motor_turn:} times "
-        "per motor turn (phase {phase_rad:deg})"
-    )
+    sentence = """the motor's torque per ampere swings by {fraction:%} of itself, {per_motor_turn:}
+        times per motor turn (phase {phase_rad:deg})"""
     follows = True
     polar = ("fraction", "phase_rad")
 
@@ -387,36 +357,25 @@ class TorqueRipple(_Wave):
 class TorqueSaturation(Effect):
     """Torque that grows less than in proportion to the current."""
 
-    name = "torque_saturation"
-    equation = (
-        "J domega/dt = i Km I_k tanh(I / I_k) - M_f - M_L, or (rational = 1) i Km I / (1 + (I / "
-        "I_k)^2) - M_f - M_L"
-    )
-    assumption = (
-        "the implied assumption that torque is proportional to current at any current (eq. 1)"
-    )
-    shows_in = "torque"
+    equation = """J domega/dt = i Km I_k tanh(I / I_k) - M_f - M_L, or (rational = 1) i Km I / (1 +
+        (I / I_k)^2) - M_f - M_L"""
+    implied = "torque is proportional to current at any current (eq. 1)"
     coordinate = "torque: grows as the cube of the current, zero at small currents"
     parameters = (
         Quantity("knee_A", Dimension.CURRENT, 2.0, 500.0),
         Quantity("rational", Dimension.NUMBER, 0.0, 1.0),
     )
     look_alikes = ("load_exponent", "transmission_efficiency", "winding_heating")
-    experiment = (
-        "High currents without load, by the greatest accelerations that the limits allow, and high"
-        " currents under load: saturation depends on the current, load friction on the weight."
-    )
+    experiment = """High currents without load, by the greatest accelerations that the limits allow,
+        and high currents under load: saturation depends on the current, load friction on the
+        weight."""
     separation = Separation.LOADS
-    sentence = (
-        "torque per ampere falls as the current rises, with a knee at {knee_A:A} (rational "
-        "{rational:}; 0: I_k tanh(I / I_k), 1: I / (1 + (I / I_k)^2) in place of I)"
-    )
+    sentence = """torque per ampere falls as the current rises, with a knee at {knee_A:A} (rational
+        {rational:}; 0: I_k tanh(I / I_k), 1: I / (1 + (I / I_k)^2) in place of I)"""
     refine = {0: 0.0}
     forms = {1: TANH_OR_RATIONAL}
-    positive = (0,)
     size = 1.0
     follows = True
-    enters = ("torque", "breakaway")
     nonlinear = ("knee_A", "rational")
     on_drive = True
 
@@ -452,29 +411,21 @@ class TorqueSaturation(Effect):
 class CurrentLoopLag(Effect):
     """First-order lag of the torque behind the logged current."""
 
-    name = "current_loop_lag"
     equation = "J domega/dt = i Km I_true - M_f - M_L, T dI_true/dt = I - I_true"
-    assumption = (
-        "the implied assumption that the torque follows the measured current at once (eq. 1)"
-    )
-    shows_in = "torque"
-    coordinate = (
-        "torque rate: grows with the rate of change of the current, most at reversals of torque"
-    )
+    implied = "the torque follows the measured current at once (eq. 1)"
+    coordinate = """torque rate: grows with the rate of change of the current, most at reversals of
+        torque"""
     parameters = (Quantity("time_s", Dimension.TIME, 0.0, 0.05),)
     look_alikes = ("time_skew", "friction_memory", "transport_delay")
-    experiment = (
-        "Fast sines of two frequencies without load, with command and current on one clock, and "
-        "slow ramps under load: a lag attenuates the torque, and its phase grows less than in "
-        "proportion to the frequency; a time skew is a pure delay."
-    )
+    experiment = """Fast sines of two frequencies without load, with command and current on one
+        clock, and slow ramps under load: a lag attenuates the torque, and its phase grows less than
+        in proportion to the frequency; a time skew is a pure delay."""
     separation = Separation.FREQUENCIES
     sentence = "the motor's torque lags the measured {channel} by {time_s:ms}, first order"
     positive = (0,)
     follows = True
     shape_error = EXACT
     enters = ("torque",)
-    linear = "time_s"
     shown_by = staticmethod(has_current)
     on_drive = True
 
@@ -486,25 +437,18 @@ class CurrentLoopLag(Effect):
 class InverterDeadTime(_Drop):
     """Voltage that the dead time of the inverter takes: a step with the sign of the current."""
 
-    name = "inverter_dead_time"
     equation = "R I + L dI/dt = U - U_d sgn(I) - Ke dphi/dt"
-    assumption = "the implied assumption that the voltage at the winding is the logged one (eq. 1)"
+    implied = "the voltage at the winding is the logged one (eq. 1)"
     shows_in = "voltage"
-    coordinate = (
-        "current direction: a sharp step with the sign of the current, at any speed, in proportion"
-        " to the supply voltage"
-    )
+    coordinate = """current direction: a sharp step with the sign of the current, at any speed, in
+        proportion to the supply voltage"""
     parameters = (Quantity("voltage_V", Dimension.VOLTAGE, 0.0, 5.0),)
     look_alikes = ("brush_drop", "winding_heating", "supply_sag")
-    experiment = (
-        "Small currents through zero, at rest and in motion, at two supply voltages: dead time "
-        "causes a sharp step in proportion to the supply voltage; a brush drop is a rounded step "
-        "that does not depend on the supply voltage."
-    )
-    sentence = (
-        "the voltage at the winding is {voltage_V:V} less than the logged one, a sharp step with "
-        "the sign of the current"
-    )
+    experiment = """Small currents through zero, at rest and in motion, at two supply voltages: dead
+        time causes a sharp step in proportion to the supply voltage; a brush drop is a rounded step
+        that does not depend on the supply voltage."""
+    sentence = """the voltage at the winding is {voltage_V:V} less than the logged one, a sharp step
+        with the sign of the current"""
     limits = {0: STEP_SHARES}
 
     shares = (0.005, 0.02)
@@ -514,24 +458,19 @@ class InverterDeadTime(_Drop):
 class BrushDrop(_Drop):
     """Voltage that the brushes take: a rounded step with the sign of the current."""
 
-    name = "brush_drop"
     equation = "R I + L dI/dt = U - U_b tanh(I / I_b) - Ke dphi/dt"
-    assumption = "the implied assumption that voltage falls over R, L and Ke omega alone (eq. 1)"
+    implied = "voltage falls over R, L and Ke omega alone (eq. 1)"
     shows_in = "voltage"
-    coordinate = (
-        "current direction: a rounded step with the sign of the current, at any speed and supply "
-        "voltage"
-    )
+    coordinate = """current direction: a rounded step with the sign of the current, at any speed and
+        supply voltage"""
     parameters = (
         Quantity("voltage_V", Dimension.VOLTAGE, 0.0, 5.0),
         Quantity("current_A", Dimension.CURRENT, 0.01, 10.0),
     )
     look_alikes = ("inverter_dead_time", "winding_heating", "supply_sag")
     experiment = InverterDeadTime.experiment
-    sentence = (
-        "{voltage_V:V} are lost between logged voltage and winding, reached over {current_A:A} "
-        "around zero current"
-    )
+    sentence = """{voltage_V:V} are lost between logged voltage and winding, reached over
+        {current_A:A} around zero current"""
     limits = {0: ROUNDED_SHARES}
 
     shares = (0.05, 0.1, 0.2)
@@ -555,40 +494,31 @@ class WindingHeating(Effect):
     magnets heat too.
     """
 
-    name = "winding_heating"
-    equation = (
-        "R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT) (if magnet = 1), T "
-        "d(dT)/dt = r R(dT) I^2 - dT"
-    )
-    assumption = "the implied assumption that the motor's constants R and Km are constant (eq. 1)"
+    equation = """R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT) (if magnet = 1),
+        T d(dT)/dt = r R(dT) I^2 - dT"""
+    implied = "the motor's constants R and Km are constant (eq. 1)"
     shows_in = "voltage"
-    coordinate = (
-        "time: grows with the heat that the current has produced since the start, and falls at rest"
-    )
+    coordinate = """time: grows with the heat that the current has produced since the start, and
+        falls at rest"""
     parameters = (
         Quantity("rise_K_per_W", Dimension.THERMAL_RESISTANCE, 0.0, 20.0),
         Quantity("time_s", Dimension.TIME, 1.0, 5000.0),
         Quantity("magnet", Dimension.NUMBER, 0.0, 1.0),
     )
     look_alikes = ("viscous_thermal_drift", "coulomb_drift", "current_drift", "supply_sag")
-    experiment = (
-        "One sequence at two speeds, with the machine cold, after minutes at high current, and "
-        "after a rest, with voltage and current logged: a hot winding changes U - Ke omega per "
-        "ampere, hot grease changes the current only."
-    )
+    experiment = """One sequence at two speeds, with the machine cold, after minutes at high
+        current, and after a rest, with voltage and current logged: a hot winding changes U - Ke
+        omega per ampere, hot grease changes the current only."""
     separation = Separation.SESSION
-    sentence = (
-        "the winding heats by {rise_K_per_W:K/W} of loss with a time constant of {time_s:s}, its "
-        "resistance rises and, if the magnets heat with it ({magnet:}; 1: they do, 0: they do "
-        "not), its torque per ampere falls"
-    )
+    sentence = """the winding heats by {rise_K_per_W:K/W} of loss with a time constant of
+        {time_s:s}, its resistance rises and, if the magnets heat with it ({magnet:}; 1: they do, 0:
+        they do not), its torque per ampere falls"""
     refine = {0: 0.0}
     forms = {2: WITH_MAGNETS}
     positive = (0,)
     follows = True
     enters = ("voltage", "torque")
     nonlinear = ("time_s", 0.0, "magnet")
-    linear = "rise_K_per_W"
     on_drive = True
     start = {"voltage": _warm_start_voltage, "torque": _warm_start_torque}
 
@@ -611,26 +541,20 @@ class WindingHeating(Effect):
 class SupplySag(Effect):
     """Supply voltage that falls with the supply current."""
 
-    name = "supply_sag"
     equation = "R I + L dI/dt = U (1 - Rs I_bus / U_nominal) - Ke dphi/dt"
-    assumption = "the implied assumption that the supply's voltage is constant"
+    implied = "the supply's voltage is constant"
     shows_in = "voltage"
-    coordinate = (
-        "torque: grows with the power of the motor, the product of voltage and supply current"
-    )
+    coordinate = """torque: grows with the power of the motor, the product of voltage and supply
+        current"""
     parameters = (Quantity("resistance_ohm", Dimension.RESISTANCE, 0.0, 3.0),)
     look_alikes = ("winding_heating", "inverter_dead_time", "brush_drop")
-    experiment = (
-        "One high current at rest, where the supply delivers little power, and in fast motion, "
-        "where it delivers much power. A log of the supply voltage shows the effect directly."
-    )
-    sentence = (
-        "the supply voltage falls by {resistance_ohm:ohm} times the supply current, and the "
-        "voltage at the winding with it"
-    )
+    experiment = """One high current at rest, where the supply delivers little power, and in fast
+        motion, where it delivers much power. A log of the supply voltage shows the effect
+        directly."""
+    sentence = """the supply voltage falls by {resistance_ohm:ohm} times the supply current, and the
+        voltage at the winding with it"""
     positive = (0,)
     enters = ("voltage",)
-    linear = "resistance_ohm"
     shown_by = staticmethod(has_voltage)
 
     @staticmethod

@@ -61,27 +61,19 @@ class TimeSkew(Effect):
     (the angles are then late), else 0.
     """
 
-    name = "time_skew"
-    equation = (
-        "I_logged(t) = I(t - T), angles at t; where U was computed from angles by the controller's"
-        " law: U_logged(t) = U of command(t), U = that of command(t + T)"
-    )
-    assumption = "the implied assumption that all channels are sampled at the same instant"
+    equation = """I_logged(t) = I(t - T), angles at t; where U was computed from angles by the
+        controller's law: U_logged(t) = U of command(t), U = that of command(t + T)"""
+    implied = "all channels are sampled at the same instant"
     shows_in = "voltage"
-    coordinate = (
-        "torque rate: proportional to the rate of change of the current, at any load and in both "
-        "directions; without a measured voltage, in the torque equation"
-    )
+    coordinate = """torque rate: proportional to the rate of change of the current, at any load and
+        in both directions; without a measured voltage, in the torque equation"""
     parameters = (Quantity("time_s", Dimension.TIME, -0.05, 0.05),)
     look_alikes = ("current_loop_lag", "friction_memory", "transport_delay")
     experiment = CurrentLoopLag.experiment
     separation = Separation.FREQUENCIES
-    sentence = (
-        "the {channel} is sampled {time_s:abs ms} {time_s:?before/after} the angles that carry its"
-        " time stamp"
-    )
+    sentence = """the {channel} is sampled {time_s:abs ms} {time_s:?before/after} the angles that
+        carry its time stamp"""
     refine = {0: 2e-3}
-    positive = (0,)
     size = 1.0
     follows = True
     enters = ("torque", "voltage")
@@ -126,21 +118,17 @@ class TimeSkew(Effect):
 class TransportDelay(Effect):
     """Delay of the angle of the joint encoder."""
 
-    name = "transport_delay"
     equation = "theta_logged(t) = theta(t - T), phi_logged(t) = phi(t)"
-    assumption = "the implied assumption that both angles are sampled at the same instant"
+    implied = "both angles are sampled at the same instant"
     shows_in = "transmission"
-    coordinate = (
-        "speed: the difference of the angles of motor and joint is proportional to the speed, and "
-        "zero at rest"
-    )
+    coordinate = """speed: the difference of the angles of motor and joint is proportional to the
+        speed, and zero at rest"""
     parameters = (Quantity("time_s", Dimension.TIME, 0.0, 0.1),)
     look_alikes = ("backlash", "compliance", "time_skew")
     experiment = Backlash.experiment
     separation = Separation.LOADS_AND_SPEEDS
     sentence = "the joint's encoder reports the angle of the joint {time_s:ms} ago"
     refine = {0: 0.0}
-    positive = (0,)
     size = 1.0
     shape_error = EXACT
     enters: tuple[str, ...] = ("transmission",)
@@ -179,24 +167,19 @@ class _DelayOfFriction(TransportDelay):
 class CurrentOffset(Effect):
     """Zero of the current sensor that is wrong."""
 
-    name = "current_offset"
     equation = "I_logged = I + I_0"
-    assumption = "the implied assumption that the current's zero is right"
-    shows_in = "torque"
-    coordinate = (
-        "direction: one constant torque in motion and at rest, at any speed, angle and load"
-    )
+    implied = "the current's zero is right"
+    coordinate = """direction: one constant torque in motion and at rest, at any speed, angle and
+        load"""
     parameters = (Quantity("current_A", Dimension.CURRENT, -5.0, 5.0),)
     look_alikes = ("asymmetric_coulomb", "gravity_imbalance", "current_drift")
-    experiment = (
-        "The logged current with the power stage off, while holding at rest after approaches from "
-        "either side, and during full turns: an offset is the same in all these cases."
-    )
+    experiment = """The logged current with the power stage off, while holding at rest after
+        approaches from either side, and during full turns: an offset is the same in all these
+        cases."""
     separation = Separation.HOLD
     sentence = "the current reads {current_A:abs mA} too {current_A:?high/low}"
     shape_error = EXACT
     enters = ("torque", "breakaway", "voltage")
-    linear = "current_A"
     shown_by = staticmethod(has_current)
     on_drive = True
     torque = staticmethod(_current_offset)
@@ -213,34 +196,24 @@ class CurrentDrift(Effect):
     time from its zeroing to the start of the recording.
     """
 
-    name = "current_drift"
-    equation = (
-        "I_logged = I + r (t + t_0), t since the recording's start, t_0 since the zero was taken "
-        "before it"
-    )
-    assumption = "the implied assumption that the current's zero does not change"
-    shows_in = "torque"
-    coordinate = (
-        "time: a torque that grows from the start of each recording, the same in both directions "
-        "and at rest"
-    )
+    equation = """I_logged = I + r (t + t_0), t since the recording's start, t_0 since the zero was
+        taken before it"""
+    implied = "the current's zero does not change"
+    coordinate = """time: a torque that grows from the start of each recording, the same in both
+        directions and at rest"""
     parameters = (Quantity("rate_A_s", Dimension.CURRENT_RATE, -0.1, 0.1),)
     look_alikes = ("coulomb_drift", "viscous_thermal_drift", "current_offset", "winding_heating")
-    experiment = (
-        "The logged current with the power stage off before and after a long recording, with slow "
-        "motion in both directions between: a drift of the zero keeps its sign, a drift of "
-        "friction changes its sign with the direction."
-    )
+    experiment = """The logged current with the power stage off before and after a long recording,
+        with slow motion in both directions between: a drift of the zero keeps its sign, a drift of
+        friction changes its sign with the direction."""
     separation = Separation.SESSION
-    sentence = (
-        "the current's zero {rate_A_s:?rises/falls} by {rate_A_s:abs mA/min} within a recording"
-    )
+    sentence = """the current's zero {rate_A_s:?rises/falls} by {rate_A_s:abs mA/min} within a
+        recording"""
     refine = {0: 0.5 * ZEROED_S[1]}
     limits = {0: ZEROED_S}
     shape_error = EXACT
     enters = ("torque", "breakaway", "voltage")
     nonlinear = (0.0,)
-    linear = "rate_A_s"
     trials = ((0.5 * ZEROED_S[1],),)
     shown_by = staticmethod(has_current)
     on_drive = True
@@ -257,27 +230,21 @@ class CurrentDrift(Effect):
 class EncoderEccentricity(Effect):
     """Encoder of the joint that sits off centre."""
 
-    name = "encoder_eccentricity"
     equation = "theta_logged = theta + A sin(theta + p)"
-    assumption = "the implied assumption that the joint's encoder is centred on its shaft"
+    implied = "the joint's encoder is centred on its shaft"
     shows_in = "transmission"
-    coordinate = (
-        "angle: one period per joint turn, the same in both directions and at any speed and load"
-    )
+    coordinate = """angle: one period per joint turn, the same in both directions and at any speed
+        and load"""
     parameters = (
         Quantity("amplitude_rad", Dimension.ANGLE, 0.0, 0.1),
         Quantity("phase_rad", Dimension.PHASE, -pi, pi),
     )
     look_alikes = ("gear_mesh_ripple", "compliance", "gravity_imbalance")
-    experiment = (
-        "Slow motion over the widest travel in both directions, repeated after the encoder was "
-        "turned on its shaft: this changes the phase of an eccentricity of the encoder, but not "
-        "the phase of an error of the gear or of a load."
-    )
-    sentence = (
-        "the joint's encoder sits off centre and reads up to {amplitude_rad:deg} wrong, once per "
-        "turn (phase {phase_rad:deg})"
-    )
+    experiment = """Slow motion over the widest travel in both directions, repeated after the
+        encoder was turned on its shaft: this changes the phase of an eccentricity of the encoder,
+        but not the phase of an error of the gear or of a load."""
+    sentence = """the joint's encoder sits off centre and reads up to {amplitude_rad:deg} wrong,
+        once per turn (phase {phase_rad:deg})"""
     shape_error = EXACT
     enters = ("transmission",)
     polar = ("amplitude_rad", "phase_rad")
@@ -292,9 +259,8 @@ class EncoderEccentricity(Effect):
 class EncoderSlip(Effect):
     """Single slip of the joint encoder in one recording."""
 
-    name = "encoder_slip"
     equation = "theta_logged = theta + a for t > t_0, in one recording and those after it"
-    assumption = "the implied assumption that the joint's encoder is fixed to its shaft"
+    implied = "the joint's encoder is fixed to its shaft"
     shows_in = "transmission"
     coordinate = "time: one lasting step of the difference of motor and joint angle"
     parameters = (
@@ -302,20 +268,16 @@ class EncoderSlip(Effect):
         Quantity("at_s", Dimension.TIME, 0.0, 1e5),
     )
     look_alikes = ("backlash", "coupling_hysteresis")
-    experiment = (
-        "The start position approached from the same side before and after the recording: after a "
-        "slip the readings of the joint encoder differ, after the crossing of a gap they are "
-        "equal."
-    )
-    sentence = (
-        "the joint's encoder slipped on its shaft by {angle_rad:deg}, {at_s:s} into {recordings}"
-    )
+    experiment = """The start position approached from the same side before and after the recording:
+        after a slip the readings of the joint encoder differ, after the crossing of a gap they are
+        equal."""
+    sentence = """the joint's encoder slipped on its shaft by {angle_rad:deg}, {at_s:s} into
+        {recordings}"""
     place = 0
     refine = {1: 3.0}
     shape_error = EXACT
     enters = ("transmission",)
     nonlinear = ("recording", "at_s")
-    linear = "angle_rad"
 
     @staticmethod
     def transmission(view: View, _nominal: Nominal, shape: Shape) -> Array:

@@ -137,9 +137,7 @@ def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Arra
 def _through(
     view: View, nominal: Nominal | None, motor: Array, gap: float, rotor: float
 ) -> Callable[[int, float], Array]:
-    """Return a function of a number of samples and an initial lead, rad, that returns the lead at
-    these samples.
-    """
+    """Return the lead, rad, as a function of a number of samples and the initial lead, rad."""
     if nominal is None:
         return lambda count, start: play(motor[:count], gap, start)
     weight = nominal.helping(view)
@@ -190,28 +188,21 @@ def both_encoders(view: View) -> bool:
 class Backlash(Clearance, Effect):
     """Gap: the joint rests until the motor has crossed it."""
 
-    name = "backlash"
-    equation = (
-        "theta stands while |phi / i - theta| < gap / 2, else phi / i - theta = gap / 2 sgn(M)"
-    )
+    equation = """theta stands while |phi / i - theta| < gap / 2, else phi / i - theta = gap / 2
+        sgn(M)"""
     assumption = "assumption A5: no mechanical clearance, theta = i theta_r"
     shows_in = "transmission"
-    coordinate = (
-        "travel since reversal: a step of fixed size of the angle difference at each reversal of "
-        "torque"
-    )
+    coordinate = """travel since reversal: a step of fixed size of the angle difference at each
+        reversal of torque"""
     parameters = (Quantity("gap_rad", Dimension.ANGLE, 0.0, 0.1),)
     look_alikes = ("compliance", "coupling_hysteresis", "transport_delay", "presliding")
-    experiment = (
-        "Torque that passes slowly through zero, at two loads and two speeds: a gap has a fixed "
-        "width in angle; the effect of a twist is proportional to the torque, that of a delay to "
-        "the speed."
-    )
+    experiment = """Torque that passes slowly through zero, at two loads and two speeds: a gap has a
+        fixed width in angle; the effect of a twist is proportional to the torque, that of a delay
+        to the speed."""
     separation = Separation.LOADS_AND_SPEEDS
     sentence = "the shaft turns {gap_rad:deg} before the valve follows each reversal of torque"
     refine = {0: 0.0, 1: 0.5 * TWIST_COUNTS[1], 3: 0.0}
     limits = {1: TWIST_COUNTS}
-    positive = (0,)
     size = 1.0
     varies = ("transmission",)
     enters = ("transmission",)
@@ -257,22 +248,17 @@ class Compliance(Effect):
     shaft the effect of all other torques is up to a hundred times the noise of the encoders.
     """
 
-    name = "compliance"
     equation = "phi / i - theta = M / k"
     assumption = "assumption A4: no deformation"
     shows_in = "transmission"
-    coordinate = (
-        "torque: the difference of the angles of motor and joint is proportional to the torque "
-        "between them"
-    )
+    coordinate = """torque: the difference of the angles of motor and joint is proportional to the
+        torque between them"""
     parameters = (Quantity("stiffness_Nm_rad", Dimension.STIFFNESS, 50.0, 1e6),)
     look_alikes = ("backlash", "coupling_hysteresis", "transport_delay")
     experiment = Backlash.experiment
     separation = Separation.LOADS_AND_SPEEDS
-    sentence = (
-        "the shaft twists in proportion to its torque, with a stiffness of {stiffness_Nm_rad:N "
-        "m/deg}"
-    )
+    sentence = """the shaft twists in proportion to its torque, with a stiffness of
+        {stiffness_Nm_rad:N m/deg}"""
     positive = (0,)
     shape_error = EXACT
     enters = ("transmission",)
@@ -295,17 +281,12 @@ class Compliance(Effect):
 class GearMeshRipple(Effect):
     """Transmission ratio that is periodic in the joint's angle."""
 
-    name = "gear_mesh_ripple"
-    equation = (
-        "phi / i - theta = A sin(n theta + p); M = i Km I (1 + A n cos(n theta + p)) (if "
-        "with_torque = 1)"
-    )
+    equation = """phi / i - theta = A sin(n theta + p); M = i Km I (1 + A n cos(n theta + p)) (if
+        with_torque = 1)"""
     assumption = "assumption A5: theta = i theta_r with one constant ratio i"
     shows_in = "transmission"
-    coordinate = (
-        "angle: periodic in the joint's angle, the same in both directions and at any speed and "
-        "load"
-    )
+    coordinate = """angle: periodic in the joint's angle, the same in both directions and at any
+        speed and load"""
     parameters = (
         Quantity("amplitude_rad", Dimension.ANGLE, 0.0, 0.05),
         Quantity("per_turn", Dimension.CYCLES, 5.0, 2000.0),
@@ -313,17 +294,13 @@ class GearMeshRipple(Effect):
         Quantity("with_torque", Dimension.NUMBER, 0.0, 1.0),
     )
     look_alikes = ("encoder_eccentricity", "cogging", "torque_ripple")
-    experiment = (
-        "Slow turns over the whole travel: an error with more than one period per joint turn is "
-        "due to the gear, an error with one period to the seat of the encoder. Turning the encoder"
-        " on its shaft changes the phase of the latter only."
-    )
+    experiment = """Slow turns over the whole travel: an error with more than one period per joint
+        turn is due to the gear, an error with one period to the seat of the encoder. Turning the
+        encoder on its shaft changes the phase of the latter only."""
     separation = Separation.TRAVEL
-    sentence = (
-        "the gear's ratio varies: the angles of motor and joint differ by up to "
-        "{amplitude_rad:deg}, {per_turn:} times per joint turn (phase {phase_rad:deg}), and the "
-        "torque varies with the ratio ({with_torque:}; 1: it does, 0: it does not)"
-    )
+    sentence = """the gear's ratio varies: the angles of motor and joint differ by up to
+        {amplitude_rad:deg}, {per_turn:} times per joint turn (phase {phase_rad:deg}), and the
+        torque varies with the ratio ({with_torque:}; 1: it does, 0: it does not)"""
     forms = {1: WITH_TORQUE}
     at_angle = True
     follows = True
@@ -357,32 +334,21 @@ class GearMeshRipple(Effect):
 class TransmissionEfficiency(Effect):
     """Power that the gear loses in either direction; the coefficient is 1 / eta - 1."""
 
-    name = "transmission_efficiency"
-    equation = (
-        "M_joint = eta i Km I where the motor drives (M omega > 0), i Km I / eta where it is driven"
-    )
-    assumption = (
-        "the implied assumption that the gear transmits torque without loss in either direction of"
-        " power"
-    )
-    shows_in = "torque"
+    equation = """M_joint = eta i Km I where the motor drives (M omega > 0), i Km I / eta where it
+        is driven"""
+    implied = "the gear transmits torque without loss in either direction of power"
     coordinate = "torque: proportional to the torque, with the sign of the power through the gear"
     parameters = (Quantity("efficiency", Dimension.NUMBER, 0.4, 1.0),)
     look_alikes = ("asymmetric_coulomb", "load_dependent_friction", "torque_saturation")
-    experiment = (
-        "A load that pulls both ways, in one recording at least: a declared weight fixed to the "
-        "joint, level and heavier than its friction. The loss follows the direction of power, an "
-        "asymmetry that of motion. If friction is the only load, power flows in one direction "
-        "only, and the nominal parameters explain the loss."
-    )
+    experiment = """A load that pulls both ways, in one recording at least: a declared weight fixed
+        to the joint, level and heavier than its friction. The loss follows the direction of power,
+        an asymmetry that of motion. If friction is the only load, power flows in one direction
+        only, and the nominal parameters explain the loss."""
     separation = Separation.LOADS
-    sentence = (
-        "the gear transmits {efficiency:%} of the torque, both when it drives and when it is "
-        "driven back"
-    )
+    sentence = """the gear transmits {efficiency:%} of the torque, both when it drives and when it
+        is driven back"""
     positive = (0,)
     follows = True
-    enters = ("torque", "breakaway")
     on_drive = True
 
     @staticmethod
@@ -407,34 +373,25 @@ class TransmissionEfficiency(Effect):
 class CouplingHysteresis(Clearance, Effect):
     """Coupling whose deflection lags behind the torque and dissipates work."""
 
-    name = "coupling_hysteresis"
-    equation = (
-        "phi / i - theta = x sat(P / M_h), P the play of half width M_h that the torque M drags "
-        "along"
-    )
+    equation = """phi / i - theta = x sat(P / M_h), P the play of half width M_h that the torque M
+        drags along"""
     assumption = "assumption A4: no deformation; and a deformed part springs back without loss"
     shows_in = "transmission"
-    coordinate = (
-        "travel since reversal: loops of the deflection over the torque, the same at any speed"
-    )
+    coordinate = """travel since reversal: loops of the deflection over the torque, the same at any
+        speed"""
     parameters = (
         Quantity("torque_Nm", Dimension.TORQUE, 0.01, 100.0),
         Quantity("deflection_rad", Dimension.ANGLE, 0.0, 0.05),
     )
     look_alikes = ("backlash", "compliance", "presliding")
-    experiment = (
-        "Loops of torque of growing size around zero and around a constant torque, without motion "
-        "of the joint: with hysteresis, loops of deflection over torque appear at any constant "
-        "torque, with a gap at zero torque only, with a spring never."
-    )
+    experiment = """Loops of torque of growing size around zero and around a constant torque,
+        without motion of the joint: with hysteresis, loops of deflection over torque appear at any
+        constant torque, with a gap at zero torque only, with a spring never."""
     separation = Separation.LOADS_AND_SPEEDS
-    sentence = (
-        "the coupling lags behind its torque by a loop of {deflection_rad:deg} that closes over "
-        "{torque_Nm:N m}"
-    )
+    sentence = """the coupling lags behind its torque by a loop of {deflection_rad:deg} that closes
+        over {torque_Nm:N m}"""
     refine = {2: 0.0, 0: 0.0, 1: 0.0, 3: 0.5 * TWIST_COUNTS[1]}
     limits = {3: TWIST_COUNTS}
-    positive = (0,)
     size = 1.0
     enters = ("transmission",)
     nonlinear = ("torque_Nm", 0.0, "deflection_rad", 0.0, 0.0)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from identification.estimate.default import identify
 from identification.estimate.equation_error import (
@@ -298,7 +298,7 @@ def _draw(rng: np.random.Generator, count: int) -> Indices:
     return np.asarray(rng.integers(0, count, size=count), dtype=np.int64)
 
 
-def draw_interval(value: float, draws: ArrayLike) -> Interval:
+def draw_interval(value: float, draws: Array | Sequence[float]) -> Interval:
     """Return a value with the central 90 % of its bootstrap draws."""
     low, high = np.quantile(draws, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     return Interval(value, float(low), float(high))

@@ -30,7 +30,7 @@ from identification.filter.likelihood import (
     reduce,
     search_breakaway_times,
 )
-from identification.filter.segments import Noise, motion
+from identification.filter.segments import motion
 from identification.model.parameters import (
     INDEX,
     LOGARITHMIC,
@@ -190,7 +190,10 @@ def refine(
                     else (other, "")
                 )
     starts = () if refined is None else refined.starts
-    stages = () if refined is None else (joint_convergence(refined),)
+    stages: tuple[Convergence, ...] = ()
+    if refined is not None:
+        work = refined.evaluations, refined.iterations, refined.innovation_rms
+        stages = (Convergence("joint", "prediction error", *work, "of the noise"),)
     if refined is None or fault:
         bandwidth = f"{active[0].bandwidth_Hz:.3g} Hz"
         kept = f"values are those of the equation error at {bandwidth}: {fault}"
@@ -362,18 +365,6 @@ def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
     return {name: exact.half_width(name) for name in names}
 
 
-def joint_convergence(refined: Refined) -> Convergence:
-    """Return the record of the joint fit."""
-    return Convergence(
-        stage="joint",
-        method="prediction error",
-        evaluations=refined.evaluations,
-        generations=refined.iterations,
-        cost=refined.innovation_rms,
-        cost_unit="of the noise",
-    )
-
-
 PASSES = 3
 SETTLED = 0.2
 """Size of a step below which the passes end: rms over the parameters, in standard errors."""
@@ -415,10 +406,13 @@ def refine_pieces(
     for number in range(PASSES):
         found: list[Reduced] = []
         for k, piece in enumerate(pieces):
-            settled = _settled(piece, vector, free, model, start.noise, begins.get(k))
-            if settled is None:
+            moving = motion(piece)
+            if moving is None:
                 continue
-            point = settled
+            point, rounds = Point.of([moving], vector, free, model, start.noise), ROUNDS
+            if k in begins:
+                point, rounds = replace(point, breakaway_times=begins[k]), 1
+            point = optimise_breakaway_times(point, HUBER_THRESHOLD, rounds)
             left_out.pop(piece.name, None)
             begins[k] = point.breakaway_times
             found.append(reduce(point, HUBER_THRESHOLD))
@@ -464,24 +458,6 @@ def _over_all(
         whiteness=sum(r.neighbours for r in found) / squares,
         breakaways=sum(len(r.scores) for r in found),
     )
-
-
-def _settled(
-    piece: Recording,
-    vector: Array,
-    free: Sequence[int],
-    model: Model,
-    noise: Noise,
-    begins: tuple[Array, ...] | None,
-) -> Point | None:
-    """Return a piece with optimised breakaway times, or None where the filter does not apply."""
-    moving = motion(piece)
-    if moving is None:
-        return None
-    point = Point.of([moving], vector, free, model, noise)
-    if begins is None:
-        return optimise_breakaway_times(point, HUBER_THRESHOLD, ROUNDS)
-    return optimise_breakaway_times(replace(point, breakaway_times=begins), HUBER_THRESHOLD, 1)
 
 
 def _covariances(

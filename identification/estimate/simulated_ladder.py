@@ -479,16 +479,9 @@ def unit_of(found: Sequence[Array], threshold: float) -> float:
     of errors with a Laplace distribution. The errors of one simulation are correlated in time;
     therefore the cost is also divided by the correlation time in samples.
     """
-    scale = absolute_error(found)
-    return math.sqrt(max(threshold * scale * persistence(found), 1e-300))
-
-
-def persistence(found: Sequence[Array]) -> float:
-    """Return the number of samples that count as one independent error: the mean correlation time
-    of the errors over the pieces, in samples.
-    """
-    sizes = [len(error) for error in found]
-    return float(np.average([correlation_samples(error) for error in found], weights=sizes))
+    lengths = [correlation_samples(error) for error in found]
+    persistence = float(np.average(lengths, weights=[len(error) for error in found]))
+    return math.sqrt(max(threshold * absolute_error(found) * persistence, 1e-300))
 
 
 def pulls(pieces: Sequence[Piece], found: LoopFit) -> tuple[Array, Array]:

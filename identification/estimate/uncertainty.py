@@ -1,9 +1,9 @@
-"""Computes the profile likelihood of each parameter: the deviance as a function of the parameter's
-value, with all other parameters optimised.
+"""Computes profile likelihoods and bootstrap spreads of the parameters.
 
-At each value of a parameter, all other parameters and all breakaway times are optimised. The
-estimate does not maximise a likelihood, because the inertia solves an estimating equation (M31).
-The profile therefore differs from an ordinary profile likelihood in two ways:
+A profile is the deviance as a function of a parameter's value. At each value of a parameter, all
+other parameters and all breakaway times are optimised. The estimate does not maximise a likelihood,
+because the inertia solves an estimating equation (M31). The profile therefore differs from an
+ordinary profile likelihood in two ways:
 
 - The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with the inertia J, the Huber cost C,
   and the square Q of the estimating equation of J over its variance (a score test: Rao, Proceedings
@@ -12,13 +12,11 @@ The profile therefore differs from an ordinary profile likelihood in two ways:
   Biometrika 94 (2007) 167). Unlike an interval, a profile shows asymmetry, flat ends and a second
   minimum.
 
-Computes the spread of the estimates by a bootstrap: motion segments are drawn with replacement.
-
-The bootstrap assumes only that the errors of different segments are independent. It therefore
-checks intervals that depend on a noise model (Efron and Tibshirani, An Introduction to the
-Bootstrap, 1993, ch. 8). Each draw solves the estimating equations with every segment counted as
-often as it was drawn; weights, noise levels and the instrument of the inertia are those of the
-estimate.
+The bootstrap draws motion segments with replacement. It assumes only that the errors of different
+segments are independent. It therefore checks intervals that depend on a noise model (Efron and
+Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the estimating
+equations with every segment counted as often as it was drawn; weights, noise levels and the
+instrument of the inertia are those of the estimate.
 """
 
 from __future__ import annotations

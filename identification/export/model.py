@@ -63,9 +63,7 @@ class CorrectedModel:
 
     @cached_property
     def _fitted(self) -> tuple[Nominal, Mapping[str, tuple[Shape, tuple[float, ...]]]]:
-        """Nominal values on which the regressors depend, and nonlinear parameters and coefficients
-        of each effect.
-        """
+        """Nominal values for the regressors, and parameters and coefficients of each effect."""
         plain = nominal = Nominal(self.parameters, (), self.alpha)
         placed = {n: EFFECTS[n].at(given, plain) for n, given in self.effects.items()}
         for name, (shape, coefficients) in placed.items():

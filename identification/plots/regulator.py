@@ -5,6 +5,7 @@ loop.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -133,14 +134,8 @@ def uniform(
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    made.legend(
-        list(handles.values()),
-        list(handles),
-        loc="outside upper center",
-        ncols=5,
-        fontsize=8,
-        frameon=False,
-    )
+    place: dict[str, Any] = {"loc": "outside upper center", "ncols": 5}
+    made.legend(list(handles.values()), list(handles), fontsize=8, frameon=False, **place)
     return made
 
 

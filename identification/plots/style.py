@@ -222,14 +222,8 @@ def legend_above(axis: Axes, columns: int, lines: Sequence[Artist] | None = None
     handles = axis.get_legend_handles_labels()[0] if lines is None else lines
     if not handles:
         return None
-    return axis.legend(
-        handles=handles,
-        fontsize=8,
-        frameon=False,
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.985),
-        ncols=columns,
-    )
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.985), "ncols": columns}
+    return axis.legend(handles=handles, fontsize=8, frameon=False, **place)
 
 
 def rms_band(axis: Axes, error: Array, unit: str) -> None:

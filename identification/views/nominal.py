@@ -47,18 +47,17 @@ class NominalTorque:
         """Return the value of a nominal parameter; 0 if the bench has no such parameter."""
         return float(self.values.get(name, 0.0))
 
+    @recent
     def level(self, view: View) -> Array:
         """Return the magnitude of the system friction (eq. 9), N m.
 
         If load-dependent friction is declared, the level includes the friction of the gear due to a
         weight that turns with the joint.
         """
-        return _level(self, view)
-
-    @property
-    def _geared(self) -> bool:
-        """Whether load-dependent friction is declared."""
-        return any(self.get(name) for name in _RISES[2][:2])
+        total = self._level(view, _RISES[0], "sigma_2")
+        if any(self.get(name) for name in _RISES[2][:2]):
+            total = total + self.borne(view) * self.gear(view)
+        return _frozen(total)
 
     def gear(self, view: View) -> Array:
         """Return the coefficient of declared load-dependent friction, or 0 if none is declared."""
@@ -68,6 +67,7 @@ class NominalTorque:
         """Return the magnitude of m_L, eq. 12."""
         return self._level(view, _RISES[1], "mu_2")
 
+    @recent
     def borne(self, view: View) -> Array:
         """Return the magnitude of the torque of loads that turn with the joint, N m; the gear
         transmits this torque.
@@ -75,15 +75,19 @@ class NominalTorque:
         The torque excludes the inertia torque of a weight, on which load-dependent friction does
         not depend in eq. 9, in the friction ladder and on the bench.
         """
-        return _borne(view, self.undeclared)
+        hanging = view.hanging
+        if any(self.undeclared):
+            hanging = hanging - _unknown(view, self.undeclared)
+        return _frozen(np.abs(hanging))
 
+    @recent
     def helping(self, view: View) -> Array:
         """Return the torque of loads that turn with the joint, declared or identified, N m;
         positive if this torque drives the joint forward.
         """
         if not any(self.undeclared):
             return view.known
-        return _helping(view, self.undeclared)
+        return _frozen(view.known - _unknown(view, self.undeclared))
 
     def helped(self, view: View) -> bool:
         """Whether a load that turns with the joint, declared or identified, acts in this
@@ -91,11 +95,12 @@ class NominalTorque:
         """
         return any(self.undeclared) or view.burdened
 
+    @recent
     def drive(self, view: View) -> Array:
         """Return the torque that the drive must produce, including the torque of loads that turn
         with the joint, N m.
         """
-        return _drive(self, view)
+        return _frozen(self.torque(view) - self.helping(view))
 
     def falling(self, view: View) -> Array:
         """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""
@@ -104,13 +109,19 @@ class NominalTorque:
             return np.zeros(len(view.velocity))
         return np.asarray(np.exp(-(np.abs(view.velocity / omega_s) ** self.alpha)))
 
+    @recent
     def friction(self, view: View) -> Array:
         """Return the sum of system load and working load with its sign (eq. 9 and 13), N m."""
-        return _friction(self, view)
+        total = self.level(view)
+        if view.loaded:
+            total = total + view.moment * self.coefficient(view)
+        return _frozen(view.sense * total)
 
+    @recent
     def torque(self, view: View) -> Array:
         """Return the torque of the model (eq. 15), N m."""
-        return _torque(self, view)
+        inertia = self.get("J") * view.acceleration
+        return _frozen(self.friction(view) + inertia + self.get("offset"))
 
     def _level(self, view: View, names: tuple[str, str, str], viscous: str) -> Array:
         coulomb, static, omega = (self.get(n) for n in names)
@@ -272,9 +283,7 @@ class Nominal(NominalTorque):
         return total
 
     def _slope(self, view: View, name: str, names: tuple[str, str, str]) -> Array:
-        """Return the derivative of a friction level with respect to its Coulomb part, its rise or
-        the logarithm of its Stribeck speed.
-        """
+        """Return the derivative of a level by Coulomb part, rise or log Stribeck speed."""
         coulomb, static, omega = (self.get(n) for n in names)
         if name == names[0]:
             return np.ones(len(view.time))
@@ -283,18 +292,6 @@ class Nominal(NominalTorque):
         alpha = self.fitted_alpha or self.alpha
         power, fall = _fall(view, omega, alpha)
         return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
-
-
-@recent
-def _helping(view: View, undeclared: tuple[float, float, float, float]) -> Array:
-    return _frozen(view.known - _unknown(view, undeclared))
-
-
-@recent
-def _borne(view: View, undeclared: tuple[float, float, float, float]) -> Array:
-    return _frozen(
-        np.abs(view.hanging - _unknown(view, undeclared) if any(undeclared) else view.hanging)
-    )
 
 
 def _unknown(view: View, undeclared: tuple[float, float, float, float]) -> Array:
@@ -306,37 +303,9 @@ def _unknown(view: View, undeclared: tuple[float, float, float, float]) -> Array
 
 @recent
 def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
-    """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha), which a friction level and its
-    derivatives have in common.
-    """
+    """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha)."""
     power = _frozen((np.abs(view.velocity) / omega) ** alpha)
     return power, _frozen(np.exp(-power))
-
-
-@recent
-def _level(nominal: NominalTorque, view: View) -> Array:
-    total = nominal._level(view, _RISES[0], "sigma_2")
-    return _frozen(total + nominal.borne(view) * nominal.gear(view) if nominal._geared else total)
-
-
-@recent
-def _friction(nominal: NominalTorque, view: View) -> Array:
-    total = nominal.level(view)
-    if view.loaded:
-        total = total + view.moment * nominal.coefficient(view)
-    return _frozen(view.sense * total)
-
-
-@recent
-def _torque(nominal: NominalTorque, view: View) -> Array:
-    return _frozen(
-        nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset")
-    )
-
-
-@recent
-def _drive(nominal: NominalTorque, view: View) -> Array:
-    return _frozen(nominal.torque(view) - nominal.helping(view))
 
 
 def _frozen(series: Array) -> Array:

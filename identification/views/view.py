@@ -134,9 +134,7 @@ def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
 
 
 def _swing(series: Array, reach: int) -> Array:
-    """Return the difference of the greatest and the least value within ``reach`` samples of each
-    sample.
-    """
+    """Return greatest less least value within ``reach`` samples of each sample."""
     size = 2 * reach + 1
     return np.asarray(
         ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
@@ -337,9 +335,7 @@ class View:
 
 
 class _Origin(NamedTuple):
-    """Start of a recording in running time, s, and the offset that is added to its joint angle,
-    rad.
-    """
+    """Start of a recording in running time, s, and offset of its joint angle, rad."""
 
     start: float
     shift: float
@@ -397,9 +393,7 @@ def _shifts_of_zero(
 
 
 def _origin_is_lost(lags: Sequence[Array]) -> bool:
-    """Whether the difference of the encoders changes more between recordings than within any
-    recording.
-    """
+    """Whether the encoders' difference changes more between recordings than within any."""
     within = max(float(np.ptp(lag)) for lag in lags)
     return float(np.ptp([np.median(lag) for lag in lags])) > within
 
@@ -509,9 +503,7 @@ def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
 
 
 def _voltage(recording: Recording, grid: Array) -> Array | None:
-    """Return the voltage, NaN while the power stage is off, or None if voltage and current were not
-    both measured.
-    """
+    """Return the voltage, NaN with the power stage off; None if it or the current is unknown."""
     values = recording.channels.get("voltage")
     if values is None or "current" not in recording.channels:
         return None

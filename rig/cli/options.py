@@ -15,8 +15,7 @@ Decorator = Callable[[Any], Any]
 
 
 class Number(click.FloatRange):
-    """Type of every option that takes a real number: NaN and infinity are bad input, and a decimal
-    comma is accepted.
+    """Type of every option that takes a real number: NaN and infinity are bad input.
 
     The comparisons of :class:`click.FloatRange` let NaN pass, and infinity where an end is open.
     """
@@ -36,8 +35,7 @@ class Number(click.FloatRange):
         Raises:
             click.BadParameter: The value is not a finite number inside the range.
         """
-        written: Any = value.strip().replace(",", ".") if isinstance(value, str) else value
-        number = float(super().convert(written, param, ctx))
+        number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)
         return number

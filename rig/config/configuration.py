@@ -199,7 +199,7 @@ def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[
     """Convert pydantic's errors to messages with places; branches of a union make one message."""
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
-    described = _described(schema)
+    described = _described(schema)  # type: ignore[arg-type] # a class is hashable
     for details in errors:
         loc = details["loc"]
         if details["type"] == "too_short" and any(

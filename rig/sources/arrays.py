@@ -75,7 +75,7 @@ class MatTable(ArrayTable):
     """A MATLAB file of version 4 to 7.
 
     Arrays inside structs are named with dots: ``data.t``, ``out.signals.values[0]``,
-    ``recordings[1].angle``. A struct or cell that scipy cannot read is left out, with a note.
+    ``recordings[1].angle``. Members that are objects, functions or sparse arrays are left out.
 
     Raises:
         InputError: The file has no arrays of numbers, or is not a MATLAB file.
@@ -94,13 +94,14 @@ class MatTable(ArrayTable):
         except NotImplementedError as error:
             raise InputError(
                 f"{path}: a MATLAB file of a version that this program cannot read ({error}); "
-                "save it in MATLAB "
-                f"with save(..., '-v7')"
+                "save it in MATLAB with save(..., '-v7')"
             ) from error
         self._structs: dict[str, NDArray[Any]] = {}
         shapes = {name: shape for name, shape, kind in contents if kind in _NUMERIC}
-        for name in [name for name, _, kind in contents if kind in ("struct", "cell")]:
-            self._structs |= dict(self._members(name, self._load([name])[name]))
+        structs = [name for name, _, kind in contents if kind in ("struct", "cell")]
+        inside = self._load(structs)
+        for name in structs:
+            self._structs |= dict(self._members(name, inside[name]))
         shapes |= {name: array.shape for name, array in self._structs.items()}
         super().__init__(path, shapes)
         if not self.names:

@@ -7,9 +7,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import pytest
 
+from drivers.clock import NS
 from drivers.errors import StateError
 from drivers.interfaces import Encoder, Link, Servo, ServoState
 
@@ -20,10 +22,47 @@ class Rig:
     servo: Servo
     encoder: Encoder
     cycle_s: float
-    cycles: Callable[..., None]
-    """``cycles(count, target=None)`` exchanges at the cycle's pace, with a target angle as a
-    function of time.
-    """
+
+    @property
+    def clock(self) -> Any:
+        return self.link.clock
+
+    def cycles(self, count: int, target: Callable[[float], float] | None = None) -> None:
+        """Exchange at the cycle's pace, with a target angle as a function of time."""
+        start = due = self.clock.now_ns()
+        for _ in range(count):
+            due += round(self.cycle_s * NS)
+            self.clock.sleep_until_ns(due)
+            if target is not None:
+                self.servo.set_target(target((due - start) / NS))
+            self.link.exchange()
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * NS))
+
+    def lose(self, identifier: int, count: float = math.inf) -> None:
+        """Lose the next frames with an identifier on the simulated bus."""
+
+        def lost(_t: int, found: int, data: bytes, _s: bool) -> tuple[int, bytes] | None:
+            nonlocal count
+            count -= found == identifier
+            return None if found == identifier and count >= 0 else (found, data)
+
+        self.bench.bus.frame_filters.append(lost)  # type: ignore[attr-defined]
+
+
+R = TypeVar("R", bound=Rig)
+
+
+def prepared(rig: R) -> R:
+    rig.servo.prepare(rig.cycle_s)
+    rig.encoder.prepare(rig.cycle_s)
+    return rig
+
+
+def enabled(rig: R) -> R:
+    prepared(rig).servo.enable()
+    return rig
 
 
 class ServoContract:
@@ -33,9 +72,7 @@ class ServoContract:
 
     @pytest.fixture
     def ready(self, rig: Rig) -> Rig:
-        rig.servo.prepare(rig.cycle_s)
-        rig.encoder.prepare(rig.cycle_s)
-        return rig
+        return prepared(rig)
 
     @pytest.fixture
     def live(self, ready: Rig) -> Rig:

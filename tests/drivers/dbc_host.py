@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from drivers.can.port import PythonCanPort
 from drivers.canopen.sensors import Cia406Encoder
-from drivers.clock import NS
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel
 from drivers.dbc.file import read_dbc
@@ -33,7 +31,10 @@ from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales
 
-from .host import OPENED
+from .contract import Rig
+from .contract import enabled as enabled
+from .contract import prepared as prepared
+from .host import OPENED, noted_power
 
 CYCLE_S = 0.001
 ORDER = "DRV_Command.Order"
@@ -96,30 +97,13 @@ DRIVE = DbcDrive(Identity("house servo", 0x1234, 1, 0, 0), HELD, 100.0, 0.03, 0.
 
 
 @dataclass
-class DbcHost:
-    bench: SimulatedDbcBench
+class DbcHost(Rig):
     link: DbcLink
-    channel: DbcChannel
     servo: DbcServo
     encoder: Cia406Encoder
-    cycle_s: float = CYCLE_S
-    powered: list[bool] = field(default_factory=list)
-
-    @property
-    def clock(self):
-        return self.bench.clock
-
-    def cycles(self, count: int, target: Callable[[float], float] | None = None) -> None:
-        start = due = self.clock.now_ns()
-        for _ in range(count):
-            due += round(self.cycle_s * NS)
-            self.clock.sleep_until_ns(due)
-            if target is not None:
-                self.servo.set_target(target((due - start) / NS))
-            self.link.exchange()
-
-    def wait(self, seconds: float) -> None:
-        self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * NS))
+    bench: SimulatedDbcBench
+    channel: DbcChannel
+    powered: list[bool]
 
 
 def make_dbc_host(
@@ -139,23 +123,5 @@ def make_dbc_host(
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(262144))
     link.open()
     OPENED.append(link)
-    host = DbcHost(bench, link, channel, servo, encoder, cycle_s)
-    switch = bench.machine.power
-
-    def power(on: bool) -> None:
-        host.powered.append(on)
-        switch(on)
-
-    bench.machine.power = power  # type: ignore[method-assign]
-    return host
-
-
-def prepared(host: DbcHost) -> DbcHost:
-    host.servo.prepare(host.cycle_s)
-    host.encoder.prepare(host.cycle_s)
-    return host
-
-
-def enabled(host: DbcHost) -> DbcHost:
-    prepared(host).servo.enable()
-    return host
+    powered = noted_power(bench.machine)
+    return DbcHost(link, servo, encoder, cycle_s, bench, channel, powered)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import can
@@ -16,15 +16,19 @@ from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.canopen.motion import CyclicPosition, Motion
 from drivers.canopen.sdo import ONE_AXIS, Axis
 from drivers.canopen.sensors import Cia406Encoder
-from drivers.clock import NS
 from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
 from drivers.mock.makes import described_drive
+from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.traits import Traits
 from drivers.units import EncoderScales, ServoScales
+
+from .contract import Rig
+from .contract import enabled as enabled
+from .contract import prepared as prepared
 
 CYCLE_S = 0.001
 SCALES = ServoScales(
@@ -80,30 +84,25 @@ OPENED: list[Link] = []
 
 
 @dataclass
-class Host:
-    bench: SimulatedBench
-    link: CanopenLink
-    drive: CanopenNode
+class Host(Rig):
     servo: Cia402Servo
     encoder: Cia406Encoder
-    cycle_s: float = CYCLE_S
-    powered: list[bool] = field(default_factory=list)
+    bench: SimulatedBench
+    drive: CanopenNode
+    powered: list[bool]
+    """Power of the machine, switched on or off."""
 
-    @property
-    def clock(self):
-        return self.bench.clock
 
-    def cycles(self, count: int, target: Callable[[float], float] | None = None) -> None:
-        start = due = self.clock.now_ns()
-        for _ in range(count):
-            due += round(self.cycle_s * NS)
-            self.clock.sleep_until_ns(due)
-            if target is not None:
-                self.servo.set_target(target((due - start) / NS))
-            self.link.exchange()
+def noted_power(machine: SimulatedMachine) -> list[bool]:
+    """Return a list that grows with each switching of the power."""
+    powered, switch = list[bool](), machine.power
 
-    def wait(self, seconds: float) -> None:
-        self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * NS))
+    def power(on: bool) -> None:
+        powered.append(on)
+        switch(on)
+
+    machine.power = power  # type: ignore[method-assign]
+    return powered
 
 
 def make_host(
@@ -133,26 +132,8 @@ def make_host(
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))
     link.open()
     OPENED.append(link)
-    host = Host(bench, link, drive, servo, encoder, cycle_s)
-    switch = bench.machine.power
-
-    def power(on: bool) -> None:
-        host.powered.append(on)
-        switch(on)
-
-    bench.machine.power = power  # type: ignore[method-assign]
-    return host
-
-
-def prepared(host: Host) -> Host:
-    host.servo.prepare(host.cycle_s)
-    host.encoder.prepare(host.cycle_s)
-    return host
-
-
-def enabled(host: Host) -> Host:
-    prepared(host).servo.enable()
-    return host
+    powered = noted_power(bench.machine)
+    return Host(link, servo, encoder, cycle_s, bench, drive, powered)
 
 
 def frame(identifier: int, data: bytes = b"") -> can.Message:

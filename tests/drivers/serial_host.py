@@ -16,7 +16,7 @@ from drivers.can.slcan import SlcanPort
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.link import CanopenLink
 from drivers.canopen.sensors import Cia406Encoder
-from drivers.clock import NS, Clock
+from drivers.clock import Clock
 from drivers.epos.link import FASTEST_1_S, EposSerialLink, EposSerialNode
 from drivers.interfaces import Encoder, Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
@@ -40,33 +40,15 @@ MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))
 
 
 @dataclass
-class SerialHost:
-    bench: SimulatedBench
-    link: Link
-    epos: EposSerialLink
-    drive: EposSerialNode
+class SerialHost(Rig):
     servo: Cia402Servo
     encoder: Amt21Encoder
+    bench: SimulatedBench
+    epos: EposSerialLink
+    drive: EposSerialNode
     line: SimulatedLine
     encoder_line: SimulatedLine
     amt21: SimulatedAmt21
-    cycle_s: float = CYCLE_S
-
-    def cycles(self, count: int, target: Callable[[float], float] | None = None) -> None:
-        pace(self.link, self.servo, self.cycle_s, count, target)
-
-
-def pace(
-    link: Link, servo, cycle_s: float, count: int, target: Callable[[float], float] | None = None
-) -> None:
-    clock = link.clock
-    start = due = clock.now_ns()
-    for _ in range(count):
-        due += round(cycle_s * NS)
-        clock.sleep_until_ns(due)
-        if target is not None:
-            servo.set_target(target((due - start) / NS))
-        link.exchange()
 
 
 def make_serial_host(
@@ -94,13 +76,13 @@ def make_serial_host(
     servo = Cia402Servo(drive, link, SCALES)
     link.open()
     OPENED.append(link)
-    return SerialHost(bench, link, epos, drive, servo, encoder, line, encoder_line, amt21, cycle_s)
+    return SerialHost(link, servo, encoder, cycle_s, bench, epos, drive, line, encoder_line, amt21)
 
 
 @contextmanager
 def in_memory() -> Iterator[Rig]:
     host = make_serial_host()
-    yield Rig(host.link, host.servo, host.encoder, host.cycle_s, host.cycles)
+    yield host
     host.link.close()
 
 
@@ -179,14 +161,10 @@ def can_devices(link: CanopenLink) -> tuple[Link, Cia402Servo, Encoder]:
 
 
 def _rig(ports: Ports, devices: tuple[Link, Cia402Servo, Encoder]) -> Iterator[Rig]:
-    link, servo, encoder = devices
-
-    def cycles(count: int, target: Callable[[float], float] | None = None) -> None:
-        pace(link, servo, CYCLE_S, count, target)
-
-    link.open()
+    rig = Rig(*devices, CYCLE_S)
+    rig.link.open()
     try:
-        yield Rig(link, servo, encoder, CYCLE_S, cycles)
+        yield rig
     finally:
-        link.close()
+        rig.link.close()
         ports.close()

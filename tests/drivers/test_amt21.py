@@ -18,6 +18,7 @@ from drivers.amt21.encoder import (
 from drivers.errors import ConfigurationError, LinkError
 from drivers.units import EncoderScales
 
+from .contract import enabled
 from .serial_host import GATE, SerialHost, make_serial_host
 
 MS = 1_000_000
@@ -30,10 +31,7 @@ def host(serial: SerialHost) -> SerialHost:
 
 
 def live(host: SerialHost) -> SerialHost:
-    host.servo.prepare(host.cycle_s)
-    host.encoder.prepare(host.cycle_s)
-    host.servo.enable()
-    host.cycles(3)
+    enabled(host).cycles(3)
     return host
 
 

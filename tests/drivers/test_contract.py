@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,11 +15,10 @@ class TestSimulatedCanopen(ServoContract):
         params=[(1_000_000, 0.001, False), (500_000, 0.002, False), (1_000_000, 0.001, True)],
         ids=["1 Mbit/s", "500 kbit/s", "through python-can"],
     )
-    def rig(self, request: pytest.FixtureRequest) -> Iterator[Rig]:
+    def rig(self, request: pytest.FixtureRequest) -> Rig:
         bitrate, cycle_s, python_can = request.param
         host = make_host(bitrate=bitrate, cycle_s=cycle_s, python_can=python_can)
-        yield Rig(host.link, host.servo, host.encoder, cycle_s, host.cycles)
-        host.link.close()
+        return host
 
 
 class TestOtherErrorControl(ServoContract):
@@ -50,12 +48,11 @@ class TestOtherErrorControl(ServoContract):
             "life guarding, then STOPPED",
         ],
     )
-    def rig(self, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+    def rig(self, request: pytest.FixtureRequest, tmp_path: Path) -> Rig:
         lacks, defaults, python_can = request.param
         eds = drive_eds(tmp_path, lacks, defaults)
         host = make_host(eds=eds, python_can=python_can)
-        yield Rig(host.link, host.servo, host.encoder, host.cycle_s, host.cycles)
-        host.link.close()
+        return host
 
 
 class TestAxes(ServoContract):
@@ -66,8 +63,7 @@ class TestAxes(ServoContract):
                 Axis(sub_index=2)],
         ids=["6800h", "7800h", "first subindex", "second subindex"],
     )  # fmt: skip
-    def rig(self, request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Rig]:
+    def rig(self, request: pytest.FixtureRequest, tmp_path: Path) -> Rig:
         axis: Axis = request.param
         host = make_host(eds=drive_eds(tmp_path, axis=axis), axis=axis)
-        yield Rig(host.link, host.servo, host.encoder, host.cycle_s, host.cycles)
-        host.link.close()
+        return host

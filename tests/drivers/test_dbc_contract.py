@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 from .contract import Rig, ServoContract
@@ -13,8 +11,7 @@ class TestDbcServo(ServoContract):
         params=[(1_000_000, 0.001, False), (500_000, 0.002, False), (1_000_000, 0.001, True)],
         ids=["1 Mbit/s", "500 kbit/s", "through python-can"],
     )
-    def rig(self, request: pytest.FixtureRequest) -> Iterator[Rig]:
+    def rig(self, request: pytest.FixtureRequest) -> Rig:
         bitrate, cycle_s, python_can = request.param
         host = make_dbc_host(bitrate=bitrate, cycle_s=cycle_s, python_can=python_can)
-        yield Rig(host.link, host.servo, host.encoder, cycle_s, host.cycles)
-        host.link.close()
+        return host

@@ -21,25 +21,12 @@ def host(dbc: DbcHost) -> DbcHost:
     return dbc
 
 
-def lose(host: DbcHost, identifier: int, cycles: int) -> None:
-    """Lose the next frames with an identifier."""
-    left = [cycles]
-
-    def drop(_time: int, found: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
-        if found == identifier and left[0]:
-            left[0] -= 1
-            return None
-        return found, data
-
-    host.bench.bus.frame_filters.append(drop)
-
-
 @pytest.mark.parametrize("identifier", [MOTION, POWER, COMMAND])
 def test_a_lost_frame_makes_one_sample_stale(host: DbcHost, identifier: int) -> None:
     enabled(host)
     host.cycles(5)
     assert host.servo.sample().fresh
-    lose(host, identifier, 1)
+    host.lose(identifier, 1)
     host.cycles(1)
     assert not host.servo.sample().fresh
     host.cycles(1)

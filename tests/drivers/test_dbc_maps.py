@@ -129,5 +129,5 @@ class Motor(RuleBasedStateMachine):
             assert self.channel.stop_frame() == (COMMAND, DISABLE)
 
 
-Motor.TestCase.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+Motor.TestCase.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
 TestMotor = Motor.TestCase

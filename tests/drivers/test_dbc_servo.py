@@ -164,15 +164,8 @@ def test_no_verb_but_enable_leads_toward_power(host: DbcHost, state: State, verb
 @pytest.mark.parametrize("verb", ["disable", "quick_stop"])
 def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
     enabled(host)
-    left = [2]
-
-    def drop(_time: int, found: int, data: bytes, sent: bool) -> tuple[int, bytes] | None:
-        if found in (COMMAND, STOP) and left[0]:
-            left[0] -= 1
-            return None
-        return found, data
-
-    host.bench.bus.frame_filters.append(drop)
+    host.lose(COMMAND, 1)
+    host.lose(STOP, 1)
     VERBS[verb](host)
     host.cycles(2)
     assert host.bench.drive.state in (State.OFF, State.STOPPING)
@@ -180,9 +173,7 @@ def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
 
 def test_the_stop_frame_alone_stops(host: DbcHost) -> None:
     enabled(host)
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == COMMAND else (found, data)
-    )
+    host.lose(COMMAND)
     host.servo.quick_stop()
     host.servo.disable()
     assert host.bench.drive.state is State.OFF
@@ -209,13 +200,7 @@ def test_the_state_is_not_that_of_an_old_frame(host: DbcHost) -> None:
 def test_a_reset_survives_a_lost_frame(host: DbcHost) -> None:
     prepared(host)
     host.bench.drive.fail(0x42)
-    left = [2]
-
-    def drop(_time: int, found: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
-        left[0] -= found == COMMAND
-        return None if found == COMMAND and left[0] >= 0 else (found, data)
-
-    host.bench.bus.frame_filters.append(drop)
+    host.lose(COMMAND, 2)
     host.servo.reset_fault()
     assert host.bench.drive.state is State.OFF
 
@@ -272,9 +257,7 @@ def test_limits_survive_the_way_to_the_drive_and_back(host: DbcHost) -> None:
 
 
 def test_limits_that_do_not_arrive_are_named(host: DbcHost) -> None:
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == LIMITS else (found, data)
-    )
+    host.lose(LIMITS)
     with pytest.raises(
         ConfigurationError,
         match=r"house servo does not accept.*speed \(limits\.speed_deg_s\) reads 240 after",
@@ -313,9 +296,7 @@ def test_the_exchanges_contain_the_state_after_the_last_order_to_stop(host: DbcH
     assert host.servo.sent_state() is None
     host.cycles(2)
     assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == MOTION else (found, data)
-    )
+    host.lose(MOTION)
     host.cycles(1)
     assert host.servo.sent_state() is ServoState.QUICK_STOP_ACTIVE
     host.cycles(3)
@@ -324,9 +305,7 @@ def test_the_exchanges_contain_the_state_after_the_last_order_to_stop(host: DbcH
 
 def test_a_silent_drive_is_found_out(host: DbcHost) -> None:
     enabled(host)
-    host.bench.bus.frame_filters.append(
-        lambda _t, found, data, _s: None if found == MOTION else (found, data)
-    )
+    host.lose(MOTION)
     with pytest.raises(
         LinkError,
         match=r"sent no valid DRV_Motion \(190h\) in 0\.3 s: check the supply and the bus",

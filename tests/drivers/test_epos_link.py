@@ -13,23 +13,13 @@ from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import State
 from drivers.objects import ObjectAddress
 
+from .contract import enabled, prepared
 from .serial_host import SerialHost, make_serial_host
 
 
 @pytest.fixture
 def host(serial: SerialHost) -> SerialHost:
     return serial
-
-
-def prepared(host: SerialHost) -> SerialHost:
-    host.servo.prepare(host.cycle_s)
-    host.encoder.prepare(host.cycle_s)
-    return host
-
-
-def enabled(host: SerialHost) -> SerialHost:
-    prepared(host).servo.enable()
-    return host
 
 
 def test_a_text_comes_in_segments(host: SerialHost) -> None:

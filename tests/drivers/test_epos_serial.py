@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.epos.frames import DLE, Frame, FrameDecoder, Opcode, cycle_bits, encode
@@ -49,6 +49,7 @@ def test_frames_survive_any_cutting(sent: list[Frame], data: st.DataObject) -> N
     assert decoder.bad == 0
 
 
+@settings(max_examples=50)
 @given(st.one_of(st.binary(max_size=40), doubled), frames)
 def test_a_frame_behind_garbage_is_found_at_the_latest_after_another(
     garbage: bytes, frame: Frame

@@ -62,7 +62,7 @@ def test_guard_requests_come_from_the_exchange_alone(tmp_path: Path) -> None:
     host.cycles(5)
     requests(host)
     host.wait(0.5)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    host.lose(0x581)
     host.drive.nmt_state = 5
     with suppress(LinkError):
         host.servo.state()
@@ -83,7 +83,7 @@ def test_the_loop_may_pause_without_power(tmp_path: Path) -> None:
 def test_a_drive_that_answers_no_guard_request_is_lost(tmp_path: Path) -> None:
     host = enabled(guarded(tmp_path))
     host.cycles(50)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x701 else (i, d))
+    host.lose(0x701)
     with pytest.raises(LinkError, match="node 1 sent no answer to guard requests"):
         host.cycles(400)
 
@@ -93,18 +93,8 @@ def test_single_lost_answers_are_no_loss(tmp_path: Path, lost: int) -> None:
     """After a lost answer the toggle bit of the next answer is that of the last one received."""
     host = enabled(guarded(tmp_path))
     host.cycles(100)
-    left = lost
-
-    def lose(_time: int, identifier: int, data: bytes, sent: bool) -> tuple[int, bytes] | None:
-        nonlocal left
-        if identifier == 0x701 and left:
-            left -= 1
-            return None
-        return identifier, data
-
-    host.bench.bus.frame_filters.append(lose)
+    host.lose(0x701, lost)
     host.cycles(500)
-    assert left == 0
     assert host.drive.monitored
 
 
@@ -283,7 +273,7 @@ def test_requests_without_an_answer_do_not_keep_power_on(tmp_path: Path) -> None
     host = enabled(make_host(eds=drive_eds(tmp_path)))
     host.cycles(30)
     begun = host.clock.now_ns()
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    host.lose(0x581)
     off: list[int] = []
     host.bench.drive.entered.append(
         lambda state: off.append(host.clock.now_ns() - begun) if state is State.FAULT else None
@@ -311,7 +301,7 @@ def test_a_guarded_drive_that_ignores_the_quick_stop_is_not_kept_alive(tmp_path:
     host = enabled(guarded(tmp_path))
     host.cycles(30)
     host.bench.drive.deaf_to = frozenset({Command.QUICK_STOP})
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    host.lose(0x581)
     with suppress(DeviceError):
         host.servo.quick_stop()
     requests(host)

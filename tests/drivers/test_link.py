@@ -34,7 +34,7 @@ def test_a_missing_answer_leaves_the_old_sample_not_fresh(host: Host) -> None:
     host.cycles(20)
     good = host.servo.sample()
     assert good.fresh
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x281 else (i, d))
+    host.lose(0x281)
     host.cycles(1, lambda _: 0.001)
     stale = host.servo.sample()
     assert not stale.fresh
@@ -58,7 +58,7 @@ def test_a_frame_of_the_wrong_length_updates_nothing(host: Host) -> None:
 def test_slow_process_data_may_be_two_periods_old(host: Host) -> None:
     prepared(host)
     host.cycles(20)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x481 else (i, d))
+    host.lose(0x481)
     host.cycles(10)
     assert host.servo.sample().fresh
     host.cycles(20)
@@ -67,7 +67,7 @@ def test_slow_process_data_may_be_two_periods_old(host: Host) -> None:
 
 def test_an_exchange_waits_no_longer_than_its_share_of_the_cycle(host: Host) -> None:
     prepared(host)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x181 else (i, d))
+    host.lose(0x181)
     before = host.clock.now_ns()
     host.link.exchange()
     assert host.clock.now_ns() - before == 800_000
@@ -109,7 +109,7 @@ def test_an_error_frame_fails_the_link(host: Host) -> None:
 def test_a_silent_device_is_lost(host: Host) -> None:
     prepared(host)
     host.cycles(300)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x702 else (i, d))
+    host.lose(0x702)
     host.cycles(140)
     with pytest.raises(
         LinkError, match=r"node 2 sent no heartbeat for 0\.2\d\d s \(limit 0\.2 s\)"
@@ -128,7 +128,7 @@ def goes_on(host: Host) -> None:
     host.bench.bus.send(frame(0, bytes([128, 2])))  # in STOPPED it answers no request
     host.encoder.prepare(host.cycle_s)
     host.cycles(10)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x702 else (i, d))
+    host.lose(0x702)
     with pytest.raises(LinkError, match="node 2 sent no heartbeat"):
         host.cycles(300)
 
@@ -154,7 +154,7 @@ def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
     assert all(f.sent and f.data == b"\x05" for f in beats)
     host.wait(0.5)
     # An SDO request that waits for nothing must not feed the watch either.
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    host.lose(0x581)
     with pytest.raises(LinkError, match="no SDO response"):
         host.servo.state()
     assert not [f for f in host.link.take_frames() if f.identifier == 0x77F]

@@ -86,7 +86,7 @@ def test_refusals_become_errors_that_name_the_object(host: Host) -> None:
 
 
 def test_no_answer_is_a_link_error(host: Host) -> None:
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x601 else (i, d))
+    host.lose(0x601)
     before = host.clock.now_ns()
     with pytest.raises(LinkError, match=r"6041h:00h: no SDO response within 0\.3 s"):
         host.servo.state()

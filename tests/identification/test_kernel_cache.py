@@ -124,7 +124,7 @@ def test_without_any_folder_a_kernel_computes_all_the_same(
 def test_only_a_private_temporary_folder_is_used(
     how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "to be restored")
     monkeypatch.delenv("NUMBA_CACHE_DIR")

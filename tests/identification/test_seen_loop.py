@@ -10,7 +10,7 @@ import pytest
 
 from identification.model.parameters import NOMINAL
 from identification.recording import Bench, Recording
-from identification.simulate.drive_loop import Loop, _least, drive_loop, respond
+from identification.simulate.drive_loop import Loop, drive_loop, respond
 
 PERIOD = 1e-3
 STEP = 2.0 * np.pi / 409600.0
@@ -66,14 +66,6 @@ def test_how_late_the_torque_is_comes_from_the_delay(lag: float) -> None:
     found = drive_loop([recorded(Loop(60.0, 120.0, 60.0, 400.0, 75.0, STEP, lag))], 75.0, STEP)
     assert found is not None
     assert found.lag == pytest.approx(lag, abs=0.12e-3)
-
-
-def test_the_least_of_a_parabola() -> None:
-    places = [0.0, 1.0, 2.0, 3.0]
-    misfits = [math.sqrt((p - 1.3) ** 2 + 0.1) for p in places]
-    assert _least(places, misfits, 1) == pytest.approx(1.3)
-    assert _least(places, misfits[::-1], 0) == 0.0
-    assert _least(places, [1.0, 1.0, 1.0, 1.0], 1) == 1.0
 
 
 def test_what_is_no_such_loop_is_not_taken_for_one() -> None:

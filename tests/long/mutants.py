@@ -67,7 +67,7 @@ ARGUED: Mapping[tuple[str, str], str] = {
     ("drivers.canopen.cia402", "_BY_BITS: 112 -> 111"): _NO_SUCH_STATE,
     ("drivers.canopen.cia402", "_BY_BITS: 112 -> 113"): _NO_SUCH_STATE,
     **{
-        ("drivers.canopen.cia402_servo", f"Cia402Servo.__init__: 0 -> {other} (5)"): _NOTHING_STAGED
+        ("drivers.canopen.cia402_servo", f"Cia402Servo.__init__: 0 -> {other} (3)"): _NOTHING_STAGED
         for other in (1, -1)
     },
     **{
@@ -76,8 +76,8 @@ ARGUED: Mapping[tuple[str, str], str] = {
             f"CyclicValues.sample: {value} * scales.sign -> {value} / scales.sign",
         ): _SIGN
         for value in (
-            "values[at[told.current]] * told.current_unit_A",
-            "values[at[told.speed]] * scales.joint_speed_unit_rad_s",
+            "values[at[sent.current]] * sent.current_unit_A",
+            "values[at[sent.speed]] * scales.joint_speed_unit_rad_s",
             "values[at.get(sent.voltage, _NOT_SENT)] * scales.voltage_unit_V",
         )
     },

@@ -50,14 +50,3 @@ def test_the_record_holds_what_is_printed(
 def test_a_misspelt_name_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["effects", "backlsh"]) == 2
     assert "did you mean 'backlash'?" in capsys.readouterr().err
-
-
-def test_the_groups_stand_in_the_order_of_the_specification() -> None:
-    assert list(dict.fromkeys(e.group for e in EFFECTS.values())) == [
-        "motor",
-        "transmission",
-        "friction",
-        "device",
-        "sensing",
-        "gas generator",
-    ]

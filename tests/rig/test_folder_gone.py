@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +96,7 @@ def test_the_recorder_notices_a_file_that_is_not_at_its_place(how: str) -> None:
 def test_the_space_for_the_whole_run_is_checked_before(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    Path("s.yaml").write_text(SEQUENCE.replace("duration_s: 10", "duration_s: 2"))
     assert status(["run", "s.yaml", "--yes", "--out", "enough"]) == 0
     assert not Path("enough", RESERVE_FILE).exists()
     size = Path("enough/recording.mcap").stat().st_size
@@ -149,14 +152,17 @@ def test_the_state_of_a_run_that_filled_the_disk_is_kept(
     assert entry.head.state == "failed"
 
 
-def test_a_commissioning_is_listed_as_such(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["commission", "practical", "--yes", "--angle", "0", "--out", "runs/new"]) == 0
+def test_a_commissioning_is_listed_as_such(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n0,0\nabort\n"))
+    assert status(["commission", "practical", "--out", "runs/new"]) == 3
     (entry,) = list_runs(Path("runs")).entries
     head = entry.head
     assert (head.kind, head.bench, head.state, head.problem) == (
         "commissioning",
         "practical",
-        "done",
+        "stopped",
         "",
     )
     Path("runs/new/commission.json").unlink()

@@ -14,14 +14,14 @@ import yaml
 
 from drivers.mock.plant.gas import burn
 from drivers.mock.plant.parts.constants import Machine
-from identification.diagnosis.gas.burns import CONSTANTS
+from identification.diagnosis.gas import CONSTANTS
 from identification.model.gas_generator import GasGenerator, ValveGeometry
 from identification.recording import Dataset, RecordingError
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.campaign import load_campaign
 from rig.results.diagnose.diagnose import burning, without_torque
-from rig.results.diagnose.gas_model_file import GAS_FILE
+from rig.results.diagnose.exports import GAS_FILE
 from rig.sources.load import load_source
 
 TIME = np.arange(0.0, 6.0, 0.01)

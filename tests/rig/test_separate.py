@@ -12,7 +12,7 @@ from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
-from rig.results.diagnose.separate import RECIPES, separating_sequence
+from rig.results.diagnose.separate import Room, recipes, separating_sequence
 
 BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
 """Effects that only another supply voltage, or the encoder moved by hand, splits from their
@@ -22,7 +22,7 @@ likes.
 
 def test_every_effect_has_an_experiment_or_needs_a_hand() -> None:
     assert {e.name for e in MOTION if e.separation is None} == BY_HAND
-    assert set(RECIPES) == set(Separation)
+    assert set(recipes(Room(30.0, 20.0, 30.0))) == set(Separation)
 
 
 @pytest.mark.parametrize("name", [e.name for e in MOTION if e.separation is not None])

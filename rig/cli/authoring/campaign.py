@@ -11,9 +11,8 @@ from typing import Any, Final
 import click
 
 from identification.recording import CHANNELS
-from rig.cli.authoring.questions import Answers, Listed, Question
+from rig.cli.authoring.questions import Answers, Listed, Quantity, Question
 from rig.cli.authoring.writing import fill
-from rig.cli.options import Number
 from rig.common.errors import InputError
 from rig.config.campaign_sections import FITTED_TERMS, ReadSection
 from rig.sources.columns import Guess, channel_unit, guess_channels, guess_mass, is_linear, scale_of
@@ -100,7 +99,7 @@ def questions(files: Sequence[DataFile] = ()) -> tuple[Question, ...]:
             "Mass on the lever in each recording, in the order of the files; 0 for none",
             "kg",
             default=lambda a: tuple(file.mass_kg for file in files),
-            kind=Listed(Number(min=0.0)),
+            kind=Listed(Quantity(min=0.0)),
             refusal=one_for_each,
         ),
         Question(
@@ -139,7 +138,7 @@ def questions(files: Sequence[DataFile] = ()) -> tuple[Question, ...]:
         ),
         Question(
             "terms",
-            "Declared terms that are fitted as well",
+            f"Declared terms that are fitted as well ({', '.join(FITTED_TERMS)}), or none",
             default=(),
             kind=Listed(click.Choice(FITTED_TERMS)),
         ),
@@ -183,7 +182,7 @@ def _channel_questions(channel: str, files: Sequence[DataFile]) -> tuple[Questio
             f"SI units ({' or '.join(units)}) per unit of the column of {words}, negative to "
             "reverse the sign; by default from the unit in the column's name",
             default=scale,
-            kind=Number(),
+            kind=Quantity(),
             when=lambda answers: bool(answers[channel] != NONE),
             refusal=lambda answer: "a scale of 0 makes all samples 0" if answer == 0.0 else None,
         ),

@@ -16,7 +16,20 @@ from rig.common.errors import InputError
 from rig.terminal.prompt import Asker, InputEndedError
 
 Answers = dict[str, Any]
-POSITIVE = Number(min=0.0, min_open=True)
+
+
+class Quantity(Number):
+    """A number that may have a decimal comma."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number, or fail with a message."""
+        typed: Any = value.strip().replace(",", ".") if isinstance(value, str) else value
+        return super().convert(typed, param, ctx)
+
+
+POSITIVE = Quantity(min=0.0, min_open=True)
 
 
 class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of click have no type argument

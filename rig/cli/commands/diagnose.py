@@ -5,14 +5,10 @@ model, and shows the errors before and after.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli import options as shared
-
-if TYPE_CHECKING:
-    from rig.results.diagnose.exports import Exports
 
 
 @click.command("diagnose")
@@ -71,9 +67,13 @@ def command(
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
     """
-    _note_former_options(refine)
+    if refine is not None:
+        click.echo(
+            "note: --refine and --no-refine have no effect; leave these options out", err=True
+        )
     if observable:
-        _no_search(gas)
+        if gas:
+            raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
         return _print_observable(source, seed, bandwidth, json_file)
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import is_folder, require_file, require_folder, source_name
@@ -99,34 +99,11 @@ def command(
         document = diagnose_document(source_name(source), outcome, beside, facts_of(source))
         write_page(document, folder / PAGE_FILE)
     click.echo(text(document))
-    _print_files(folder, beside, folder / PAGE_FILE)
-
-
-def _print_files(folder: Path, beside: Exports, page: Path) -> None:
-    """Print which files were written, and notes on files that were not written."""
     for note in beside.notes:
         click.echo(f"note: {note}")
     for file in beside.files:
         click.echo(f"{folder / file.name}: {file.use}")
-    click.echo(f"report: {page}")
-
-
-def _note_former_options(refine: bool | None) -> None:
-    """Print a note if an option of earlier versions was given."""
-    if refine is not None:
-        click.echo(
-            "note: --refine and --no-refine have no effect; leave these options out", err=True
-        )
-
-
-def _no_search(gas: bool) -> None:
-    """Refuse options that apply only to a search.
-
-    Raises:
-        click.UsageError: An option of a search was given.
-    """
-    if gas:
-        raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
+    click.echo(f"report: {folder / PAGE_FILE}")
 
 
 def _print_observable(

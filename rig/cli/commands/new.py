@@ -13,10 +13,9 @@ import click
 
 from drivers.mock.plant.parts.constants import Joint
 from rig.cli.authoring import campaign as campaigns
-from rig.cli.authoring.questions import Answers, Listed, Question, ask_all, options, shown
+from rig.cli.authoring.questions import Answers, Listed, Quantity, Question, ask_all, options, shown
 from rig.cli.authoring.schema import KINDS, json_schema
 from rig.cli.authoring.writing import RefusedError, fill, require_new, write_new, write_schema
-from rig.cli.options import Number
 from rig.config.bench import Bench, Constants, load_bench
 from rig.config.campaign import load_campaign
 from rig.config.configuration import Document
@@ -139,7 +138,7 @@ BENCH: Final = (
         "its answer",
         "ms",
         1.0,
-        Number(min=0.0),
+        Quantity(min=0.0),
         _real_serial,
     ),
     Question(
@@ -182,7 +181,7 @@ BENCH: Final = (
         "Inertia of the simulated motor's rotor",
         "kg m^2",
         lambda a: float(f"{_simulated(a, 'motor')['rotor_inertia_kg_m2']:.3g}"),
-        Number(min=0.0),
+        Quantity(min=0.0),
         lambda a: not _real(a),
     ),
     Question(
@@ -221,7 +220,7 @@ SEQUENCE: Final = (
         "s",
         lambda a: max(_SHORTEST_S, float(math.ceil(_PERIODS / a["frequency"] + 2 * _RAMP_S))),
     ),
-    Question("center", "Angle about which the joint swings", "deg", 0.0, Number()),
+    Question("center", "Angle about which the joint swings", "deg", 0.0, Quantity()),
 )
 """Questions of ``rig new sequence``, in order."""
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
-from rig.cli.aftermath import accept_at_the_end, conclude, given_acceptance, limits_before
+from rig.cli.accepting import accept_at_the_end, given_acceptance, limits_before
+from rig.cli.aftermath import conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError

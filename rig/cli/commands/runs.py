@@ -281,7 +281,7 @@ def accept(
     Example:
       rig runs accept runs/demo --acceptance limits.yaml --junit junit.xml
     """
-    from rig.cli.aftermath import accept_run, limits_for
+    from rig.cli.accepting import accept_run, limits_for
     from rig.common.locks import hold_folder
     from rig.common.places import require_file, write_asked
     from rig.wiring.devices import until_the_end

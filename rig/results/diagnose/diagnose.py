@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.gas.burns import has_gas_channels
-from identification.diagnosis.gas.diagnose import diagnose_gas
+from identification.diagnosis.gas import diagnose_gas, has_gas_channels
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.estimate.covariance import uncertain_constants
@@ -120,9 +119,7 @@ def diagnose_source(
 
 
 def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
-    """Return a dataset without priors and without uncertainties of constants, because a diagnosis
-    does not use them, and the warnings that state this.
-    """
+    """Return a dataset without priors and uncertainties, and warnings that state this."""
     constants = uncertain_constants(dataset.part("fit"))
     warnings = []
     if constants:
@@ -198,9 +195,7 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
 def _identified(
     dataset: Dataset, seed: int, progress: Callable[[str, float], None] | None
 ) -> tuple[dict[str, float | None], tuple[str, ...]]:
-    """Return the nominal parameters by ``rig identify``, with None for parameters that are not
-    determined, and the warnings of the identification.
-    """
+    """Return the parameters by ``rig identify``, None if undetermined, and its warnings."""
     try:
         result = identify_any_length(dataset, rng=np.random.default_rng(seed), progress=progress)
     except RecordingError as error:
@@ -214,10 +209,7 @@ def _refined(
     seed: int,
     progress: Callable[[str, float], None] | None,
 ) -> Diagnosis:
-    """If physics is missing, and if a fit by prediction errors takes no longer than the search for
-    effects, return a diagnosis with nominal parameters from prediction errors, after the effects
-    have been subtracted.
-    """
+    """Refine a diagnosis that found physics missing, or state in a warning why this is not done."""
     if found.verdict is Verdict.NOTHING_MISSING:
         return found
     samples = sum(len(r.time) for r in dataset.part("fit"))
@@ -230,13 +222,6 @@ def _refined(
         return dataclasses.replace(found, warnings=(*found.warnings, note))
     if progress is not None:
         progress("fitting the nominal parameters again", 0.95)
-    return _refined_if_possible(dataset, found, seed)
-
-
-def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
-    """Refine the diagnosis if the recordings allow this; otherwise add a warning with the reason,
-    and keep the values of the search.
-    """
     try:
         return refined(dataset, found, seed)
     except RecordingError as error:

@@ -18,8 +18,9 @@ from identification.diagnosis.result import (
     Location,
     ResidualTrace,
 )
+from identification.diagnosis.result import Verdict as Outcomes
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.statement import readable
+from identification.diagnosis.statement import FACTORS, readable
 from identification.effects import EFFECTS
 from identification.export.model import COORDINATES
 from identification.model.parameters import parameter_title, parameter_unit
@@ -51,19 +52,7 @@ from rig.sources import load_source
 if TYPE_CHECKING:
     from rig.results.diagnose.exports import Exports
 
-READABLE = {
-    "rad": "deg",
-    "N m/rad": "N m/deg",
-    "1/rad": "%/deg",
-    "A/s": "mA/min",
-    "N m/s": "N m/h",
-    "N/s": "N/h",
-    "m/s": "mm/min",
-    "m^2": "mm^2",
-    "1/m": "%/m",
-    "s/m": "%/(m/s)",
-    "W": "kW",
-}
+READABLE = {unit: shown for unit, shown in FACTORS if unit not in ("", "s", "A")}
 """Units that are shown, by the units of the records."""
 _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
@@ -110,16 +99,8 @@ def fit_table(found: Diagnosis) -> Table:
     """
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))
-    header = (
-        "equation",
-        "recordings",
-        "rms before",
-        "rms after",
-        "noise floor",
-        "unit",
-        "bandwidth",
-    )
-    return Table(header, rows, (2, 3, 4, 6))
+    rms = ("rms before", "rms after", "noise floor")
+    return Table(("equation", "recordings", *rms, "unit", "bandwidth"), rows, (2, 3, 4, 6))
 
 
 def shift_table(found: Diagnosis) -> Table:
@@ -215,24 +196,21 @@ def _names(recordings: tuple[str, ...], shown: int = 4) -> str:
     return ", ".join(recordings[:shown]) + (f" and {rest} more" if rest > 0 else "")
 
 
-_VERDICTS = {
-    "nothing_missing": "nothing missing",
-    "named": "named",
-    "ambiguous": "ambiguous",
-    "outside_catalogue": "outside the catalogue",
+_VERDICTS: dict[Outcomes, tuple[str, str, Literal["good", "found", "open"]]] = {
+    Outcomes.NOTHING_MISSING: ("nothing missing", "Nothing is missing", "good"),
+    Outcomes.NAMED: ("named", "The missing physics is identified", "found"),
+    Outcomes.AMBIGUOUS: (
+        "ambiguous",
+        "These recordings cannot distinguish several effects",
+        "open",
+    ),
+    Outcomes.OUTSIDE_CATALOGUE: (
+        "outside the catalogue",
+        "Something is missing that no effect of the catalogue explains",
+        "open",
+    ),
 }
-_HEADLINES = {
-    "nothing_missing": "Nothing is missing",
-    "named": "The missing physics is identified",
-    "ambiguous": "These recordings cannot distinguish several effects",
-    "outside_catalogue": "Something is missing that no effect of the catalogue explains",
-}
-_TONES: dict[str, Literal["good", "found", "open"]] = {
-    "nothing_missing": "good",
-    "named": "found",
-    "ambiguous": "open",
-    "outside_catalogue": "open",
-}
+"""Verdict to its word in the terminal, and to headline and tone of the page."""
 _SHOWN_PER_ROLE = 4
 
 
@@ -260,20 +238,14 @@ def diagnose_document(
 
 def _summary(outcome: Outcome) -> Iterator[Section]:
     found = outcome.diagnosis
-    yield Section(f"verdict: {_VERDICTS[found.verdict.value]}", (Paragraph(found.statement),))
+    yield Section(f"verdict: {_VERDICTS[found.verdict][0]}", (Paragraph(found.statement),))
     for effect in found.effects:
         if effect.statement not in found.statement:
             yield Section("", (Paragraph(effect.statement, f"{effect.name}:"),))
-    tables = (
-        _effect_table(outcome),
-        where_table(found),
-        rival_table(found),
-        fit_table(found),
-        shift_table(found),
-    )
-    for table in tables:
-        if shown := _if_any(table):
-            yield Section("", shown)
+    tables = (where_table, rival_table, fit_table, shift_table)
+    for table in (_effect_table(outcome), *(make(found) for make in tables)):
+        if table.rows:
+            yield Section("", (table,))
     for effect in found.effects:
         if len(effect.alias_group) > 1:
             lead = f"to split {', '.join(effect.alias_group)}:"
@@ -289,15 +261,9 @@ def _effect_table(outcome: Outcome) -> Table:
 
 def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     found = outcome.diagnosis
-    verdict = found.verdict.value
-    yield Section(
-        "",
-        (
-            Verdict(_HEADLINES[verdict], found.statement, _TONES[verdict]),
-            *_errors(found),
-            *_warnings(found),
-        ),
-    )
+    _, headline, tone = _VERDICTS[found.verdict]
+    verdict = Verdict(headline, found.statement, tone)
+    yield Section("", (verdict, *_errors(found), *_warnings(found)))
     if found.effects:
         effects = (_effect(effect, found) for effect in found.effects)
         yield Section("Identified effects", (_effect_table(outcome), *effects))
@@ -337,11 +303,8 @@ def _effect(effect: IdentifiedEffect, found: Diagnosis) -> Section:
     if effect.statement not in found.statement:
         blocks.append(Paragraph(effect.statement))
     if others:
-        blocks.append(
-            Paragraph(
-                f"These recordings cannot distinguish {effect.name} from {', '.join(others)}."
-            )
-        )
+        words = f"These recordings cannot distinguish {effect.name} from {', '.join(others)}."
+        blocks.append(Paragraph(words))
     if effect.separating_experiment:
         lead = "To distinguish them:" if others else "To confirm it:"
         blocks.append(Paragraph(effect.separating_experiment, lead))
@@ -369,26 +332,21 @@ def _errors(found: Diagnosis) -> list[Picture]:
 
 
 def _maps(found: Diagnosis) -> list[Picture]:
-    equations = dict.fromkeys(m.equation for m in found.maps)
-    return [
-        Picture.of(
-            f"maps_{equation}",
+    drawn = []
+    for equation in dict.fromkeys(m.equation for m in found.maps):
+        caption = (
             f"Mismatch of the {equation} equation against each coordinate, largest share first, "
-            f"with simultaneous 90 % "
-            "bands, before and after the correction",
-            mismatch.maps([m for m in found.maps if m.equation == equation]),
+            "with simultaneous 90 % bands, before and after the correction"
         )
-        for equation in equations
-    ]
+        mine = [m for m in found.maps if m.equation == equation]
+        drawn.append(Picture.of(f"maps_{equation}", caption, mismatch.maps(mine)))
+    return drawn
 
 
 def _rivals(found: Diagnosis) -> list[Picture]:
+    caption = "and the effects that were considered instead"
     return [
-        Picture.of(
-            f"rivals_{e.name}",
-            f"{e.name} and the effects that were considered instead",
-            mismatch.rivals(e),
-        )
+        Picture.of(f"rivals_{e.name}", f"{e.name} {caption}", mismatch.rivals(e))
         for e in found.effects
         if e.rivals
     ]
@@ -500,25 +458,18 @@ def observable_document(source: Path, seen: Seen) -> Document:
 
 
 def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
+    def least(effect: Observable) -> str:
+        name, value = next(iter(effect.sizes.items()))
+        return f"{name} {value:.3g} {seen.unit(effect.name, name)}".rstrip()
+
     rows = tuple(
         (
             e.name,
-            _least(seen, e),
+            least(e),
             f"{100.0 * e.left:.0f} %" if e.left >= HIDDEN else f"{100.0 * e.left:.2g} %",
             ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in e.alike.items()),
         )
         for e in shown
     )
-    header = (
-        "effect",
-        "least size shown",
-        "beyond the nominal model",
-        f"explained to {100.0 * RULES.alike:.0f} % by",
-    )
-    return Table(header, rows, (1, 2))
-
-
-def _least(seen: Seen, effect: Observable) -> str:
-    name, value = next(iter(effect.sizes.items()))
-    unit = seen.unit(effect.name, name)
-    return f"{name} {value:.3g} {unit}".rstrip()
+    by = f"explained to {100.0 * RULES.alike:.0f} % by"
+    return Table(("effect", "least size shown", "beyond the nominal model", by), rows, (1, 2))

@@ -9,18 +9,30 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import yaml
+
+from identification.diagnosis.gas import PRESSURE
 from identification.diagnosis.result import Diagnosis, Verdict
+from identification.recording import Bench as Constants
 from rig.common.errors import InputError
 from rig.common.places import source_name
 from rig.config.bench import Bench
 from rig.results.diagnose.diagnose import Outcome
-from rig.results.diagnose.gas_model_file import GAS_FILE, gas_text, of_gas
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.results.diagnose.model_export import PYTHON_FILE, YAML_FILE, python_text, yaml_text
 from rig.results.diagnose.model_file import model_of
 from rig.results.diagnose.separate import separating_sequence
 
 SEQUENCE_FILE = "split.yaml"
+GAS_FILE = "gas_generator.yaml"
+_KEYS = {
+    "a": "burning_coefficient",
+    "n": "pressure_exponent",
+    "C_r": "characteristic_velocity",
+    "V_0": "free_volume",
+}
+"""Keys in a campaign file by the names of the fitted constants."""
+_VALVE_KEYS = {"d": "hole_diameter", "D": "opening_diameter", "b": "plate_width"}
 
 
 class Export(NamedTuple):
@@ -47,7 +59,7 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
         outcome: The result.
         record: The JSON record of the result.
     """
-    if of_gas(outcome.diagnosis):
+    if outcome.diagnosis.fit.equation == PRESSURE:
         use = "the corrected gas generator, as a block of a campaign file"
         text = gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
         return Exports((Export(GAS_FILE, use, text),), ())
@@ -67,9 +79,7 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
 def _models(
     name: str, base: Mapping[str, Any], outcome: Outcome, record: Mapping[str, Any]
 ) -> tuple[list[Export], list[str]]:
-    """Return the corrected model in all possible formats, and the reasons why other formats are not
-    possible.
-    """
+    """Return the corrected model in all possible formats, and why others are not possible."""
     files: list[Export] = []
     recordings = outcome.dataset.recordings
     first = recordings[0]
@@ -99,3 +109,33 @@ def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
             )
             return Export(SEQUENCE_FILE, use, sequence)
     return None
+
+
+def gas_text(found: Diagnosis, bench: Constants) -> str:
+    """Return the corrected gas generator as YAML (a block of a campaign file), and notes on what
+    the YAML cannot state.
+
+    Args:
+        found: The diagnosis.
+        bench: The bench with the nominal constants.
+    """
+    g = bench.gas_generator
+    assert g is not None
+    block = {
+        "propellant_density": g.rho_b,
+        "grain_diameter": g.D_P,
+        **{key: float(found.parameters[name]) for name, key in _KEYS.items()},
+        "heat_ratio": g.gamma,
+        "back_pressure": g.p_c0,
+        "valve": {key: float(found.parameters[name]) for name, key in _VALVE_KEYS.items()},
+    }
+    effects: Mapping[str, Any] = {
+        e.name: {n: float(v.value) for n, v in e.parameters.items()} for e in found.effects
+    }
+    return (
+        "# Corrected constants, for `bench:` of a campaign; free_volume is the mean over the "
+        "recordings.\n"
+        + yaml.safe_dump({"gas_generator": block}, sort_keys=False)
+        + "# Effects that eq. 2 to 8 do not contain; `rig effects NAME` prints the equations "
+        "of each.\n" + yaml.safe_dump({"effects": effects}, sort_keys=False)
+    )

@@ -20,9 +20,10 @@ from identification.export.model import COORDINATES, CorrectedModel, Response, S
 from identification.numerics.series import sine_cosine
 from identification.recording import Recording
 from identification.views.nominal import NominalTorque, winding_voltage
+from rig.common.provenance import plain
 
 YAML_FILE, PYTHON_FILE = "model.yaml", "model.py"
-_CACHED = re.compile(r"^@(compiled|recent)\n", re.MULTILINE)
+_CACHED = re.compile(r"^ *@(compiled|recent)\n", re.MULTILINE)
 """Decorators of functions that the file has without compiler and cache."""
 _PLAIN = {
     sine_cosine: '''\
@@ -135,16 +136,7 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
         },
     }
     if model.curve is not None:
-        curve = model.curve
-        record["curve"] = {
-            "equation": curve.equation,
-            "coordinate": curve.coordinate,
-            "unit": curve.unit,
-            "residual_unit": curve.residual_unit,
-            "against_motion": curve.against_motion,
-            "grid": curve.grid.tolist(),
-            "value": curve.value.tolist(),
-        }
+        record["curve"] = plain(model.curve)
     return "# Corrected model, SI units, at the joint after the gear.\n" + yaml.safe_dump(
         record, sort_keys=False
     )
@@ -173,12 +165,16 @@ def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
     for table, responses in tables.items():
         rows = [f"    ({source.response(r, table)}, {_plain(r)}),\n" for r in responses]
         lists.append(f"{table}: Any = [\n{''.join(rows)}]" if rows else f"{table}: Any = []")
+    curve: Any = None
+    if (c := model.curve) is not None:
+        grid, value = c.grid.tolist(), c.value.tolist()
+        curve = c.equation, COORDINATES[c.coordinate], grid, value, c.against_motion
     head = _HEAD.format(
         name=name,
         effects=", ".join(model.effects) or "none",
         numbers=pprint.pformat(model.numbers(recording), sort_dicts=False),
         values=pprint.pformat({n: dict(v) for n, v in model.effects.items()}, sort_dicts=False),
-        curve=_curve_literal(model),
+        curve=repr(curve),
     )
     return "\n\n".join([head, *source.texts.values(), "\n".join(lists) + "\n", _TAIL])
 
@@ -190,9 +186,7 @@ def _plain(response: Response) -> str:
 
 
 class _Source:
-    """Source of functions and classes with everything of this program that they use, in the order
-    of use.
-    """
+    """Source of definitions with all of this program that they use, in the order of use."""
 
     def __init__(self) -> None:
         self.texts: dict[str, str] = {}
@@ -246,6 +240,8 @@ def _functions(definition: Any) -> Iterator[FunctionType]:
         return
     for member in vars(definition).values():
         function = getattr(member, "fget", member)
+        if hasattr(function, "cache_info"):
+            function = inspect.unwrap(function)
         if inspect.isfunction(function):
             yield function
 
@@ -255,11 +251,3 @@ def _names(code: CodeType) -> set[str]:
     own = {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
     inner = (c for c in code.co_consts if isinstance(c, CodeType))
     return own.union(*(_names(c) for c in inner))
-
-
-def _curve_literal(model: CorrectedModel) -> str:
-    curve = model.curve
-    if curve is None:
-        return "None"
-    along, grid, value = COORDINATES[curve.coordinate], curve.grid.tolist(), curve.value.tolist()
-    return repr((curve.equation, along, grid, value, curve.against_motion))

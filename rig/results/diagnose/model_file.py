@@ -9,26 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from identification.diagnosis.gas.rows import PRESSURE
-from identification.diagnosis.result import (
-    Curve,
-    Diagnosis,
-    Estimate,
-    Fit,
-    IdentifiedEffect,
-    Location,
-    Step,
-)
+from identification.diagnosis.gas import PRESSURE
+from identification.diagnosis.result import Curve, Diagnosis
 from identification.effects import EFFECTS
 from identification.export.model import COORDINATES, CorrectedModel
 from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import read_json
-from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite
+from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, plain
 from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
 
 DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
+_FIELDS = (
+    *("fit", "fits", "parameter_shift", "p_value", "location", "parameters", "alpha", "steps"),
+    "warnings",
+)
 
 
 def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:
@@ -42,18 +38,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
         "verdict": found.verdict.value,
         "statement": found.statement,
         **effects_record(found),
-        "fit": _fit_record(found.fit),
-        "fits": [_fit_record(f) for f in found.fits],
-        "parameter_shift": {
-            name: {"before": finite(s.before), "after": finite(s.after), "unit": s.unit}
-            for name, s in found.parameter_shift.items()
-        },
-        "p_value": finite(found.p_value),
-        "location": None if found.location is None else _location_record(found.location),
-        "parameters": {name: finite(value) for name, value in found.parameters.items()},
-        "alpha": found.alpha,
-        "steps": [_step_record(s) for s in found.steps],
-        "warnings": list(found.warnings),
+        **{name: plain(getattr(found, name)) for name in _FIELDS},
         "motion": dataset.recordings[0].bench.motion,
         "partial": partial_names(dataset),
         "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
@@ -64,81 +49,7 @@ def effects_record(found: Diagnosis) -> dict[str, Any]:
     """Return the additions of the corrected model to the nominal model: effects, and the empirical
     curve.
     """
-    return {
-        "effects": [_effect_record(e) for e in found.effects],
-        "curve": None if found.curve is None else _curve_record(found.curve),
-    }
-
-
-def _effect_record(effect: IdentifiedEffect) -> dict[str, Any]:
-    return {
-        "name": effect.name,
-        "alias_group": list(effect.alias_group),
-        "confidence": finite(effect.confidence),
-        "statement": effect.statement,
-        "assumption_broken": effect.assumption_broken,
-        "where": _location_record(effect.where),
-        "parameters": {name: _estimate_record(e) for name, e in effect.parameters.items()},
-        "rivals": [
-            {"name": r.name, "confidence": finite(r.confidence), "why_not": r.why_not}
-            for r in effect.rivals
-        ],
-        "separating_experiment": effect.separating_experiment,
-    }
-
-
-def _estimate_record(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "value": finite(estimate.value),
-        "low": finite(estimate.low),
-        "high": finite(estimate.high),
-        "unit": estimate.unit,
-    }
-
-
-def _location_record(where: Location) -> dict[str, Any]:
-    return {
-        "coordinate": where.coordinate,
-        "unit": where.unit,
-        "ranges": [[finite(low), finite(high)] for low, high in where.ranges],
-        "share_of_mismatch": finite(where.share_of_mismatch),
-        "recordings": list(where.recordings),
-    }
-
-
-def _fit_record(fit: Fit) -> dict[str, Any]:
-    return {
-        "equation": fit.equation,
-        "unit": fit.unit,
-        "bandwidth_Hz": finite(fit.bandwidth_Hz),
-        "baseline_rms": finite(fit.baseline_rms),
-        "final_rms": finite(fit.final_rms),
-        "noise_floor_rms": finite(fit.noise_floor_rms),
-        "validate_baseline_rms": finite(fit.validate_baseline_rms),
-        "validate_final_rms": finite(fit.validate_final_rms),
-    }
-
-
-def _curve_record(curve: Curve) -> dict[str, Any]:
-    return {
-        "equation": curve.equation,
-        "coordinate": curve.coordinate,
-        "unit": curve.unit,
-        "residual_unit": curve.residual_unit,
-        "against_motion": curve.against_motion,
-        "grid": [finite(v) for v in curve.grid],
-        "value": [finite(v) for v in curve.value],
-    }
-
-
-def _step_record(step: Step) -> dict[str, Any]:
-    return {
-        "action": step.action,
-        "name": step.name,
-        "p_value": finite(step.p_value),
-        "gain": finite(step.gain),
-        "note": step.note,
-    }
+    return {"effects": plain(found.effects), "curve": plain(found.curve)}
 
 
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
@@ -245,9 +156,7 @@ def _effect(
 
 
 def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
-    if entry is None:
-        return None
-    if entry["coordinate"] not in COORDINATES:
+    if entry is None or entry["coordinate"] not in COORDINATES:
         return None
     grid, value = (
         np.array([_finite(place, f"curve.{key}", v) for v in entry[key]], dtype=float)

@@ -5,8 +5,8 @@ bench.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from identification.effects import EFFECTS
 from identification.effects.effect import Separation
@@ -75,132 +75,73 @@ class _Stage:
         )
 
 
-def _loads(room: Room) -> list[_Stage]:
-    weights = (("unloaded", 0.0), ("light", _LIGHT * room.weight_kg), ("heavy", room.weight_kg))
-    return [_Stage(name, room.travel_deg, _SLOW_HZ, weight_kg=weight) for name, weight in weights]
-
-
-def _loads_and_speeds(room: Room) -> list[_Stage]:
-    fast = room.frequency(0.5 * room.travel_deg)
-    return [
-        _Stage(f"{load}-{speed}", 0.5 * room.travel_deg, frequency, weight_kg=weight)
-        for load, weight in (("unloaded", 0.0), ("heavy", room.weight_kg))
-        for speed, frequency in (("slow", 0.1 * fast), ("fast", fast))
-    ]
-
-
-def _frequencies(room: Room) -> list[_Stage]:
-    small = 0.1 * room.travel_deg
-    top = room.frequency(small)
-    return [
-        _Stage("fast", small, top, periods=10.0),
-        _Stage("half-as-fast", small, 0.5 * top, periods=10.0),
-        _Stage("slow-loaded", small, 0.05 * top, weight_kg=room.weight_kg),
-    ]
-
-
-def _speeds(room: Room) -> list[_Stage]:
-    return [
-        _Stage(f"speed-{order}-{k}", room.travel_deg, room.frequency(room.travel_deg, share))
-        for order, shares in (("rising", _SPEED_STEPS), ("falling", _SPEED_STEPS[::-1]))
-        for k, share in enumerate(shares, 1)
-    ]
-
-
-def _slow(room: Room) -> list[_Stage]:
-    amplitude = 0.2 * room.travel_deg
-    return [
-        _Stage(f"slow-{k}", amplitude, f, periods=2.0)
-        for k, f in enumerate((0.02, 0.05, 0.1, 0.2), 1)
-    ]
-
-
-def _rests(room: Room) -> list[_Stage]:
-    amplitude = 0.1 * room.travel_deg
-    mixed = (_RESTS_S[2], _RESTS_S[0], _RESTS_S[3], _RESTS_S[1])
-    return [
-        _Stage(f"rest-{rest:g}s", amplitude, 0.25, periods=1.0, repeats=4, settle_s=rest)
-        for rest in mixed
-    ]
-
-
-def _small_loops(room: Room) -> list[_Stage]:
-    rests = (("short", 0.2), ("long", 8.0))
-    return [
-        _Stage(f"{size}-after-{rest}-rest", amplitude, 0.5, periods=4.0, repeats=2, settle_s=settle)
-        for size, amplitude in (
-            ("tiny", 0.002 * room.travel_deg),
-            ("small", 0.02 * room.travel_deg),
-        )
-        for rest, settle in rests
-    ]
-
-
-def _travel(room: Room) -> list[_Stage]:
-    slow = 0.3 * _SLOW_HZ
-    return [
-        _Stage("whole-travel", room.travel_deg, slow, periods=2.0),
-        _Stage("whole-travel-loaded", room.travel_deg, slow, periods=2.0, weight_kg=room.weight_kg),
-    ]
-
-
-def _session(room: Room) -> list[_Stage]:
-    slow, fast = room.frequency(room.travel_deg, 0.1), room.frequency(room.travel_deg)
-    work = _Stage("work", room.travel_deg, fast, periods=120.0 * fast, weight_kg=room.weight_kg)
-    pairs = [
-        (
-            _Stage(f"{when}-slow", room.travel_deg, slow, 2.0),
-            _Stage(f"{when}-fast", room.travel_deg, fast, 5.0),
-        )
+def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
+    """Return the stages of each kind of experiment within a part of a bench's limits."""
+    travel, weight = room.travel_deg, room.weight_kg
+    half, small = 0.5 * travel, 0.1 * travel
+    fast, top = room.frequency(half), room.frequency(small)
+    slow, quick = room.frequency(travel, 0.1), room.frequency(travel)
+    loads = (("unloaded", 0.0), ("light", _LIGHT * weight), ("heavy", weight))
+    orders = (("rising", _SPEED_STEPS), ("falling", _SPEED_STEPS[::-1]))
+    rests = (_RESTS_S[2], _RESTS_S[0], _RESTS_S[3], _RESTS_S[1])
+    whole = _Stage("whole-travel", travel, 0.3 * _SLOW_HZ, 2.0)
+    holds = []
+    for load, mass in (loads[0], loads[2]):
+        for side, away in (("above", 0.6 * travel), ("below", -0.6 * travel)):
+            move = _Stage(f"{load}-to-{side}", 0.2 * travel, _SLOW_HZ, 1.0, mass, center_deg=away)
+            still = f"{load}-held-from-{side}"
+            holds += [move, _Stage(still, _STILL_DEG, 0.25, 2.0, mass, settle_s=1.0)]
+    cold, warm, rested = (
+        (_Stage(f"{when}-slow", travel, slow, 2.0), _Stage(f"{when}-fast", travel, quick, 5.0))
         for when in ("cold", "warm", "rested")
-    ]
-    rested = _Stage("rested-slow", room.travel_deg, slow, 2.0, settle_s=300.0)
-    return [*pairs[0], work, *pairs[1], rested, pairs[2][1]]
-
-
-def _hold(room: Room) -> list[_Stage]:
-    away = 0.6 * room.travel_deg
-    stages = []
-    for load, weight in (("unloaded", 0.0), ("heavy", room.weight_kg)):
-        for side, center in (("above", away), ("below", -away)):
-            stages.append(
-                _Stage(
-                    f"{load}-to-{side}",
-                    0.2 * room.travel_deg,
-                    _SLOW_HZ,
-                    1.0,
-                    weight,
-                    center_deg=center,
-                )
-            )
-            stages.append(
-                _Stage(f"{load}-held-from-{side}", _STILL_DEG, 0.25, 2.0, weight, settle_s=1.0)
-            )
-    return [*stages, *_travel(room)[:1]]
-
-
-def _after_hanging(room: Room) -> list[_Stage]:
-    return [
-        _Stage(f"loaded-{when}", room.travel_deg, _SLOW_HZ, 2.0, room.weight_kg, settle_s=settle)
-        for when, settle in (("at-once", 0.1), ("after-a-minute", 60.0))
-    ]
-
-
-Recipe = Callable[[Room], list[_Stage]]
-RECIPES: Mapping[Separation, Recipe] = {
-    Separation.LOADS: _loads,
-    Separation.LOADS_AND_SPEEDS: _loads_and_speeds,
-    Separation.FREQUENCIES: _frequencies,
-    Separation.SPEEDS: _speeds,
-    Separation.SLOW: _slow,
-    Separation.RESTS: _rests,
-    Separation.SMALL_LOOPS: _small_loops,
-    Separation.TRAVEL: _travel,
-    Separation.SESSION: _session,
-    Separation.HOLD: _hold,
-    Separation.AFTER_HANGING: _after_hanging,
-}
-"""Kind of experiment to its stages within the limits of a bench."""
+    )
+    work = _Stage("work", travel, quick, 120.0 * quick, weight)
+    return {
+        Separation.LOADS: [_Stage(n, travel, _SLOW_HZ, weight_kg=mass) for n, mass in loads],
+        Separation.LOADS_AND_SPEEDS: [
+            _Stage(f"{load}-{speed}", half, frequency, weight_kg=mass)
+            for load, mass in (loads[0], loads[2])
+            for speed, frequency in (("slow", 0.1 * fast), ("fast", fast))
+        ],
+        Separation.FREQUENCIES: [
+            _Stage("fast", small, top, 10.0),
+            _Stage("half-as-fast", small, 0.5 * top, 10.0),
+            _Stage("slow-loaded", small, 0.05 * top, weight_kg=weight),
+        ],
+        Separation.SPEEDS: [
+            _Stage(f"speed-{order}-{k}", travel, room.frequency(travel, share))
+            for order, shares in orders
+            for k, share in enumerate(shares, 1)
+        ],
+        Separation.SLOW: [
+            _Stage(f"slow-{k}", 0.2 * travel, f, 2.0)
+            for k, f in enumerate((0.02, 0.05, 0.1, 0.2), 1)
+        ],
+        Separation.RESTS: [
+            _Stage(f"rest-{rest:g}s", small, 0.25, 1.0, repeats=4, settle_s=rest) for rest in rests
+        ],
+        Separation.SMALL_LOOPS: [
+            _Stage(f"{size}-after-{rest}-rest", share * travel, 0.5, 4.0, 0.0, 2, settle)
+            for size, share in (("tiny", 0.002), ("small", 0.02))
+            for rest, settle in (("short", 0.2), ("long", 8.0))
+        ],
+        Separation.TRAVEL: [
+            whole,
+            replace(whole, name="whole-travel-loaded", weight_kg=weight),
+        ],
+        Separation.SESSION: [
+            *cold,
+            work,
+            *warm,
+            replace(rested[0], settle_s=300.0),
+            rested[1],
+        ],
+        Separation.HOLD: [*holds, whole],
+        Separation.AFTER_HANGING: [
+            _Stage(f"loaded-{when}", travel, _SLOW_HZ, 2.0, weight, settle_s=settle)
+            for when, settle in (("at-once", 0.1), ("after-a-minute", 60.0))
+        ],
+    }
 
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
@@ -211,12 +152,11 @@ def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
         names: The group, the likeliest first.
         bench: The bench, whose limits set the size of the experiment.
     """
-    kinds = (EFFECTS[name].separation for name in names)
-    recipes = [RECIPES[kind] for kind in kinds if kind is not None]
+    kinds = [k for name in names if (k := EFFECTS[name].separation) is not None]
     room = Room.of(bench)
-    if not recipes or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:
+    if not kinds or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:
         return None
-    lines = [stage.line() for stage in recipes[0](room)]
+    lines = [stage.line() for stage in recipes(room)[kinds[0]]]
     head = [
         f"# Splits {', '.join(names)}; sized by the limits of the bench {bench.name!r}.",
         "sequence: 1",

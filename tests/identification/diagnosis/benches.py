@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -58,12 +60,19 @@ def sines(tones: Sequence[tuple[float, float]], seconds: float) -> Array:
 def campaign(
     effects: Mapping[str, Mapping[str, float]], seed: int, seconds: float = 12.0
 ) -> tuple[Recording, ...]:
-    """Record the plan on a machine that hides ``effects``."""
+    """Record the plan on a machine that hides ``effects``; the last campaigns are kept."""
+    return _campaign(json.dumps(effects), seed, seconds, tuple(PLAN))
+
+
+@lru_cache(maxsize=24)
+def _campaign(
+    effects: str, seed: int, seconds: float, plan: tuple[Any, ...]
+) -> tuple[Recording, ...]:
     machine = SimulatedMachine(
-        Machine(effects=effects, warming_K=10.0), np.random.default_rng(seed)
+        Machine(effects=json.loads(effects), warming_K=10.0), np.random.default_rng(seed)
     )
     recordings, began = [], 0.0
-    for number, (mass, tones, role) in enumerate(PLAN, 1):
+    for number, (mass, tones, role) in enumerate(plan, 1):
         machine.hang(mass)
         machine.power(True)
         samples = record(machine, sines(tones, seconds), CYCLE_S)
@@ -92,8 +101,23 @@ def honest() -> tuple[Recording, ...]:
     return campaign({}, 1)
 
 
+class Same(tuple[Recording, ...]):
+    """Recordings as the key of a cache: compared by identity."""
+
+    def __hash__(self) -> int:
+        return hash(tuple(map(id, self)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and list(map(id, self)) == list(map(id, other))
+
+
 def nominal_fit(recordings: Sequence[Recording], bandwidth_Hz: float = 25.0) -> Joint:
     """Fit the nominal model alone to those recordings that are to be fitted."""
+    return _nominal_fit(Same(recordings), bandwidth_Hz)
+
+
+@lru_cache(maxsize=32)
+def _nominal_fit(recordings: Same, bandwidth_Hz: float) -> Joint:
     fitted = [r for r in recordings if r.role == "fit"]
     prepared = [prepare(r, bandwidth_Hz) for r in fitted]
     unloaded = [p for p in prepared if p.recording.stage == "unloaded"]

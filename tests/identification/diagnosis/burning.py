@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,6 +35,12 @@ def swing(centre_deg: float, amplitude_deg: float, frequency_Hz: float) -> Array
 
 MOVING = (pauses(3, 14, 25, 8, 20, 5), pauses(26, 10, 4), swing(15, 11, 0.4), pauses(4, 9))
 UNSEEN = (swing(13, 9, 0.7),)
+
+
+@lru_cache
+def honest() -> Dataset:
+    """Return burns without an effect."""
+    return recordings({})
 
 
 def recordings(

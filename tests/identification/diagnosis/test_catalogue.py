@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.comparison import _scales
+from identification.diagnosis.comparison import UNSCALED, _scale
 from identification.diagnosis.rows import EQUATIONS, equations
 from identification.diagnosis.stack import Stack, stack_of
 from identification.effects import EFFECTS, GAS, MOTION
@@ -39,7 +39,9 @@ def bench() -> tuple[Context, Stack]:
 
 def test_the_gas_generator_has_effects_of_its_own() -> None:
     assert {e.name for e in EFFECTS.values() if e.shows_in == "pressure"} == {e.name for e in GAS}
-    assert [list(e.sizes) for e in GAS] == [[q.name for q in e.parameters] for e in GAS]
+    for effect in GAS:
+        assert [effect.linear, *effect.nonlinear] == [q.name for q in effect.parameters]
+        assert len(set(effect.slots)) == len(effect.parameters)
 
 
 @pytest.mark.parametrize("term", MOTION, ids=lambda t: t.name)
@@ -65,10 +67,12 @@ def test_an_effect_enters_the_equation_in_which_it_shows(term: Effect) -> None:
 
 
 def test_the_plausible_range_of_every_parameter_scales_with_the_machine() -> None:
-    scales = _scales(bench()[0].views, TRUE["J"])
-    assert {q.dimension for e in MOTION for q in e.parameters} <= scales.keys()
+    context = bench()[0]
+    for dimension in {q.dimension for e in MOTION for q in e.parameters} - UNSCALED:
+        assert _scale(dimension, context.views, context.nominal) > 0.0
+    assert {q.dimension for e in GAS for q in e.parameters} <= UNSCALED
     with pytest.raises(KeyError):
-        scales[Dimension.HEAT_FLOW]
+        _scale(Dimension.HEAT_FLOW, context.views, context.nominal)
 
 
 def test_the_true_values_leave_only_noise() -> None:

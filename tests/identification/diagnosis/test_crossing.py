@@ -59,7 +59,9 @@ def test_a_loop_closes_with_its_torque() -> None:
     assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)
 
 
-@pytest.mark.parametrize("name", ["backlash", "coupling_hysteresis"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("backlash", marks=pytest.mark.proof), "coupling_hysteresis"]
+)
 def test_each_is_named_and_the_other_rejected(name: str) -> None:
     found = diagnose(Dataset(recordings(name), Model()))
     assert found.verdict is Verdict.NAMED

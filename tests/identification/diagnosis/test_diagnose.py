@@ -76,7 +76,12 @@ def test_where_nothing_is_missing_the_values_and_errors_are_those_of_the_estimat
     ("name", "parameters", "equation"),
     [
         ("backlash", {"gap_rad": 0.004}, "transmission"),
-        ("asymmetric_viscous", {"coefficient_Nms_rad": 0.4}, "torque"),
+        pytest.param(
+            "asymmetric_viscous",
+            {"coefficient_Nms_rad": 0.4},
+            "torque",
+            marks=pytest.mark.proof,
+        ),
         ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
     ],
 )

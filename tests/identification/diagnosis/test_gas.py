@@ -7,18 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from identification.diagnosis.gas.burns import burns, noise
-from identification.diagnosis.gas.diagnose import diagnose_gas
-from identification.diagnosis.gas.fit import fit, nominal_model, simulate
+from identification.diagnosis.gas import GasNominal, burns, diagnose_gas, fit, noise
 from identification.diagnosis.result import Verdict
 from identification.effects import GAS
-from identification.effects.gas_generator import GasEffect, GasGeneratorEffect, effect_at
+from identification.effects.effect import Context
+from identification.effects.gas_generator import GasGeneratorEffect
 from identification.recording import Dataset, Recording, RecordingError
 
-from .burning import BENCH, NOISE_PA, TRUE, pauses, recordings
+from .burning import BENCH, NOISE_PA, TRUE, honest, pauses, recordings
 
 HIDDEN: Mapping[str, Mapping[str, float]] = {
     "throat_deposition": {"rate_m_s": 6e-6},
@@ -30,7 +27,7 @@ HIDDEN: Mapping[str, Mapping[str, float]] = {
 
 
 def test_nothing_is_missing_where_only_the_constants_are_off() -> None:
-    found = diagnose_gas(recordings({}))
+    found = diagnose_gas(honest())
     assert found.verdict is Verdict.NOTHING_MISSING
     assert not found.effects
     assert found.fit.noise_floor_rms == pytest.approx(NOISE_PA, rel=0.03)
@@ -103,7 +100,7 @@ def test_two_effects_at_once() -> None:
 
 
 def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
-    true = recordings({})
+    true = honest()
     valve = replace(BENCH.gas_generator.valve, d=0.02503, D=0.03998, b=0.05402)
     bench = replace(BENCH, gas_generator=replace(BENCH.gas_generator, valve=valve))
 
@@ -125,7 +122,7 @@ def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
 def test_a_belief_that_is_far_off_is_told() -> None:
     raised = tuple(
         replace(r, channels={**r.channels, "pressure": r.channels["pressure"] + 5e4})
-        for r in recordings({}).recordings
+        for r in honest().recordings
     )
     found = diagnose_gas(Dataset(raised))
     assert found.verdict is not Verdict.NOTHING_MISSING
@@ -133,7 +130,7 @@ def test_a_belief_that_is_far_off_is_told() -> None:
 
 
 def test_rows_faster_than_the_gas_are_averaged() -> None:
-    slow = recordings({}).recordings[0]
+    slow = honest().recordings[0]
     time = np.arange(0.0, 2.0, 0.001)
     fast = {name: np.interp(time, slow.time, values) for name, values in slow.channels.items()}
     (burn,) = burns([replace(slow, channels=fast)])
@@ -143,31 +140,39 @@ def test_rows_faster_than_the_gas_are_averaged() -> None:
 
 
 def test_a_fit_stands_where_its_tangent_says() -> None:
-    here = burns(recordings({}).part("fit")[:2])
+    here = burns(honest().part("fit")[:2])
     sigma = noise(here)
-    fitted = fit(here, sigma, nominal_model(here))
-    moved = replace(
-        fitted.model, constants={**fitted.model.constants, "n": fitted.model.constants["n"] + 3e-4}
-    )
-    change = (simulate(here, moved) - fitted.simulated) / sigma
+    joint = fit(here, sigma, GasNominal.believed(here))
+    (equation,), rows = joint.equations, len(joint.residual)
+    values = {**joint.nominal.values, "n": joint.nominal.values["n"] + 3e-4}
+    moved = np.concatenate([replace(joint.nominal, values=values).signal(b) for b in here])
+    change = moved - np.concatenate([joint.nominal.signal(b) for b in here])
     # The exponent is the second number of a fit, in units of 0.03.
-    assert change == pytest.approx(0.01 * fitted.tangent[:, 1], abs=0.02 * np.max(np.abs(change)))
-    gradient = fitted.tangent.T @ fitted.residual + fitted.held * fitted.pull
-    assert np.max(np.abs(gradient) / np.linalg.norm(fitted.tangent, axis=0)) < 0.1
+    slope = 0.01 * equation.tangent[: len(change), 1]
+    assert change == pytest.approx(slope, abs=0.02 * np.max(np.abs(change)))
+    gradient = equation.tangent.T @ joint.residual
+    assert rows == len(change) + 11
+    assert np.max(np.abs(gradient) / np.linalg.norm(equation.tangent, axis=0)) < 0.1
 
 
 @pytest.mark.parametrize("term", GAS, ids=lambda t: t.name)
-@given(size=st.floats(-1e3, 1e3), rest=st.floats(0.01, 1e3))
-def test_an_effect_is_what_a_fit_varies(term: GasGeneratorEffect, size: float, rest: float) -> None:
-    names = list(term.sizes)
-    effect = GasEffect(term, {name: size if k == 0 else rest for k, name in enumerate(names)})
-    again = effect_at(term, effect.coordinates)
-    assert dict(again.parameters) == pytest.approx(dict(effect.parameters), rel=1e-9)
+def test_the_response_times_the_size_is_what_an_effect_adds(term: GasGeneratorEffect) -> None:
+    (burn,) = burns(honest().part("fit")[:1])
+    plain = GasNominal.believed((burn,))
+    values = {q.name: 0.02 * q.high for q in term.parameters}
+    shape, (size,) = term.at(values, plain)
+    assert term.read(np.array([size]), shape, Context((), plain)) == values
+    acting = plain.with_effect(term, size, shape)
+    added = acting.signal(burn) - plain.signal(burn)
+    assert np.max(np.abs(added)) > 1e3
+    assert size * term.pressure(burn, acting, shape)[0] == pytest.approx(added, rel=1e-9, abs=1e-6)
+    small = size * term.pressure(burn, plain, shape)[0]
+    assert small == pytest.approx(added, abs=0.2 * np.max(np.abs(added)))
 
 
 def infeasible(**channels: np.ndarray | None) -> Dataset:
     """Return one recording with channels replaced, or left out."""
-    (first, *_) = recordings({}).recordings
+    (first, *_) = honest().recordings
     mixed = {**first.channels, **channels}
     return Dataset((replace(first, channels={k: v for k, v in mixed.items() if v is not None}),))
 
@@ -192,7 +197,7 @@ def test_no_recording_to_fit() -> None:
 
 
 def test_a_bench_without_constants_or_a_short_burn() -> None:
-    (first, *_) = recordings({}).recordings
+    (first, *_) = honest().recordings
     with pytest.raises(RecordingError, match=r"no bench\.gas_generator"):
         burns([replace(first, bench=replace(first.bench, gas_generator=None))])
     short = {name: values[:40] for name, values in first.channels.items()}

@@ -64,7 +64,9 @@ def test_without_a_channel_of_the_law_nothing_is_computed(name: str) -> None:
     assert not voltage_is_computed(replace(recording, channels=channels))
 
 
-@pytest.mark.parametrize(("late", "early"), [("angles", 0.004), ("current", 0.004)])
+@pytest.mark.parametrize(
+    ("late", "early"), [("angles", 0.004), pytest.param("current", 0.004, marks=pytest.mark.proof)]
+)
 def test_a_skew_is_found_whichever_channel_is_late(late: str, early: float) -> None:
     """Angles that are late against current and voltage are no lag of the current loop."""
     moved = ("motor_angle", "angle") if late == "angles" else ("current",)

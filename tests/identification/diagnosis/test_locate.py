@@ -34,7 +34,7 @@ from identification.diagnosis.rows import (
 from identification.effects import MOTION
 from identification.recording import Array, Dataset
 
-from .benches import campaign, nominal_fit
+from .benches import campaign, honest, nominal_fit
 from .test_fits import begun_with
 
 CENTER_RAD, WIDTH_RAD = 0.1, 0.06
@@ -59,7 +59,7 @@ def test_a_worn_patch_lies_where_it_is_though_its_torque_turns_with_the_motion()
 
 
 def test_its_own_coordinate_is_given_where_it_explains_as_much() -> None:
-    joint = nominal_fit(campaign({}, 13, 6.0))
+    joint = nominal_fit(honest())
     torque = joint.equations[0]
     rest = torque.sigma * joint.residual[joint.stack.part("torque")]
     made = maps(joint.stack, torque, rest, rest, np.random.default_rng(0))[0]
@@ -123,7 +123,7 @@ def of_noise(equation: str, noise: Array, joint: Joint) -> Mismatch:
 @pytest.mark.parametrize("equation", ["torque", "transmission"])
 def test_chance_explains_nothing(equation: str) -> None:
     """The noise is constant within each block: the worst that the blocks allow."""
-    joint = nominal_fit(campaign({}, 16, 8.0))
+    joint = nominal_fit(honest())
     block = joint.stack.block[joint.stack.part(equation)]
     time = np.arange(len(block), dtype=float)
     shares = []
@@ -138,7 +138,7 @@ def test_chance_explains_nothing(equation: str) -> None:
 
 
 def test_a_slow_function_of_time_is_found_in_few_blocks() -> None:
-    joint = nominal_fit(campaign({}, 16, 8.0))
+    joint = nominal_fit(honest())
     block = joint.stack.block[joint.stack.part("torque")]
     time = np.arange(len(block), dtype=float)
     drift = 30.0 * (time / len(time)) ** 2
@@ -154,7 +154,7 @@ def test_recordings_that_repeat_a_motion_lie_in_different_parts() -> None:
 
 
 def test_a_rest_time_is_told_at_the_breakaways_themselves() -> None:
-    joint = nominal_fit(campaign({}, 13, 8.0))
+    joint = nominal_fit(honest())
     equation = next(e for e in joint.equations if e.name == "breakaway")
     weight = weight_of(equation)
     assert weight.min() < 0.5
@@ -184,7 +184,7 @@ def test_a_shape_that_the_nominal_model_takes_over_is_missing_without_it() -> No
 
 
 def test_the_motor_angle_needs_turns_and_an_origin() -> None:
-    views = nominal_fit(campaign({}, 16, 8.0)).equations[0].views
+    views = nominal_fit(honest()).equations[0].views
     motor = next(c for c in MAPPED if c.periodic)
     assert shows(motor, views)
     geared = [replace(v, motor=v.motor / 100.0) for v in views]
@@ -197,7 +197,7 @@ def test_the_motor_angle_needs_turns_and_an_origin() -> None:
 
 
 def test_a_curve_is_the_mean_that_explains_most_unless_the_location_explains_as_much() -> None:
-    joint = nominal_fit(campaign({}, 13, 6.0))
+    joint = nominal_fit(honest())
     torque = joint.equations[0]
     rest = torque.sigma * joint.residual[joint.stack.part("torque")]
     made = maps(joint.stack, torque, rest, rest, np.random.default_rng(0))[0]

@@ -10,24 +10,9 @@ import pytest
 from identification.diagnosis.diagnose import diagnose
 from identification.effects import MOTION
 from identification.recording import Dataset, Model, RecordingError
-from identification.views.view import forget, recent, views
+from identification.views.view import views
 
 from .benches import honest, nominal_fit
-
-
-def test_results_are_kept_until_they_are_released() -> None:
-    asked: list[int] = []
-
-    @recent
-    def twice(value: int) -> int:
-        asked.append(value)
-        return 2 * value
-
-    assert (twice(3), twice(3)) == (6, 6)
-    assert asked == [3]
-    forget()
-    assert twice(3) == 6
-    assert asked == [3, 3]
 
 
 def test_the_next_diagnosis_releases_the_recordings_of_the_one_before() -> None:

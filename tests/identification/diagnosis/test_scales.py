@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -54,50 +55,50 @@ def test_gaps_of_a_linear_axis_are_a_share_of_its_travel() -> None:
     assert 0.0 < short < 1e-3
 
 
+def reason(effect: Added, change: Callable[[View], View]) -> str:
+    """Return why an effect is implausible with changed recordings; empty if it is not."""
+    joint = nominal_fit(honest())
+    views = tuple(map(change, joint.views))
+    equations = tuple(replace(e, views=views) for e in joint.equations)
+    return implausible(replace(joint, effects=(effect,), equations=equations))
+
+
+def slow(view: View, supply_V: float | None, current: float = 1.0) -> View:
+    """Return a view with a tenth of the voltage, and a supply voltage."""
+    return replace(
+        view,
+        voltage=None if view.voltage is None else 0.1 * view.voltage,
+        current=None if view.current is None else current * view.current,
+        supply=None if supply_V is None else np.full(len(view.time), supply_V),
+    )
+
+
 def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> None:
     """On a travel of a tenth, ten times the slope changes the friction by as much."""
-    joint = nominal_fit(honest())
     effect = Added(TERM["load_position_dependence"], (), (4.0,))
-    beyond = []
-    for travel in (1.0, 0.1):
-        views = tuple(scaled(v, travel=travel) for v in joint.equations[0].views)
-        equations = tuple(replace(e, views=views) for e in joint.equations)
-        beyond.append(implausible(replace(joint, effects=(effect,), equations=equations)))
-    assert beyond[0].startswith("slope_per_rad = 4, outside the plausible range")
-    assert not beyond[1]
+    wide = reason(effect, lambda v: v)
+    assert wide.startswith("slope_per_rad = 4, outside the plausible range")
+    assert reason(effect, lambda v: scaled(v, travel=0.1)) == ""
 
 
-def test_the_plausible_mass_grows_with_the_weights_of_the_bench() -> None:
-    joint = nominal_fit(honest())
-    effect = Added(TERM["wrong_weight"], (2.0,), (0.5,))
-    masses = {1.0: False, 10.0: True}
-    for scale, plausible in masses.items():
-        views = tuple(
-            replace(v, recording=replace(v.recording, weight_mass=scale * v.recording.weight_mass))
-            for v in joint.equations[0].views
-        )
-        equations = tuple(replace(e, views=views) for e in joint.equations)
-        heavy = replace(effect, term=effect.term.modified(read=lambda *_: {"mass_kg": 300.0}))
-        reason = implausible(replace(joint, effects=(heavy,), equations=equations))
-        assert (reason == "") == plausible
+@pytest.mark.parametrize(("scale", "plausible"), [(1.0, False), (10.0, True)])
+def test_the_plausible_mass_grows_with_the_weights_of_the_bench(
+    scale: float, plausible: bool
+) -> None:
+    term = TERM["wrong_weight"].modified(read=lambda *_: {"mass_kg": 300.0})
+
+    def heavy(view: View) -> View:
+        mass = scale * view.recording.weight_mass
+        return replace(view, recording=replace(view.recording, weight_mass=mass))
+
+    assert (reason(Added(term, (2.0,), (0.5,)), heavy) == "") == plausible
 
 
 @pytest.mark.parametrize("recorded", [True, False])
 def test_the_plausible_sag_grows_with_the_recorded_supply(recorded: bool) -> None:
     """A motion that needs a tenth of the supply voltage has the same supply as a fast motion."""
-    joint = nominal_fit(honest())
-    views = tuple(
-        replace(
-            v,
-            voltage=None if v.voltage is None else 0.1 * v.voltage,
-            supply=np.full(len(v.time), 480.0) if recorded else None,
-        )
-        for v in joint.equations[0].views
-    )
-    equations = tuple(replace(e, views=views) for e in joint.equations)
     effect = Added(TERM["supply_sag"], (), (20.0,))
-    reason = implausible(replace(joint, effects=(effect,), equations=equations))
-    assert (reason == "") is recorded
+    assert (reason(effect, lambda v: slow(v, 480.0 if recorded else None)) == "") is recorded
 
 
 @pytest.mark.parametrize(
@@ -107,34 +108,21 @@ def test_the_plausible_sag_grows_with_the_recorded_supply(recorded: bool) -> Non
 def test_friction_of_half_the_greatest_torque_is_plausible(
     name: str, power: int, share: float, plausible: bool
 ) -> None:
-    joint = nominal_fit(honest())
-    views = joint.equations[0].views
+    views = nominal_fit(honest()).views
     torque = max(float(np.max(np.abs(v.torque))) for v in views)
     speed = max(float(np.max(np.abs(v.velocity))) for v in views)
-    fast = tuple(
-        replace(v, torque=40.0 / torque * v.torque, velocity=0.5 / speed * v.velocity)
-        for v in views
-    )
-    equations = tuple(replace(e, views=fast) for e in joint.equations)
+
+    def fast(view: View) -> View:
+        torques, speeds = 40.0 / torque * view.torque, 0.5 / speed * view.velocity
+        return replace(view, torque=torques, velocity=speeds)
+
     effect = Added(TERM[name], (), (share * 40.0 / 0.5**power,))
-    reason = implausible(replace(joint, effects=(effect,), equations=equations))
-    assert (reason == "") is plausible
+    assert (reason(effect, fast) == "") is plausible
 
 
 @pytest.mark.parametrize("supply_V", [None, 480.0])
 def test_the_plausible_heating_does_not_follow_the_supply(supply_V: float | None) -> None:
     """A supply far above the voltage of a slow motion heats the winding no more."""
-    joint = nominal_fit(honest())
-    views = tuple(
-        replace(
-            v,
-            voltage=None if v.voltage is None else 0.1 * v.voltage,
-            current=None if v.current is None else 0.1 * v.current,
-            supply=None if supply_V is None else np.full(len(v.time), supply_V),
-        )
-        for v in joint.equations[0].views
-    )
-    equations = tuple(replace(e, views=views) for e in joint.equations)
-    starts = (0.0,) * len(views)
-    effect = Added(TERM["winding_heating"], (60.0, 4.0, 0.0), (100.0, *starts[1:]))
-    assert implausible(replace(joint, effects=(effect,), equations=equations)) == ""
+    starts = (0.0,) * (len(nominal_fit(honest()).views) - 1)
+    effect = Added(TERM["winding_heating"], (60.0, 4.0, 0.0), (100.0, *starts))
+    assert reason(effect, lambda v: slow(v, supply_V, 0.1)) == ""

@@ -253,6 +253,7 @@ def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
     assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside)
 
 
+@pytest.mark.proof
 def test_recordings_of_speed_alone_share_no_origin_of_their_angles() -> None:
     """Each has a phase of its own, and a place says nothing."""
     shared = campaign({"cogging": {"torque_Nm": 1.5, "per_motor_turn": 7.0, "phase_rad": 0.3}}, 3)
@@ -281,6 +282,7 @@ def begun_late(recording: Recording, late_s: float) -> Recording:
     return replace(recording, channels=channels)
 
 
+@pytest.mark.proof
 def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     """One that is set aside may have begun warm."""
     hidden = campaign({"coulomb_drift": {"rate_Nm_s": 0.03}}, 3, 6.0)
@@ -305,7 +307,7 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert any("no common clock" in w for w in found.warnings)
 
 
-@pytest.mark.parametrize("other", [0.0, -0.3])
+@pytest.mark.parametrize("other", [pytest.param(0.0, marks=pytest.mark.proof), -0.3])
 def test_end_stops_are_found_at_one_end_of_the_travel_or_at_both(other: float) -> None:
     stop = {"angle_rad": 0.28, "stiffness_Nm_rad": 60.0, "other_rad": other}
     found = diagnose(

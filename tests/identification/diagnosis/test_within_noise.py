@@ -13,7 +13,7 @@ import pytest
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.rows import between_samples, least_noise
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.search import _Case, _missing_test
+from identification.diagnosis.search import missing_test
 from identification.diagnosis.significance import beyond_noise, size_p_value
 from identification.effects import MOTION
 from identification.effects.effect import Context
@@ -104,10 +104,7 @@ def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     rows = scaled(joint, 0.5 * power)
     rows = rows + pattern * math.sqrt(0.5 * power / float(np.mean(pattern**2)))
     found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
-    case = _Case(TERM, ())
-    assert (
-        _missing_test(found, case, [term], np.random.default_rng(0)).p_value <= RULES.level
-    ) is missing
+    assert (missing_test(found, [term], np.random.default_rng(0)).p_value <= RULES.level) is missing
 
 
 def test_the_transmissions_noise_has_the_rounding_of_both_encoders(joint: Joint) -> None:
