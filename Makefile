@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster makes masters units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -96,9 +96,6 @@ real: $(VENV)/.runtime  ## the real recordings: friction ladder, closed loop, sc
 	$(BIN)/python benchmarks/real_recordings.py
 	$(BIN)/python benchmarks/real_diagnoses.py tests/campaigns/*.yaml
 
-loop: $(VENV)/.runtime  ## hide an effect, diagnose, run the corrected model, compare the recordings
-	$(BIN)/python tests/long/close_loop.py
-
 feedforward: $(VENV)/.runtime  ## tracking and energy before and after friction feed-forward, 8 seeds
 	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 200
 	$(BIN)/python benchmarks/feedforward_hidden.py
@@ -116,9 +113,6 @@ prove-worlds: $(VENV)/.dev  ## the blind proof in worlds on the project's machin
 	  $(BIN)/python -m benchmarks.worlds out/worlds-$$plant --plant $$plant --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 && \
 	  $(BIN)/rig prove --from out/worlds-$$plant --jobs 2 --out out/proof-$$plant || exit 1; done
 
-cluster: $(VENV)/.dev  ## the same proof with one process, two, and a cluster of which a worker is killed: the same bytes (out/cluster)
-	$(BIN)/python -m tests.long.cluster out/cluster --rigs $(or $(RIGS),12) --seed $(or $(SEED),1)
-
 bench: $(VENV)/.runtime  ## speed, as ratios within one run
 	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
@@ -128,9 +122,6 @@ growth: $(VENV)/.runtime  ## how a diagnosis grows with samples and with the cat
 weight-check: $(VENV)/.runtime  ## how often the weight check is right, on a stiff and a soft bench
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done
 
-transports: $(VENV)/.runtime  ## Figure 10 over every transport: the same parameters
-	$(BIN)/python tests/long/transports.py
-
 fault-matrix: $(VENV)/.dev  ## every fault in every phase of a run on each transport (out/fault_matrix.md)
 	$(BIN)/python -m tests.long.fault_matrix
 
@@ -139,31 +130,18 @@ makes: $(VENV)/.dev  ## drives of nine makes and three other modes: Figure 10; e
 	$(BIN)/python -m tests.long.makes faults
 	$(BIN)/python -m tests.long.makes homing
 
-masters: $(VENV)/.dev  ## a second, independent CANopen master drives the simulated drives of the makes (needs Node)
-	$(BIN)/python -m tests.long.second_master
-
 kill: $(VENV)/.dev  ## kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian
 	$(BIN)/python -m tests.long.kill
-	$(BIN)/python tests/long/kill_identify.py
 	$(BIN)/python -m tests.long.guardian
 
 process-matrix: $(VENV)/.dev  ## adapter, line, terminal, disk or process fails in every phase (out/process_matrix.md)
 	$(BIN)/python -m tests.long.process_matrix
 
-watch-clients: $(VENV)/.dev  ## Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too
-	$(BIN)/python -m tests.long.watch_clients $(if $(PLOTJUGGLER),--plotjuggler $(PLOTJUGGLER))
-
 moments: $(VENV)/.dev  ## 200 random moments each of what befalls run, guardian, adapter, terminal (serial bench)
 	$(BIN)/python -m tests.long.moments
 
-pairs: $(VENV)/.dev  ## two programs on one bench, in all pairs of commands, on every transport
-	$(BIN)/python -m tests.long.pairs
-
 units: $(VENV)/.dev  ## 100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion
 	$(BIN)/python -m tests.long.units
-
-terminal: $(VENV)/.dev  ## what is on the screen, as an operator in tmux (out/terminal.md)
-	$(BIN)/python -m tests.long.terminal
 
 durand: $(VENV)/.dev  ## check, commission and run against a drive on another CANopen stack: 1029h, slow SDO, lacking objects
 	$(BIN)/python -m tests.long.durand_peer

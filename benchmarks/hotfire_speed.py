@@ -18,7 +18,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant.gas_direct import burn
+from drivers.mock.plant.gas import burn
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import GasGenerator, Machine, Sensing
 from drivers.mock.without_bus import record

@@ -24,6 +24,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from adapters import LawicelAdapter, RealTimeBench, SocketcandServer
 
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.canopen.cia402_servo import Cia402Servo
@@ -38,8 +39,6 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine, Sensing
-from drivers.mock.wires.serial_line import RealTimeBench
-from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import PySerialPort
 from drivers.units import EncoderScales, ServoScales
 from rig.cli.entry import status

@@ -312,9 +312,7 @@ class DbcDrive:
         self._info.start(self._clock.now_ns() + _INFO_NS)
 
     def _in_turn(self, send: Callable[[], None]) -> None:
-        """Send a frame immediately; but while commands arrive, send the frame after the next
-        answer, when the bus is free for long enough.
-        """
+        """Send a frame at once, or after the next answer while commands arrive."""
         if self._clock.now_ns() - self._commanded_ns < _IDLE_NS:
             self._waiting.append(send)
         else:

@@ -144,9 +144,7 @@ class Homing:
         self._sampler.machine.track(self._demand, _STEP_NS)
 
     def _advance(self) -> None:
-        """Take one step: move to the switch, then slowly away from it; the edge of the switch is
-        the home position.
-        """
+        """Take one step: to the switch, then slowly away from it; its edge is the home position."""
         now = self._clock.now_ns()
         self._sampler.advance(now)
         reading = self._sampler.peek(now)
@@ -713,9 +711,7 @@ class SimulatedDrive(SimulatedNode):
         self._values[_STATUSWORD] = word << 16 * (self.traits.status_share or 0)
 
     def _greatest(self, per_mille_A: float) -> int:
-        """Return the current limit of the control loops in thousandths, rounded up to the drive's
-        unit.
-        """
+        """Return the current limit of the loops in thousandths, rounded up."""
         limit = self._machine.constants.loops.current_limit_A * per_mille_A
         return min(0xFFFF, math.ceil(limit - _WHOLE))
 

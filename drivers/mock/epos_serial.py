@@ -23,7 +23,6 @@ from drivers.epos.frames import (
 from drivers.mock.canopen.dictionary import WRONG_LENGTH, SdoAbortError, key
 from drivers.mock.drive import SimulatedDrive
 from drivers.mock.power_state import POWERED, State
-from drivers.mock.traits import current_A
 from drivers.mock.wires.bus import SimulatedBus, Timer
 
 UNKNOWN_COMMAND: Final = 0x0F00FFBF
@@ -62,7 +61,7 @@ class SimulatedEposPort:
         self._gateway = bus.attach()
         self._decoder = FrameDecoder()
         self._supervision = Timer(clock, self._supervise)
-        own = (shown.address[0] for shown in drive.traits.own if shown.quantity is current_A)
+        own = (shown.address[0] for shown in drive.traits.own if shown.quantity == "current_A")
         self._means = {*_MEANS, *own}
         self._voltage = bytes(2)
         self._upload = b""

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import struct
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from drivers.clock import SimulatedClock
 from drivers.epos.frames import DLE, ERROR, Opcode, encode
+from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.drive import SimulatedDrive
-from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.machine import Loop, SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.power_state import Command
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.serial_line import SimulatedLine
 
@@ -32,9 +36,21 @@ Match = Callable[[int, bool], bool]
 
 @dataclass
 class _Rule:
-    match: Match
+    match: Callable[..., bool]
     left: int | None
-    change: Callable[[int, bytes, bool], Frame | None]
+    change: Callable[..., Any]
+
+
+def _change(rules: list[_Rule], *what: object) -> Callable[..., Any] | None:
+    """Return the change by the first rule that matches, and count it; None if no rule matches."""
+    for rule in rules:
+        if rule.match(*what):
+            if rule.left is not None:
+                rule.left -= 1
+                if not rule.left:
+                    rules.remove(rule)
+            return rule.change
+    return None
 
 
 class WireFaults:
@@ -146,25 +162,12 @@ class WireFaults:
         if self._let_pass[identifier, data]:
             self._let_pass[identifier, data] -= 1
             return identifier, data
-        for rule in self._rules:
-            if rule.match(identifier, host):
-                if rule.left is not None:
-                    rule.left -= 1
-                    if not rule.left:
-                        self._rules.remove(rule)
-                return rule.change(identifier, data, host)
-        return identifier, data
+        change = _change(self._rules, identifier, host)
+        return (identifier, data) if change is None else change(identifier, data, host)
 
 
 _BROKEN_STUFFING: Final = bytes([DLE, 0x01])
 _HEAD: Final = 4
-
-
-@dataclass
-class _LineRule:
-    from_host: bool | None
-    left: int | None
-    change: Callable[[bytes, bool], bytes]
 
 
 class LineFaults:
@@ -183,7 +186,7 @@ class LineFaults:
     def __init__(self, line: SimulatedLine, clock: SimulatedClock) -> None:
         self._line = line
         self._clock = clock
-        self._rules: list[_LineRule] = []
+        self._rules: list[_Rule] = []
         self._free_ns = {True: 0, False: 0}
         line.filters.append(self._filter)
 
@@ -258,21 +261,13 @@ class LineFaults:
     def _add(
         self, from_host: bool | None, count: int, change: Callable[[bytes, bool], bytes]
     ) -> None:
-        self._rules.append(_LineRule(from_host, count or None, change))
+        match = lambda host: from_host in (None, host)  # noqa: E731
+        self._rules.append(_Rule(match, count or None, change))
 
     def _filter(self, now: int, data: bytes, host: bool) -> bytes:
-        data = self._changed(data, host)
+        if data and (change := _change(self._rules, host)) is not None:
+            data = change(data, host)
         return self._hold(data, host, now) if data and now < self._free_ns[host] else data
-
-    def _changed(self, data: bytes, host: bool) -> bytes:
-        for rule in self._rules:
-            if data and rule.from_host in (None, host):
-                if rule.left is not None:
-                    rule.left -= 1
-                    if not rule.left:
-                        self._rules.remove(rule)
-                return rule.change(data, host)
-        return data
 
 
 _MODE_DISPLAY = key(0x6061)
@@ -345,3 +340,119 @@ def refuse_mode(drive: SimulatedDrive) -> None:
 
 def _negated(counts: int) -> int:
     return -counts
+
+
+_PRODUCT: Final = key(0x1018, 2)
+_LIMITS: Final = frozenset({0x607D, 0x607F, 0x6072, 0x6073, 0x6065})
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake.
+
+    Attributes:
+        words: Description of the mistake.
+        spoil: Function that injects the mistake into the devices of a bench, of which the used
+            joint encoder is an argument.
+        change: Function that injects the mistake into the machine.
+        signs: Parts of the drive that have the wrong sign.
+    """
+
+    words: str
+    spoil: Callable[[SimulatedBench, Sensor], None] | None = None
+    change: Callable[[Machine], Machine] | None = None
+    signs: tuple[Loop, ...] = ()
+
+    @property
+    def any_drive(self) -> bool:
+        """Whether the mistake is possible with drives of every kind."""
+        return self.spoil is None and self.change is None
+
+    def build_into(self, bench: SimulatedBench | SimulatedDbcBench, encoder: Sensor) -> None:
+        """Inject the mistake into the devices of a bench, of which ``encoder`` is the used joint
+        encoder.
+        """
+        for loop in self.signs:
+            bench.machine.reverse(loop)
+        if self.spoil is not None and isinstance(bench, SimulatedBench):
+            self.spoil(bench, encoder)
+
+
+def _in_rpm(bench: SimulatedBench, _: Sensor) -> None:
+    increments = bench.machine.constants.sensing.motor_counts_per_turn or 60
+    bench.drive.use_speed_unit(increments / 60.0)
+
+
+def _motor(**factors: float) -> Callable[[Machine], Machine]:
+    def change(machine: Machine) -> Machine:
+        values = {name: getattr(machine.motor, name) * f for name, f in factors.items()}
+        return dataclasses.replace(machine, motor=dataclasses.replace(machine.motor, **values))
+
+    return change
+
+
+def _never_lost(_: int) -> None:
+    """Do nothing when the master is lost."""
+
+
+MISTAKES: Final[Mapping[str, Mistake]] = {
+    "another_device": Mistake(
+        "the drive on the node is of another product than its EDS file",
+        lambda bench, _: bench.drive.objects.values.__setitem__(_PRODUCT, 0x0999),
+    ),
+    "position_sign": Mistake("the drive's position loop has the wrong sign", signs=("position",)),
+    "velocity_sign": Mistake("the drive's speed loop has the wrong sign", signs=("velocity",)),
+    "phases_swapped": Mistake("two phases of the motor are swapped", signs=("phases",)),
+    # The joint encoder shows the true direction; the machine is the mirror image.
+    "motor_encoder": Mistake(
+        "the motor encoder counts the other way",
+        lambda _, encoder: reverse(encoder),
+        signs=("phases",),
+    ),
+    "zero_off": Mistake(
+        "the joint encoder reads 5 deg at zero",
+        lambda _, encoder: jump(encoder, round(encoder.counts_per_turn / 72.0)),
+    ),
+    "limits_ignored": Mistake(
+        "the drive acknowledges limits and keeps its own",
+        lambda bench, _: setattr(bench.drive.objects, "deaf", _LIMITS),
+    ),
+    "watchdog_dead": Mistake(
+        "the drive goes on when the program is silent",
+        lambda bench, _: setattr(bench.drive, "connection_lost", _never_lost),
+    ),
+    "stop_ignored": Mistake(
+        "the drive ignores the quick stop",
+        lambda bench, _: setattr(bench.drive, "deaf_to", frozenset({Command.QUICK_STOP})),
+    ),
+    "rpm": Mistake("the drive's speeds are in rpm", _in_rpm),
+    "current_sign": Mistake(
+        "the drive's current has the wrong sign",
+        lambda bench, _: setattr(bench.drive, "current_sign", -1),
+    ),
+    "encoder_sign": Mistake(
+        "the joint encoder counts the other way", lambda _, encoder: reverse(encoder)
+    ),
+    "motor_shaft": Mistake(
+        "the joint encoder is on the motor's shaft",
+        lambda bench, encoder: on_motor_shaft(encoder, bench.machine),
+    ),
+    "ratio": Mistake("the gear has 2/3 of the stated ratio", change=_motor(gear_ratio=2.0 / 3.0)),
+    "torque_constant": Mistake(
+        "the motor has twice the stated torque constant",
+        change=_motor(torque_constant_N_m_A=2.0, back_emf_constant_V_s_rad=2.0),
+    ),
+    "home_jammed": Mistake(
+        "the joint is jammed while the drive homes (--home)",
+        lambda bench, _: setattr(bench.drive.homing, "jammed", True),
+    ),
+    "home_endless": Mistake(
+        "the drive never ends a homing (--home)",
+        lambda bench, _: setattr(bench.drive.homing, "endless", True),
+    ),
+    "home_switch": Mistake(
+        "the limit switches never close (--home 17 or 18)",
+        lambda bench, _: setattr(bench.drive.homing, "switches_deg", None),
+    ),
+}
+"""Name to mistake."""

@@ -22,7 +22,7 @@ from drivers.canopen.device_data import identity
 from drivers.canopen.eds_file import addresses, read_eds
 from drivers.canopen.sdo import ONE_AXIS, Axis
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.traits import HM, PP, Shown, Traits, current_A, supply_V, temperature_C
+from drivers.mock.traits import HM, PP, Shown, Traits
 
 _OWN: Final = frozenset({0x2100, 0x2101, 0x60E3})
 """Objects that no drive of a make has by default: objects of the simulated drive only, and the list
@@ -34,10 +34,10 @@ MAKES: Final[Mapping[str, Traits]] = {
         0x65510000,
         _OWN | {0x1009, 0x100A, 0x1013, 0x6072, 0x6073, 0x6075, 0x6078, 0x6079, 0x607C, 0x60C2},
         (
-            Shown((0x30D1, 2), "i", current_A, 1e-3),
+            Shown((0x30D1, 2), "i", "current_A", 1e-3),
             Shown((0x3001, 1), "I", None, 1e-3),
-            Shown((0x2200, 1), "H", supply_V, 0.1, mappable=False),
-            Shown((0x3201, 1), "h", temperature_C, 0.1, mappable=False),
+            Shown((0x2200, 1), "H", "supply_V", 0.1, mappable=False),
+            Shown((0x3201, 1), "h", "temperature_C", 0.1, mappable=False),
         ),
         rpm=True,
         rated_torque_unit_N_m=1e-6,
@@ -47,8 +47,8 @@ MAKES: Final[Mapping[str, Traits]] = {
         0x62200000,
         _OWN | {0x1009, 0x100A, 0x603F, 0x605A, 0x6072, 0x6073, 0x6075, 0x6076, 0x6079},
         (
-            Shown((0x2027, 0), "h", current_A, 1e-3),
-            Shown((0x6078, 0), "h", current_A, 1e-3),
+            Shown((0x2027, 0), "h", "current_A", 1e-3),
+            Shown((0x6078, 0), "h", "current_A", 1e-3),
             Shown((0x6410, 1), "H", None, 1e-3),
         ),
         rpm=True,
@@ -58,7 +58,7 @@ MAKES: Final[Mapping[str, Traits]] = {
         0x9A,
         0x30923,
         _OWN | {0x1013, 0x6079},
-        (Shown((0x22A2, 0), "H", temperature_C, 1.0),),
+        (Shown((0x22A2, 0), "H", "temperature_C", 1.0),),
     ),
     "Trinamic": Traits(
         0x286,
@@ -85,8 +85,8 @@ MAKES: Final[Mapping[str, Traits]] = {
         _OWN | {0x1013, 0x6073, 0x6075, 0x6076, 0x6078, 0x6079},
         (
             Shown((0x203B, 1), "I", None, 1e-3),
-            Shown((0x4014, 1), "i", supply_V, 1e-3),
-            Shown((0x4014, 3), "i", temperature_C, 0.1),
+            Shown((0x4014, 1), "i", "supply_V", 1e-3),
+            Shown((0x4014, 3), "i", "temperature_C", 0.1),
         ),
         rpm=True,
     ),
@@ -95,8 +95,8 @@ MAKES: Final[Mapping[str, Traits]] = {
         0x3300,
         _OWN | {0x6073, 0x6078, 0x6079},
         (
-            Shown((0x2201, 0), "h", supply_V, 0.1),
-            Shown((0x2202, 0), "h", temperature_C, 1.0),
+            Shown((0x2201, 0), "h", "supply_V", 0.1),
+            Shown((0x2202, 0), "h", "temperature_C", 1.0),
         ),
         speed_counts_per_s=0.1,
         acceleration_counts_s2=10.0,

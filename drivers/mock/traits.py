@@ -4,31 +4,17 @@ modes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from drivers.mock.canopen.dictionary import DeviceDictionary, Entry, key
 from drivers.mock.plant.machine import Reading
 
-Quantity = Callable[[Reading], float]
-"""Function that returns the quantity that an object contains, in SI units or deg C."""
+Quantity = Literal["current_A", "supply_V", "temperature_C"]
+"""Field of a reading that an object contains."""
 PP, HM, CSP, CSV, CST = 1 << 0, 1 << 5, 1 << 7, 1 << 8, 1 << 9
 """Bits of 6502h: modes that a drive offers."""
-
-
-def current_A(reading: Reading) -> float:
-    """Return the motor current."""
-    return reading.current_A
-
-
-def supply_V(reading: Reading) -> float:
-    """Return the supply voltage."""
-    return reading.supply_V
-
-
-def temperature_C(reading: Reading) -> float:
-    """Return the temperature."""
-    return reading.temperature_C
 
 
 @dataclass(frozen=True)
@@ -150,5 +136,5 @@ class OwnObjects:
         sign.
         """
         for number, quantity, unit in self.measured:
-            sign = current_sign if quantity is current_A else 1
-            values[number] = sign * round(quantity(reading) / unit)
+            sign = current_sign if quantity == "current_A" else 1
+            values[number] = sign * round(getattr(reading, quantity) / unit)

@@ -26,8 +26,8 @@ from rig.runs.run_file import SEAL_FILE, seal_run
 from rig.runs.run_record import Ending, RunRecord
 from rig.terminal.output import complain, reader_gone
 from rig.terminal.screen import Screen
-from rig.weighing.label_check import comparable, off_label
 from rig.weighing.load_change import changed_loads
+from rig.weighing.weight_check import comparable, off_label
 
 STATUS: Mapping[Ending, int] = {
     Ending.DONE: DONE,

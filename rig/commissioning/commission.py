@@ -25,7 +25,7 @@ from rig.runs.recorder import Recorder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
-from rig.wiring.steps import words_of
+from rig.wiring.off import words_of
 from rig.wiring.teardown import SafeState
 
 
@@ -281,9 +281,7 @@ def _session(
     record_in: Callable[[int], Recorder],
     result: Commissioning,
 ) -> WrongError | None:
-    """Perform the steps on one connection; return the error of the step that found a wrong
-    value.
-    """
+    """Perform the steps on one connection; return the error that found a wrong value."""
     steps: list[StepRecord] = []
     result.sessions.append(steps)
     wrong: WrongError | None = None
@@ -336,11 +334,7 @@ def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> Wron
 
 
 def _one(setup: Setup, step: Step, record: StepRecord) -> None:
-    """Announce a step, ask for consent, and perform the step.
-
-    Raises:
-        OperatorStopError: The operator did not agree; the following steps depend on this step.
-    """
+    """Announce a step, ask for consent, without which all ends, and perform the step."""
     setup.interview.tell(f"Step {step.name}. {step.announced}")
     if step.asks:
         if not setup.interview.agrees("Go on with this step?"):

@@ -127,12 +127,7 @@ def _tolerance(home: HomeRequest) -> float:
 
 
 def _home_rad(setup: Setup, home: HomeRequest) -> float:
-    """Return the joint angle of the home position, as given or by the joint encoder; if the homing
-    must find the home position first, return the joint angle at which the drive reads zero.
-
-    Raises:
-        WrongError: The angle is not given, and the joint encoder gives no angle.
-    """
+    """Return the joint angle of the home position, or at which the drive reads zero."""
     if home.home_deg is not None:
         return math.radians(home.home_deg)
     if home.in_place:
@@ -148,13 +143,7 @@ def _home_rad(setup: Setup, home: HomeRequest) -> float:
 def _homed(
     setup: Setup, step: StepRecord, home: HomeRequest, home_rad: float
 ) -> tuple[float, float]:
-    """Home once; return the angles of drive and joint encoder after the homing, rad, with the power
-    off.
-
-    Raises:
-        WrongError: The homing failed.
-        OperatorStopError: The operator stopped the homing.
-    """
+    """Home once; return the angles of drive and joint encoder, rad, with the power off."""
     search = min(0.5 * setup.limits.speed, math.radians(0.5 * FASTEST_DEG_S))
     zero = min(search, math.radians(ZERO_DEG_S))
     order = HomingOrder(home.method, home_rad, search, zero, search / ACCELERATION_S)
@@ -190,9 +179,7 @@ def _fault(setup: Setup, tripped: TripError) -> str:
 
 
 def _left_on(setup: Setup, home: HomeRequest) -> str:
-    """Return a warning if a drive without a watchdog may still be under power, because its state
-    could not be read back.
-    """
+    """Return a warning if a drive without a watchdog may still be under power."""
     safe = setup.safe
     if safe is None or safe.verified or safe.watched:
         return ""
@@ -236,9 +223,7 @@ class _Travels:
 
 
 def _limits(setup: Setup, home: HomeRequest) -> Limits:
-    """Return the limits that apply to a homing: limits that need the drive's zero are left out,
-    because the zero is not set yet.
-    """
+    """Return the limits of a homing: without those that need the drive's zero."""
     limits = dataclasses.replace(
         setup.limits, following_error=math.inf, encoder_disagreement=math.inf
     )
@@ -248,15 +233,7 @@ def _limits(setup: Setup, home: HomeRequest) -> Limits:
 
 
 def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
-    """Start the homing and monitor it until its end.
-
-    Raises:
-        WrongError: The drive reports an error, the joint moves although it must not, or the homing
-            takes too long.
-        TripError: A sample is outside a limit.
-        OperatorStopError: The operator stopped the homing.
-        DeviceError: A device or the bus failed.
-    """
+    """Start the homing and monitor it until its end."""
     servo, cycle, clock = setup.devices.servo, setup.cycle, setup.devices.link.clock
     limits = _limits(setup, home)
     cycle.resume()
@@ -311,11 +288,7 @@ def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
 
 
 def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint: float) -> None:
-    """Compare the angles of drive and joint encoder with the home position.
-
-    Raises:
-        WrongError: The angles differ from the home position.
-    """
+    """Compare the angles of drive and joint encoder with the home position."""
     near = _tolerance(home)
     zero = math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
     if not abs(drive - home_rad) <= near:

@@ -18,7 +18,7 @@ from rig.control.safety import Check
 from rig.planning.predicted_load import breakaway_speed, friction_model
 from rig.runs.run import bench_constants
 from rig.wiring.braking import brake
-from rig.wiring.steps import Steps
+from rig.wiring.off import Steps
 
 HOLD_S: Final = 0.5
 DRIFT_DEG: Final = 0.2
@@ -131,11 +131,7 @@ def small_move(setup: Setup, step: StepRecord) -> None:
 
 
 def _require_slow(setup: Setup) -> None:
-    """Predict the speed at which a joint breaks away under soft gains.
-
-    Raises:
-        WrongError: The speed is above the limit, and a higher limit is permitted.
-    """
+    """Refuse soft gains if the predicted speed of the breakaway is above the limit."""
     stiffness, limits = setup.stiffness_N_m_rad, setup.limits
     model = friction_model(bench_constants(setup.bench))
     stuck = (stiffness or 0.0) * math.radians(SMALL_DEG)
@@ -228,13 +224,7 @@ def explained(setup: Setup, witness: MotionWitness) -> Iterator[None]:
 
 
 def _brake(setup: Setup, step: StepRecord) -> ServoState:
-    """Stop the drive by its quick stop; return the state in which it ended, and record the errors.
-
-    Raises:
-        WrongError: The drive does not execute the quick stop.
-        DeviceError: Another device failed.
-        OperatorStopError: The operator stopped the commissioning meanwhile.
-    """
+    """Stop the drive by its quick stop; return the state in which it ended."""
     link, failures, steps = setup.devices.link, list[DeviceError](), Steps()
 
     def watch() -> ServoState | None:
@@ -275,9 +265,7 @@ def _brake(setup: Setup, step: StepRecord) -> ServoState:
 
 
 def _fastest_deg_s(setup: Setup) -> float:
-    """Return the speed of the larger moves, deg/s: half the speed limit, so that the faster motion
-    after a breakaway stays below the limit.
-    """
+    """Return half the speed limit, deg/s, so that a breakaway stays below the limit."""
     return min(0.5 * math.degrees(setup.limits.speed), 0.5 * FASTEST_DEG_S)
 
 
@@ -291,11 +279,7 @@ def _way(setup: Setup, here: float, size_deg: float) -> float:
 def _move(
     setup: Setup, step: StepRecord, size_deg: float, speed_deg_s: float, tolerance: float
 ) -> bool:
-    """Move the joint away and back, twice; return False if the joint did not move enough.
-
-    Raises:
-        WrongError: Reports contradict each other or the bench file.
-    """
+    """Move the joint away and back, twice; return False if the joint did not move enough."""
     nominal = setup.devices.nominal
     assert nominal is not None
     setup.cycle.units = witness = MotionWitness(setup.devices.servo, nominal)

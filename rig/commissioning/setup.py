@@ -346,11 +346,7 @@ class Setup:
     def _energised(
         self, what: str, energise: Callable[[], None], share: float = 1.0
     ) -> Iterator[None]:
-        """Energise, and take the power off at the end, also after an error.
-
-        Raises:
-            WrongError: The drive could not be verified to be without power.
-        """
+        """Energise, and take the power off at the end, also after an error; verify that."""
         cycle, servo = self.cycle, self.devices.servo
         self.recorder.event(cycle.now_ns, "power on", step=what)
         done = False

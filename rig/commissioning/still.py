@@ -11,7 +11,7 @@ from rig.commissioning.setup import Setup
 from rig.common.errors import Cause
 from rig.control.motion_proof import Change
 from rig.control.readings import reading_findings, take_readings
-from rig.wiring.bench_text import watcher
+from rig.wiring.devices import watcher
 from rig.wiring.drive_limits import compare, show
 from rig.wiring.preflight import device_findings
 from rig.wiring.teardown import observed

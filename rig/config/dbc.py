@@ -26,7 +26,7 @@ from drivers.dbc.map import (
 )
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, ServoLimits
-from drivers.mock.can_drives.bench import CAN_DRIVE_FILES, CanDriveKind
+from drivers.mock.can_drives import CAN_DRIVE_FILES, CanDriveKind
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.common.errors import InputError
 from rig.config.configuration import Loc, Positive, Schema

@@ -18,9 +18,8 @@ from rig.config.configuration import Document
 from rig.control.readings import Readings, reading_findings, take_readings
 from rig.control.session import DEVICES, describe_devices
 from rig.planning.plan import bench_limits, servo_limits
-from rig.wiring.bench_text import Watcher, watcher
 from rig.wiring.connect import device_files
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, Watcher, watcher
 from rig.wiring.off import BEFORE_PROMPT, HANDS_OFF
 from rig.wiring.preflight import bench_findings, device_findings
 
@@ -151,9 +150,7 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return a table of the limits of drive and bench file; for a limit that the drive does not
-    report, the value of the bench file.
-    """
+    """Return a table of the limits of drive and bench file."""
     held = found["limits"]
     note = ["* stated under servo.held, not read from the drive"] * bool(found["limits_stated"])
     rows = table(

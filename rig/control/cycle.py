@@ -277,11 +277,7 @@ class Cycle:
             self._servo.set_torque_offset(0.0)
 
     def _cut(self, sample: Sample) -> NoReturn:
-        """Switch the power off without a ramp, which would accelerate the joint further.
-
-        Raises:
-            TripError: The joint runs away.
-        """
+        """Switch the power off without a ramp, which would accelerate the joint; raise the trip."""
         # The teardown repeats a command that failed, and reads the state back.
         with suppress(DeviceError):
             self._servo.disable()
@@ -356,9 +352,7 @@ class Cycle:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns
 
     def _cause(self, trip: Trip) -> Trip:
-        """Return the trip; a sample's age of which pauses of this computer are the larger part is a
-        trip by the pause.
-        """
+        """Return the trip, as one by a pause of this computer if pauses are most of its age."""
         paused_s = self._paused_ns * 1e-9 if self._paused_until_ns > self._fresh_ns else 0.0
         if trip.check is not Check.SAMPLE_AGE or paused_s < 0.5 * trip.value:
             return trip
@@ -370,12 +364,7 @@ class Cycle:
             raise TripError(trip)
 
     def _exchange(self, target: float, segment: int, braking: bool = False) -> Sample:
-        """Wait for the start of the cycle, send the prepared commands, receive the answer and
-        record it.
-
-        Raises:
-            TripError: The computer slept, and the drive is not braking; nothing was sent.
-        """
+        """Wait for the start of the cycle, send the prepared commands, record the answer."""
         link, clock = self._link, self._clock
         self._target = target
         begin_ns = self._next_ns
@@ -439,10 +428,7 @@ class Cycle:
         return sample
 
     def _pace(self, pacer: Clock, begin_ns: int) -> int:
-        """Slow simulated time down to real time; return the lateness of this computer, ns.
-
-        Simulated time is never late; therefore the lateness of this computer is checked.
-        """
+        """Slow simulated time down to real time; return the lateness of this computer, ns."""
         due_ns = begin_ns + self._pacer_offset_ns
         pacer.sleep_until_ns(due_ns)
         late_ns = pacer.now_ns() - due_ns

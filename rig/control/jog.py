@@ -21,8 +21,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import only_here, require_within_own, require_written
-from rig.wiring.off import OffProof
-from rig.wiring.steps import words_of
+from rig.wiring.off import OffProof, words_of
 from rig.wiring.teardown import attempt_all, give_back, make_safe
 
 SPEED_MARGIN = 2.0
@@ -155,10 +154,7 @@ def _moves(
     own: list[ServoLimits],
     off: OffProof,
 ) -> tuple[Ending, str, BaseException | None]:
-    """Make the moves; return how they ended.
-
-    The drive's limits are stored in ``own`` when they have been read.
-    """
+    """Make the moves; return how they ended; ``own`` receives the drive's limits."""
     servo, wanted = devices.servo, servo_limits(jog.limits, bench)
     try:
         stop.check()

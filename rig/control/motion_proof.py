@@ -122,12 +122,7 @@ def shaft_factor(motion: Motion) -> float:
 
 
 def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
-    """Return the coefficients of two regressors by least squares.
-
-    The normal equations are solved, because this is fast enough between two control cycles. The
-    second coefficient is zero if the second regressor is zero or proportional to the first
-    regressor.
-    """
+    """Return the coefficients of two regressors by the normal equations, which are fast."""
     a, b, c = float(first @ first), float(first @ second), float(second @ second)
     p, q = float(first @ values), float(second @ values)
     determinant = a * c - b * b
@@ -240,9 +235,7 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
 
 
 def _nearer(value: float, first: float, second: float) -> bool:
-    """Return whether a value differs from ``first`` by a smaller factor than from ``second``; False
-    for NaN.
-    """
+    """Return whether the ratio of a value to ``first`` is nearer to 1 than that to ``second``."""
     if math.isnan(value) or first == second:
         return False
     return abs(math.log(value / first)) < abs(math.log(value / second))
@@ -295,9 +288,7 @@ def _block(motion: Motion) -> int:
 
 
 def _means(values: Array, size: int) -> Array:
-    """Return the mean of each block over the samples from the second of the block to the first of
-    the next block.
-    """
+    """Return the mean of each block, from its second sample to the first of the next block."""
     count = (len(values) - 1) // size
     return np.asarray(values[1 : 1 + count * size].reshape(count, size).mean(axis=1))
 
@@ -590,12 +581,7 @@ def hint(
 
 
 def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
-    """Return the contradiction if the speed of the last sample is far above the change of the
-    position, else None.
-
-    The factor is rough: the position may have changed by one count in one cycle, or not at all if
-    the position was read before the speed.
-    """
+    """Return the contradiction if the last speed is far above the change of the position."""
     last = slice(-HINT_COUNTS, None)
     steps = servo.limit_steps()
     count = 0.0 if steps is None else steps.angle_rad
@@ -623,9 +609,7 @@ def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
 
 
 def _rough_speed(factor: float, servo: Servo, spread: float = INSTANT_SPREAD) -> Contradiction:
-    """Return the contradiction for a rough factor: the factor of a common unit and, if a power of
-    ten is nearer to the rough factor, this power of ten as well.
-    """
+    """Return the contradiction by a common unit, and by a power of ten that is nearer."""
     common = servo.nearest_speed_factor(factor, spread)
     decimal = servo.nearest_speed_factor(factor, 1.0)
     nearer = min(common, decimal) > 0.0 and _apart(decimal, factor) < _apart(common, factor)
@@ -758,9 +742,7 @@ would dominate the sum of the speeds.
 
 @dataclass
 class _Travel:
-    """A travel for one comparison: start time, s; start angle, rad; time of the last sample, s; and
-    the integral of the reported speed, rad.
-    """
+    """Start, s and rad, last time, s, and integral of the speed, rad, of one comparison."""
 
     begun_s: float
     angle: float

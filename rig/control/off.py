@@ -252,9 +252,7 @@ class _Others:
             yield users
 
     def _lock(self, patience_s: float) -> Lock:
-        """Hold the bench. A process that was killed may hold its lock a moment longer, and another
-        `rig off` for as long as it stops the drive.
-        """
+        """Hold the bench, which a killed program or another `rig off` may hold a moment longer."""
         deadline_ns = self._clock.now_ns() + round(patience_s * NS)
         while True:
             try:

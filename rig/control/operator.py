@@ -246,9 +246,7 @@ class ConsoleOperator(AutomaticOperator):
 
 
 def _verb_of(typed: str) -> Verb | None:
-    """Return the verb that was typed, `go on` for an empty line, or None if the text is not a
-    verb.
-    """
+    """Return the verb that was typed, `go on` for an empty line; None if there is none."""
     return {"": Verb.GO_ON, **{verb.value: verb for verb in Verb}}.get(typed.lower())
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.sample import Phase, Sample
 from rig.config.sequence import approach
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import Operator, Verb
-from rig.control.phases import Event
 from rig.planning.feedforward import Compensator
 from rig.planning.hot_fire import Regulator, hot_fire_words
 from rig.planning.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage, with_mass
@@ -19,11 +19,56 @@ from rig.runs.recorder import Recorder
 from rig.runs.run import RunFolder
 from rig.runs.run_record import Verdict
 from rig.terminal.stop_button import OperatorStopError, StopButton
-from rig.weighing.scale import Scale, measured_level
+from rig.weighing.weight_check import Scale, measured_level
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.off import BEFORE_PROMPT
 from rig.wiring.preflight import require_ready
+
+
+class Event(Enum):
+    """How a phase ended."""
+
+    DONE = "done"
+    FIRST_PASS = "first pass"
+    NEXT_REPEAT = "next repeat"
+    NEXT_STAGE = "next stage"
+    REPEAT_STAGE = "repeat stage"
+
+
+TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
+    (Phase.LOAD, Event.DONE): Phase.PREPARE,
+    (Phase.LOAD, Event.REPEAT_STAGE): Phase.LOAD,
+    (Phase.PREPARE, Event.DONE): Phase.ENABLE,
+    (Phase.ENABLE, Event.DONE): Phase.APPROACH,
+    (Phase.ENABLE, Event.FIRST_PASS): Phase.FIRST_PASS,
+    (Phase.FIRST_PASS, Event.DONE): Phase.WEIGH,
+    (Phase.WEIGH, Event.DONE): Phase.APPROACH,
+    (Phase.WEIGH, Event.FIRST_PASS): Phase.FIRST_PASS,
+    (Phase.APPROACH, Event.DONE): Phase.SETTLE,
+    (Phase.SETTLE, Event.DONE): Phase.EXCITE,
+    (Phase.EXCITE, Event.DONE): Phase.HOLD,
+    (Phase.HOLD, Event.NEXT_REPEAT): Phase.APPROACH,
+    (Phase.HOLD, Event.DONE): Phase.RELEASE,
+    (Phase.RELEASE, Event.DONE): Phase.BOUNDARY,
+    (Phase.BOUNDARY, Event.NEXT_STAGE): Phase.LOAD,
+    (Phase.BOUNDARY, Event.REPEAT_STAGE): Phase.LOAD,
+    (Phase.BOUNDARY, Event.DONE): Phase.FINISHED,
+}
+
+
+def next_phase(phase: Phase, event: Event) -> Phase:
+    """Return the next phase by the transition table.
+
+    Raises:
+        ValueError: The table has no such transition; the message states phase and event.
+    """
+    try:
+        return TRANSITIONS[phase, event]
+    except KeyError:
+        raise ValueError(
+            f"no transition from phase {phase.value!r} on event {event.value!r}"
+        ) from None
 
 
 class WeightError(Exception):
@@ -230,14 +275,7 @@ class PhaseHandlers:
         return Event.DONE
 
     def _prove_units(self) -> None:
-        """Compare the reports of the devices with each other and with the bench file.
-
-        The comparison takes milliseconds, during which the drive holds the position. If the joint
-        has hardly moved, the comparison continues in the next pass.
-
-        Raises:
-            ConfigurationError: A unit, sign, ratio or constant is wrong.
-        """
+        """Compare the reports of the devices; after too little motion, go on in the next pass."""
         if self.cycle.units is None:
             return
         proof = self.cycle.units.require()
@@ -252,12 +290,7 @@ class PhaseHandlers:
         self.cycle.resume()
 
     def _weigh(self) -> Event:
-        """Compare the friction measured at low amplitude with the confirmed mass, while the drive
-        holds the position.
-
-        The comparison takes milliseconds, far less than the drive's heartbeat time-out. If the
-        joint did not move, no comparison is possible, and a pass with larger amplitude follows.
-        """
+        """Compare friction at low amplitude with the mass; without motion, ask for another pass."""
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
         undecided = level is None or self.cycle.units is not None

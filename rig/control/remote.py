@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.sample import Sample
@@ -19,8 +19,7 @@ from rig.planning.plan import Plan
 from rig.terminal.control_socket import ControlSocket
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import watcher_of
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, watcher_of
 
 _BAR = 12
 
@@ -43,16 +42,10 @@ class RunProgress:
         self._done_s = 0.0
         self._screen = screen or Screen()
 
-    def __enter__(self) -> Self:
-        return self
-
     @property
     def left_s(self) -> float:
         """Expected remaining time in motion, s."""
         return self._total_s - self._done_s
-
-    def __exit__(self, *exception: object) -> None:
-        """Clear the status line for other output."""
 
     def __call__(self, stage: str, cycles: int, sample: Sample) -> None:
         """Advance by this many cycles and show the latest sample."""

@@ -8,18 +8,23 @@ from drivers.errors import DeviceError, DriveFault
 from rig.common.errors import StorageError
 from rig.common.sample import Phase
 from rig.control.cycle import Cycle, TripError
-from rig.control.phase_handlers import Console, PhaseHandlers, StartingPoint, WeightError
-from rig.control.phases import next_phase
+from rig.control.phase_handlers import (
+    Console,
+    PhaseHandlers,
+    StartingPoint,
+    WeightError,
+    next_phase,
+)
 from rig.control.safety import Check, Trip
 from rig.planning.plan import Plan
 from rig.runs.recorder import Recorder
 from rig.runs.run import RunFolder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError
-from rig.weighing.scale import Scale
+from rig.weighing.weight_check import Scale
 from rig.wiring.devices import Devices
+from rig.wiring.off import words_of
 from rig.wiring.preflight import RESET_HINT
-from rig.wiring.steps import words_of
 from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 
@@ -167,9 +172,7 @@ class Sequencer:
         return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None
 
     def _announce(self, outcome: Outcome) -> tuple[BaseException, ...]:
-        """Show and record the final state of the drive at once, before a further failure is
-        possible.
-        """
+        """Show and record the final state of the drive, before a further failure is possible."""
         ending = outcome.ending
         return attempt_all(
             lambda: self._operator.result(

@@ -48,10 +48,9 @@ from rig.runs.run_record import (
     RunRecord,
 )
 from rig.terminal.stop_button import StopButton
-from rig.weighing.scale import Scale
-from rig.wiring.bench_text import unprotected
+from rig.weighing.weight_check import Scale
 from rig.wiring.connect import connect, device_files
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, unprotected
 from rig.wiring.drive_limits import only_here
 
 MEDIA_YAML = "application/yaml"
@@ -212,13 +211,7 @@ def execute(
 def _warn(
     inputs: Inputs, plan: Plan, record: RunRecord, devices: Devices, operator: Operator
 ) -> frozenset[str]:
-    """Before the first prompt, show what nothing protects, the limits that only this program
-    checks, and predicted peaks near or above their limits; store these messages once in the record,
-    and return them.
-
-    Raises:
-        DeviceError: The drive does not answer.
-    """
+    """Show what nothing protects and what may trip; store it once in the record; return it."""
     servo, told = devices.servo, unprotected(devices)
     if (words := only_here(servo, plan.servo_limits, servo.read_limits())) is not None:
         told.append(words)
@@ -232,9 +225,7 @@ def _warn(
 
 
 def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
-    """Return the starting point of a run: its first unfinished stage, and the number of its
-    finished excitations.
-    """
+    """Return the first unfinished stage, and the number of finished excitations."""
     return StartingPoint(
         stage=first_unfinished(record) or 0,
         segment=max((segment.index for segment in record.segments), default=0),
@@ -248,12 +239,7 @@ def _start_recording(
     identities: dict[str, Any],
     start: Callable[[Path], Recorder],
 ) -> Recorder:
-    """Create the recording, and write the data that explain its samples.
-
-    Raises:
-        StorageError: The recording cannot be written; nothing was energised, which ``run.json``
-            states.
-    """
+    """Create the recording; if this fails, ``run.json`` says that nothing was energised."""
     recorder = None
     try:
         recorder = start(folder.recording)
@@ -329,9 +315,7 @@ def held_limits(devices: Devices) -> dict[str, float | None]:
 def _head(
     recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]
 ) -> None:
-    """Write all data that explain the samples at the start of the recording, so that a truncated
-    file contains them.
-    """
+    """Write what explains the samples first, so that a truncated file contains it."""
     part = record.parts[-1]
     run = {
         "name": record.name,
@@ -373,9 +357,7 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
-    """Save ``run.json``; if the disk is full, the old version remains, and the returned outcome
-    says so.
-    """
+    """Save ``run.json``; on a full disk the old version remains, which the outcome says."""
     try:
         folder.save()
     except StorageError as error:
@@ -384,9 +366,7 @@ def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
-    """Return the outcome of a run with incomplete files; only a good ending is changed into a
-    failure.
-    """
+    """Return the outcome of a run with incomplete files; a good ending becomes a failure."""
     if outcome is None:
         return None
     ending = Ending.FAILED if outcome.ending is Ending.DONE else outcome.ending

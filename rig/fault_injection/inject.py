@@ -179,9 +179,7 @@ class FaultInjector:
                 self._schedule(number, self._ramp_out[stage])
 
     def _hang(self, mass_kg: float) -> None:
-        """Hang a weight on the simulated lever: the right weight, or the wrong weight of the
-        schedule.
-        """
+        """Hang the right weight, or the wrong weight of the schedule."""
         self._scene.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
 
     def _start_recording(self, path: Path) -> Recorder:
@@ -275,11 +273,7 @@ class FaultInjector:
         return finding
 
     def _answer(self, stage: str) -> None:
-        """Act as an operator who does not answer, if the schedule contains this fault.
-
-        Raises:
-            OperatorStopError: The input ended, or the run's time-out came first.
-        """
+        """Act as an operator who does not answer, if the schedule says so; raise the stop."""
         if self._answer_after_s is not None:
             clock, patience_s = self._scene.clock, self._patience_s
             waited_s = (

@@ -19,9 +19,7 @@ from identification.recording import Dataset, Recording
 from rig.config.sequence import Array
 from rig.planning.reference import Reference
 from rig.runs.run_record import Verdict, Weighing
-from rig.weighing.friction_level import FrictionLevel, friction_level
-from rig.weighing.label_check import joint_torque
-from rig.weighing.weight_check import TOLERANCE
+from rig.weighing.weight_check import TOLERANCE, FrictionLevel, friction_level, joint_torque
 
 FALSE_ALARM = 1e-4
 """Probability that half cycles with independent normal errors and no change give an alarm."""
@@ -189,9 +187,7 @@ def _half_cycles(recording: Recording) -> Iterator[_HalfCycle]:
 
 
 def _excess(pieces: Sequence[_Piece], mass: float, reference: Reference | None) -> Array | None:
-    """Return by how much each piece's load is above the mean of its kind, kg, shape (n,), or None
-    if the friction of a kind is not positive.
-    """
+    """Return each piece's load above the mean of its kind, kg, or None without friction."""
     excess = np.zeros(len(pieces))
     for kind in {piece.kind for piece in pieces}:
         mine = [k for k, piece in enumerate(pieces) if piece.kind == kind]

@@ -13,10 +13,80 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.recording import Dataset, Recording
+from rig.common.sample import Sample
 from rig.config.sequence import Array
+from rig.planning.plan import Plan, PlannedStage
 from rig.planning.reference import Reference
 from rig.runs.run_record import Verdict, Weighing
-from rig.weighing.friction_level import FrictionLevel
+
+EDGES = np.geomspace(2e-3, 4.0, 67)
+"""Edges of the speed bins, rad/s; all motions have these bins, so that levels can be compared bin
+by bin.
+"""
+SPEED_WINDOW_S = 0.006
+"""Time over which the speed is computed, s: shorter than the slips of a loaded joint (about 20
+ms).
+"""
+SLOWEST_SHARE = 0.2
+"""Least speed that is used, as a share of the greatest speed; at lower speeds friction changes
+steeply with speed, and the encoder quantisation is large.
+"""
+FEWEST_SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class FrictionLevel:
+    """Measured friction against speed.
+
+    Attributes:
+        speed: Mean speed in each bin, rad/s, shape (66,); 0 in empty bins.
+        torque: Mean friction torque in each bin, N m, shape (66,).
+        path: Distance moved in each bin, rad, shape (66,), which is the weight of the bin.
+    """
+
+    speed: Array
+    torque: Array
+    path: Array
+
+
+def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLevel | None:
+    """Measure the friction of a motion.
+
+    Args:
+        angle: Joint angle at evenly spaced instants, rad, shape (n,).
+        torque: Mean torque at the joint over the period that ends at each instant, N m, shape (n,).
+        period_s: Sampling period, s.
+
+    Returns:
+        The level, or None if there is too little motion.
+    """
+    half = max(1, round(0.5 * SPEED_WINDOW_S / period_s))
+    if len(angle) < 2 * half + FEWEST_SAMPLES:
+        return None
+    speed = (angle[2 * half :] - angle[: -2 * half]) / (2 * half * period_s)
+    middle = slice(half, len(angle) - half)
+    step = np.diff(angle, prepend=angle[0])[middle]
+    power_sign = np.sign(speed)
+    magnitude = np.abs(speed)
+    used = magnitude >= max(SLOWEST_SHARE * float(magnitude.max()), EDGES[0])
+    if np.count_nonzero(used) < FEWEST_SAMPLES:
+        return None
+    way = (power_sign * step)[used]
+    bins = np.clip(np.digitize(magnitude[used], EDGES) - 1, 0, len(EDGES) - 2)
+
+    def summed(values: Array) -> Array:
+        return np.asarray(np.bincount(bins, values, minlength=len(EDGES) - 1))
+
+    path = summed(way)
+    seen = path > 0.0
+    safe = np.where(seen, path, 1.0)
+    return FrictionLevel(
+        speed=np.where(seen, summed(way * magnitude[used]) / safe, 0.0),
+        torque=np.where(seen, summed(torque[middle][used] * step[used]) / safe, 0.0),
+        path=np.where(seen, path, 0.0),
+    )
+
 
 TOLERANCE = 0.075
 """Tolerance of the measured mass as a share of the confirmed mass. The smallest error of the mass
@@ -126,11 +196,7 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the straight line of friction over mass through the
-    other stages; true if these determine no line.
-
-    A stage with too large a standard error agrees with any line.
-    """
+    """Whether each loaded stage agrees with the line through the others, or none exists."""
     for item in items:
         others = [other for other in items if other is not item]
         if not item.weight_kg or len({other.weight_kg for other in others}) < 2:
@@ -227,3 +293,92 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[flo
 
 def _mean(weighted: Array, count: Array) -> Array:
     return np.asarray(weighted.sum(axis=0) / np.maximum(count, 1.0))
+
+
+def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
+    """Find the recordings of a run or campaign whose mass differs from their label.
+
+    Without a reference, the check of a stage requires further stages of two different masses.
+
+    Returns:
+        The recordings whose label is or may be wrong; also empty if nothing can be compared.
+    """
+    return suspects(_levels(dataset.recordings), reference)
+
+
+def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
+    """Whether masses can be judged: by a reference, or by at least two loaded stages if the stages
+    have at least two different masses.
+    """
+    masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
+    return reference is not None or (
+        len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
+    )
+
+
+def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
+    found = []
+    for recording in recordings:
+        angle, torque = recording.channels.get("angle"), joint_torque(recording)
+        rotary = recording.bench.motion == "rotary"
+        if (
+            angle is None
+            or torque is None
+            or recording.known_load
+            or recording.hot_fire
+            or not rotary
+        ):
+            continue
+        level = friction_level(angle, torque, recording.period)
+        if level is not None:
+            found.append(LoadedLevel(recording.name, recording.weight_mass, level))
+    return found
+
+
+def joint_torque(recording: Recording) -> Array | None:
+    """Return the torque at the joint, N m, or None if it was not measured."""
+    torque, current = recording.channels.get("torque"), recording.channels.get("current")
+    if torque is not None:
+        return torque
+    constant = recording.bench.torque_constant
+    if current is None or constant is None:
+        return None
+    return np.asarray(current * constant * recording.bench.gear_ratio)
+
+
+class Scale:
+    """Friction levels of the stages of a run at low amplitude.
+
+    Args:
+        reference: An accepted identification of the bench, or None.
+    """
+
+    def __init__(self, reference: Reference | None = None) -> None:
+        self._reference = reference
+        self._seen: dict[str, LoadedLevel] = {}
+
+    def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
+        """Check the weight of a stage by the friction of its first pass; only the levels of weights
+        that are right or unchecked are stored.
+        """
+        if level is None:
+            text = (
+                f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves "
+                f"the joint, even at "
+                f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
+                f"first_pass.duration_s or stiffen the drive"
+            )
+            return Weighing(stage.name, stage.weight_kg, Verdict.UNCHECKED, None, None, text)
+        item = LoadedLevel(stage.name, stage.weight_kg, level)
+        others = [other for name, other in self._seen.items() if name != stage.name]
+        weighing = weigh(item, self._reference, others)
+        if weighing.verdict is not Verdict.WRONG:
+            self._seen[stage.name] = item
+        return weighing
+
+
+def measured_level(samples: Sequence[Sample], plan: Plan) -> FrictionLevel | None:
+    """Return the friction level of the samples of a pass, or None if the joint hardly moved."""
+    angle = np.array([sample.angle for sample in samples])
+    current = np.array([sample.current for sample in samples])
+    return friction_level(angle, current * plan.limits.torque_per_ampere, plan.cycle_s)

@@ -19,8 +19,8 @@ from typing import Final
 from drivers.clock import NS, Clock
 from drivers.errors import DeviceError, LinkError
 from drivers.interfaces import Servo, ServoState
+from rig.wiring.off import Steps
 from rig.wiring.runaway import SIGNS, Runaway, RunawayError, Seen
-from rig.wiring.steps import Steps
 
 BRAKING_TIMEOUT_S: Final = 1.0
 STATE_INTERVAL_S: Final = 0.005
@@ -67,9 +67,7 @@ class Event(Enum):
 
 
 def _rows(state: State, **others: State) -> Mapping[tuple[State, Event], State]:
-    """Return the row of a state: the ends, which all states have in common, no change for all other
-    events, and ``others``.
-    """
+    """Return the row of a state: ``others``, the common ends, no change for other events."""
     row = dict.fromkeys(Event, state) | {
         Event.BRAKES: State.BRAKING,
         Event.STOPPED: State.OFF,
@@ -246,10 +244,7 @@ class _Braking:
         return ServoState.QUICK_STOP_ACTIVE if gone else self._shown
 
     def _order(self, at_once: bool = True) -> BaseException | None:
-        """Order the quick stop, once more if the order was interrupted; return the error, if any.
-
-        After a LinkError the cycles, or the next request, repeat the order.
-        """
+        """Order the quick stop, again if it was interrupted; cycles repeat it after a LinkError."""
         order = self._servo.quick_stop
         error = self._steps.attempt(lambda: order(at_once=at_once))
         if error is not None and not isinstance(error, LinkError):
@@ -266,9 +261,7 @@ class _Braking:
             self._move(Event.IGNORED)
 
     def _cycle(self) -> ServoState | None:
-        """Run one cycle, or let the time of one pass while the cycles pause; return the state that
-        the drive sent.
-        """
+        """Run one cycle, or let its time pass; return the state that the drive sent."""
         end_ns = self._clock.now_ns() + self._cycle_ns
         if self._state is State.SILENT:
             self._clock.sleep_until_ns(end_ns)

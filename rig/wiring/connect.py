@@ -29,7 +29,7 @@ from drivers.mock.bench import (
     simulated_bench,
     simulated_dbc_bench,
 )
-from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
+from drivers.mock.can_drives import SimulatedCanBench, simulated_can_bench
 from drivers.mock.drive import Rating
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
@@ -92,9 +92,7 @@ def _channel(bus: Bus) -> list[Resource]:
 
 
 def _port(path: str) -> list[Resource]:
-    """Return the device file behind a name, and the name itself if it is a symbolic link: the link
-    of an adapter that is unplugged is gone, and may later lead to another device file.
-    """
+    """Return the device file behind a name, and a link itself: it may lead elsewhere later."""
     label = f"port {path}"
     try:
         real = os.path.realpath(path)
@@ -250,17 +248,7 @@ def connect(
 
 @dataclass(frozen=True)
 class _Wired:
-    """Devices on a link that has not been opened.
-
-    Attributes:
-        link: The link.
-        servo: The drive.
-        encoder: The joint encoder.
-        pressure: The pressure transmitter, or None if there is none.
-        hang: Hangs a weight on a simulated lever.
-        ignite: Lights a simulated gas generator.
-        guard: Process that stops a real drive without a watchdog.
-    """
+    """Devices on a link that has not been opened."""
 
     link: Link
     servo: Servo
@@ -418,9 +406,7 @@ def _shared(bus: Bus) -> dict[str, bool]:
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
-    """Return link and drive on a serial line, with the simulated bench of a simulated drive or the
-    guard of a real drive.
-    """
+    """Return link and drive on a serial line, and the simulated bench or the guard."""
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     simulated, clock = _simulated_bench(document, bench.servo, 1_000_000, seed, attach)
@@ -436,10 +422,7 @@ def _epos(
 def _simulated_bench(
     document: Document[Bench], servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
 ) -> tuple[SimulatedBench | None, Clock]:
-    """Return the simulated bench, or None for a real bench, and the host's clock.
-
-    A simulated drive for which the bench names an EDS file has only the objects of this file.
-    """
+    """Return the simulated bench, or None for a real bench, and the host's clock."""
     bench = document.value
     if bench.mock is None or not bench.simulated:
         return None, RealClock()
@@ -497,11 +480,7 @@ def _simulated_dbc(
     seed: int,
     attach: Attach | None,
 ) -> tuple[SimulatedDbcBench | SimulatedCanBench, Clock]:
-    """Return the simulated bench of a DBC drive, and the host's clock.
-
-    Raises:
-        InputError: Faults are to be injected into a simulated drive without support for faults.
-    """
+    """Return the simulated bench of a DBC drive, and the host's clock."""
     encoder = document.value.encoder
     assert isinstance(encoder, EncoderSection)
     kind = servo.simulated_drive

@@ -248,9 +248,7 @@ def _list(rows: list[Row], first: str, second: str) -> str:
 
 
 def _looser(field: str, first: float | None, second: float | None, step: float) -> bool:
-    """Return whether the first limit is looser than the second; a limit that is NaN counts as
-    looser.
-    """
+    """Return whether the first limit is looser than the second; NaN counts as looser."""
     if second is None:
         return False
     if first is None:

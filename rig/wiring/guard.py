@@ -148,10 +148,7 @@ class Guard:
                 raise
 
     def _check_answer(self, now_ns: int) -> None:
-        """Take the answers that have arrived; :class:`LinkError` once if there was none for too
-        long. An answer to a sign of life from before a pause of this program counts, because it is
-        taken first.
-        """
+        """Take the answers that have arrived; LinkError once if there was none for too long."""
         if self._heard:
             self._heard = self._heard.rpartition(b"\n")[2]
             self._asked_ns, self._mute = None, False
@@ -226,11 +223,7 @@ class Guard:
         return process
 
     def _await_report(self, patience_s: float) -> str:
-        """Return the guardian's report once it has released the drive.
-
-        Raises:
-            LinkError: The guardian has not released the drive.
-        """
+        """Return the report of a guardian that has released the drive; LinkError if it has not."""
         line = self._says(b"\n", patience_s)
         if line is None:
             raise LinkError(

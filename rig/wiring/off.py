@@ -9,14 +9,75 @@ current that still decays, are waited for.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import fmean
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from drivers.clock import NS, Clock
-from drivers.errors import StateError
+from drivers.errors import DeviceError, StateError
 from drivers.interfaces import Encoder, Servo, ServoState
-from rig.wiring.steps import Steps
+from rig.common.errors import StorageError
+
+T = TypeVar("T")
+
+
+def words_of(error: BaseException) -> str:
+    """Return an exception's class and message, even if its ``__str__`` fails."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # noqa: BLE001 - the class alone is shown if the message fails
+        return type(error).__name__
+
+
+class Steps:
+    """Runs steps in order, and stores their errors.
+
+    Attributes:
+        problems: Text of each error.
+        unforeseen: Exceptions other than device errors, storage errors and Ctrl-C, each once.
+        interrupted: Whether Ctrl-C interrupted a step.
+        cut: Why the power was cut instead of a ramp; empty if it was not.
+    """
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        self.unforeseen: list[BaseException] = []
+        self.interrupted = False
+        self.cut = ""
+
+    def attempt(self, step: Callable[[], object]) -> BaseException | None:
+        """Run one step; store its error, if any, and return it."""
+        return self.result(step)[1]
+
+    def result(self, step: Callable[[], T]) -> tuple[T | None, BaseException | None]:
+        """Run one step; return its value and None, or None and its error, which is stored."""
+        try:
+            return step(), None
+        except KeyboardInterrupt as error:
+            self.problems.append("interrupted again while stopping")
+            self.interrupted = True
+            return None, error
+        except (DeviceError, StorageError) as error:
+            self.problems.append(str(error))
+            return None, error
+        except BaseException as error:  # noqa: BLE001 - a defect must not keep the power on
+            words = f"unforeseen {words_of(error)}"
+            if words not in self.problems:
+                self.unforeseen.append(error)
+            self.problems.append(words)
+            return None, error
+
+    def take_first(self, others: Steps) -> None:
+        """Store the first error of steps that were repeated, and whether one was interrupted."""
+        self.problems += others.problems[:1]
+        self.unforeseen += others.unforeseen[:1]
+        self.interrupted = self.interrupted or others.interrupted
+
+    def state(self, servo: Servo) -> ServoState | None:
+        """Read the drive's state; return None if the read fails."""
+        return self.result(servo.state)[0]
+
 
 WINDOW_S: Final = 0.05
 """Shortest time, s, over which current and motion are observed."""
@@ -115,9 +176,7 @@ def seen_words(current_A: float | None, motion_rad_s: float | None, joint_read: 
 
 @dataclass
 class _Window:
-    """Readings of one window: currents, A; times, s, and angles, rad, of motor and joint; errors of
-    the encoder.
-    """
+    """Readings of one window: currents, A; times, s, and angles, rad; errors of the encoder."""
 
     currents: list[float] = field(default_factory=list)
     motor: list[tuple[float, float]] = field(default_factory=list)
@@ -221,9 +280,7 @@ class OffProof:
                 return
 
     def _window(self, steps: Steps) -> _Window:
-        """Read for :data:`WINDOW_S`, but at least :data:`LEAST_READINGS` times; a reading that
-        fails, or lacks a value, is repeated, up to :data:`_FAILURES` times.
-        """
+        """Read for the time and number of readings of a window; repeat readings that fail."""
         window, failures, count = _Window(), 0, 0
         begin_ns = self._clock.now_ns()
         while failures < _FAILURES and (
@@ -264,9 +321,7 @@ class OffProof:
         return Proof(state, current, motion, self._doubt(state, current, motion, window), read)
 
     def _angles(self, window: _Window) -> list[tuple[list[tuple[float, float]], float]]:
-        """Return times and joint angles of the window by each encoder, and the change of the angle
-        that its resolution explains, rad.
-        """
+        """Return times and joint angles by each encoder, and what its resolution explains, rad."""
         measuring = self._servo.measuring()
         motor = [(at, angle / measuring.gear_ratio) for at, angle in window.motor]
         found = [(motor, measuring.joint_step_rad)]
@@ -344,9 +399,7 @@ def _stated(currents: list[float], zero_A: float) -> float | None:
 
 
 def _speed(angles: list[tuple[float, float]], slack_rad: float) -> float | None:
-    """Return the speed, rad/s, between the two halves of a window, less the travel that the
-    resolution of the encoder explains; None if there are too few angles.
-    """
+    """Return the speed, rad/s, between both halves, less the resolution; None without angles."""
     if len(angles) < LEAST_READINGS:
         return None
     half = len(angles) // 2

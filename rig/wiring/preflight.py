@@ -148,9 +148,7 @@ _WORDS: dict[Role, str] = {
 
 
 class _Described(Protocol):
-    """Device profile that can check whether a device's description contains the objects that the
-    profile needs.
-    """
+    """Device profile that yields the objects which the device's description lacks."""
 
     def description_problems(self) -> Iterator[DeviceError]:
         """Yield errors for the objects that the description lacks."""
@@ -192,9 +190,7 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device on the link as :func:`rig.wiring.connect.connect` does; yield each
-    error.
-    """
+    """Declare every device on the link as `connect` does; yield each error."""
     bench = document.value
     link: CanopenLink | EposSerialLink
     if isinstance(bench.bus, SerialBus):

@@ -113,9 +113,7 @@ def servo_axis(servo: ServoSection, data: DeviceData | None) -> Axis:
 
 
 def _vendor(servo: ServoSection, data: DeviceData | None) -> int | None:
-    """Return the vendor identifier that the drive must have, that in its EDS file, or None if the
-    maker's data were not selected by the EDS file.
-    """
+    """Return the vendor that the drive must have, if the maker's data follow from its EDS."""
     found = data is not None and servo.device is None and servo.eds is not None
     return data.vendor_id if data is not None and found else None
 

@@ -9,8 +9,7 @@ from typing import Any
 from drivers.clock import NS, Clock
 from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.wiring.braking import brake as brake_with_ramp
-from rig.wiring.off import HANDS_OFF, PATIENCE_S, OffProof, Proof, seen_words
-from rig.wiring.steps import Steps
+from rig.wiring.off import HANDS_OFF, PATIENCE_S, OffProof, Proof, Steps, seen_words
 
 DISABLE_ATTEMPTS = 2
 INSISTENT_ATTEMPTS = 5
@@ -89,9 +88,7 @@ class SafeState:
 
 
 def _repeat(steps: Steps, watch: Callable[[], object], clock: Clock) -> None:
-    """Run control cycles for :data:`REPEATED_S`, also after cycles that failed: the process data of
-    each cycle contain the last command. Errors of devices are not stored.
-    """
+    """Run cycles for :data:`REPEATED_S`: their process data contain the last command."""
     cycles = Steps()
     end_ns = clock.now_ns() + round(REPEATED_S * NS)
     for _ in range(MOST_REPEATED):

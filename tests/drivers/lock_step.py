@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 
 import can
 
+from benchmarks.adapters import Ports
 from drivers.can.port import PythonCanPort
 from drivers.clock import NS, SimulatedClock
 from drivers.interfaces import RawFrame
-from drivers.mock.wires.serial_line import Ports
 from drivers.serial_port import PySerialPort
 
 ON_THE_WAY_S = 10.0

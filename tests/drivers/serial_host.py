@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import can
 
+from benchmarks.adapters import LawicelAdapter, Ports, SocketcandServer
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
 from drivers.can.slcan import SlcanPort
 from drivers.canopen.cia402_servo import Cia402Servo
@@ -23,8 +24,7 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine, Sensing
-from drivers.mock.wires.serial_line import Ports, SimulatedLine
-from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.wires.serial_line import SimulatedLine
 from drivers.serial_port import BytePort
 from drivers.units import EncoderScales
 

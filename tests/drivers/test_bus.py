@@ -88,15 +88,6 @@ def test_filters_lose_and_change_frames(bus: SimulatedBus) -> None:
     assert bus.recv(1.0) is None
 
 
-def test_python_can_filters_apply(bus: SimulatedBus) -> None:
-    bus.set_filters([{"can_id": 2, "can_mask": 0x7FF}])
-    port = bus.attach()
-    port.send(1, b"")
-    port.send(2, b"")
-    assert bus.recv(1.0).arbitration_id == 2
-    assert bus.recv(1.0) is None
-
-
 def test_a_dead_bus_refuses() -> None:
     bus = SimulatedBus(SimulatedClock())
     bus.down = True
@@ -108,11 +99,6 @@ def test_a_dead_bus_refuses() -> None:
         bus.send(frame(1))
     with pytest.raises(can.CanOperationError, match="shut"):
         bus.recv(0.0)
-
-
-def test_no_threads_for_periodic_frames(bus: SimulatedBus) -> None:
-    with pytest.raises(NotImplementedError, match="control loop"):
-        bus.send_periodic(frame(1), 0.1)
 
 
 def test_frames_without_a_gap_come_in_together_each_with_its_own_time(bus: SimulatedBus) -> None:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from contextlib import suppress
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from drivers.errors import DeviceError, DriveFault, ObjectAccessError
 from drivers.interfaces import ServoState
-from drivers.mock.plant.machine import Reading
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
-from drivers.mock.sampler import Sampler, encoder_resolution
+from drivers.mock.sampler import encoder_resolution
 
-from .host import SCALES, Host, enabled, make_host, prepared
+from .host import Host, enabled, prepared
 
 MOVING_S = 0.2
 
@@ -263,14 +260,6 @@ def test_settings_that_must_not_change_under_power(host: Host) -> None:
         host.drive.write(0x60C2, 1, 2)
 
 
-@pytest.mark.parametrize(
-    ("index", "value"), [(0x6060, 3), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)]
-)
-def test_settings_the_drive_does_not_have(host: Host, index: int, value: int) -> None:
-    with pytest.raises(ObjectAccessError, match="06090030"):
-        host.drive.write(index, 0, value)
-
-
 def test_without_a_mode_the_drive_holds(host: Host) -> None:
     bring(host, State.OPERATION_ENABLED)
     host.drive.write(0x6060, 0, 0)
@@ -278,20 +267,6 @@ def test_without_a_mode_the_drive_holds(host: Host) -> None:
     host.drive.write(0x6040, 0, 0x1F)
     host.wait(0.05)
     assert abs(host.bench.machine.truth().angle_rad) < 1e-3
-
-
-def stream(seed: int) -> str:
-    host = make_host(seed)
-    enabled(host)
-    host.cycles(200, lambda t: 0.1 * math.sin(t))
-    digest = hashlib.sha256(repr(host.link.take_frames()).encode()).hexdigest()
-    host.link.close()
-    return digest
-
-
-def test_the_same_seed_gives_the_same_bytes() -> None:
-    assert stream(7) == stream(7)
-    assert stream(7) != stream(8)
 
 
 def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
@@ -303,48 +278,3 @@ def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
     assert increments / turns / math.tau == pytest.approx(1e6, rel=1e-8)
     assert increments < 1 << 32
     assert encoder_resolution(Machine()) == (4096, 1)
-
-
-def test_a_bench_with_exact_sensors_runs_over_the_bus_too() -> None:
-    exact = Machine(
-        sensing=Sensing(motor_counts_per_turn=0, joint_counts_per_turn=0, current_noise_A=0.0)
-    )
-    increments, turns = encoder_resolution(exact)
-    host = make_host(machine=exact, scales=replace(SCALES, counts_per_turn=increments / turns))
-    enabled(host)
-    host.cycles(400, lambda t: 0.1 * math.sin(math.pi / 0.8 * t))
-    assert host.servo.sample().fresh
-    truth = host.bench.machine.truth().angle_rad
-    assert host.servo.sample().motor_angle_rad / 100.0 == pytest.approx(truth, abs=1e-4)
-    assert host.encoder.sample().angle_rad == pytest.approx(truth, abs=1e-4)
-    host.link.close()
-
-
-class RampMachine:
-    """Current in A equals time in units of 1 ms, averaged since the last latch."""
-
-    loop_ns = 50_000
-
-    def __init__(self) -> None:
-        self.now = self.since = 0
-
-    def advance(self, duration_ns: int) -> None:
-        assert duration_ns % self.loop_ns == 0
-        self.now += duration_ns
-
-    def latch(self) -> Reading:
-        mean = (self.now + self.since) / 2e6
-        self.since = self.now
-        return Reading(0, 0, 0.0, mean, 2 * mean, 60.0, 25.0, 0.0, 0.0)
-
-
-def test_looking_in_between_does_not_disturb_the_mean() -> None:
-    sampler = Sampler(RampMachine())  # type: ignore[arg-type]
-    times = np.cumsum([130_000, 390_000, 20_000, 460_000])
-    for time in times[:-1]:
-        sampler.peek(int(time))
-    reading = sampler.latch(int(times[-1]))
-    assert sampler.time_ns == 1_000_000
-    assert reading.current_A == pytest.approx(0.5)
-    assert reading.voltage_V == pytest.approx(1.0)
-    assert sampler.latch(2_000_000).current_A == pytest.approx(1.5)

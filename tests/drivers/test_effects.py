@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.effects.pack import KNOWN, effect_vector, problems
-from drivers.mock.plant.effects.state import HEAT
+from drivers.mock.plant.effects.table import HEAT
 from drivers.mock.plant.parts.constants import Machine
 
 from .track import EXACT, PER_AMPERE, Effects, Track, clock, cruise, sine, steady_torque
@@ -74,19 +74,6 @@ def test_two_masses_on_a_stiff_shaft_move_as_one(stiff: Effects) -> None:
     assert np.max(np.abs(hiding.motor - hiding.angle)) < 8e-5
 
 
-def test_torque_saturation_and_presliding_fade_with_their_size() -> None:
-    nominal = Track({}, sine())
-    for weak in ({"torque_saturation": {"knee_A": 1e4}}, {"presliding": {"stiffness_Nm_rad": 1e7}}):
-        assert np.max(np.abs(Track(weak, sine()).angle - nominal.angle)) < 1e-4
-
-
-def test_two_effects_act_together() -> None:
-    both = {"asymmetric_coulomb": {"torque_Nm": 1.0}, "current_offset": {"current_A": 0.5}}
-    for side in (1.0, -1.0):
-        change = steady_torque(both, 0.5 * side) - steady_torque({}, 0.5 * side)
-        assert change == pytest.approx(1.0 + PER_AMPERE * 0.5, abs=0.02)
-
-
 def test_joint_stands_while_the_rotor_crosses_the_gap() -> None:
     gap = 0.007
     track = Track({"backlash": {"gap_rad": gap}}, sine(2.0))
@@ -122,15 +109,6 @@ def test_coupling_has_a_loop_that_speed_does_not_change() -> None:
         widths.append(np.ptp(twist))
     assert widths[0] == pytest.approx(2.0 * 0.003, rel=0.1)
     assert widths[1] == pytest.approx(widths[0], rel=0.03)
-
-
-def test_coupling_takes_no_longer_than_a_gap_of_its_size() -> None:
-    """The shaft's damping is in series with it, and does not slow it."""
-    most = 0.01
-    coupling = Track({"coupling_hysteresis": {"torque_Nm": 2.0, "deflection_rad": most}}, sine(2.0))
-    gap = Track({"backlash": {"gap_rad": 2.0 * most}}, sine(2.0))
-    crossing = [np.sum(np.abs((t.motor - t.angle)[500:]) < 0.9 * most) for t in (coupling, gap)]
-    assert crossing[0] == pytest.approx(crossing[1], rel=0.1)
 
 
 @pytest.mark.parametrize("deflection", [1e-4, 5e-3])
@@ -174,12 +152,6 @@ def test_bristles_bend_in_proportion_before_they_slip() -> None:
     assert at_top == pytest.approx(PER_AMPERE * track.now_A[1900] / stiffness, rel=0.1)
     assert abs(track.angle[-1]) < 0.1 * at_top
     assert Track({}, push, machine=soft).angle[1900] == 0.0
-
-
-def test_bristles_slip_at_the_nominal_level() -> None:
-    effect = {"presliding": {"stiffness_Nm_rad": 2e4}}
-    assert steady_torque(effect, 0.6) == pytest.approx(steady_torque({}, 0.6), rel=2e-3)
-    assert np.all(np.diff(Track(effect, sine()).work[200:]) > -1e-3)
 
 
 def test_cogging_is_a_sine_of_the_motor_angle() -> None:

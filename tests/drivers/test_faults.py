@@ -64,11 +64,6 @@ def test_lost_frames_are_counted(wire: Wire, direction: str) -> None:
     assert getattr(wire, direction)(b"1", b"2", b"3") == [b"3"]
 
 
-def test_a_fault_for_good_does_not_end(wire: Wire) -> None:
-    wire.faults.lose(anything, FOR_GOOD)
-    assert wire.from_device(*[b"x"] * 100) == []
-
-
 def test_only_the_chosen_frames_are_met(wire: Wire) -> None:
     wire.faults.lose(lambda identifier, host: host and identifier == 0x124, FOR_GOOD)
     wire.faults.lose(lambda identifier, host: not host and identifier == 0x123, FOR_GOOD)
@@ -129,14 +124,6 @@ def test_refused_sdo_requests_name_the_object(host: Host) -> None:
     with pytest.raises(ObjectAccessError, match=r"6041h:00h: .*08000000h"):
         host.drive.read(0x6041)
     assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
-
-
-def test_error_frames_reach_the_host(host: Host) -> None:
-    prepared(host)
-    WireFaults(host.bench.bus, host.clock).error_frames(2)
-    with pytest.raises(LinkError, match="error frame"):
-        host.link.exchange()
-    host.link.exchange()
 
 
 def test_a_restarted_drive_has_no_power_and_is_noticed(host: Host) -> None:
@@ -284,14 +271,6 @@ def test_a_spoiled_answer_is_dropped_by_the_decoder_and_the_next_is_found() -> N
     found = [decoder.feed(answer) for answer in line.ask(b"1", b"2", b"3", b"4")]
     assert [len(frames) for frames in found] == [0, 0, 0, 1]
     assert decoder.bad == 3
-
-
-def test_short_messages_are_spoiled_at_their_end() -> None:
-    line = Line()
-    line.faults.drop_byte(True, 1, 5)
-    line.faults.flip(True, 1, 100)
-    line.ask(b"ab", b"ab")
-    assert [data for _, data in line.heard] == [b"a", bytes([ord("a"), ord("b") ^ 0x10])]
 
 
 def test_what_is_late_on_a_line_holds_up_what_is_behind_it() -> None:

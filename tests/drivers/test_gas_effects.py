@@ -13,8 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.mock.plant.effects.pack import GAS_KNOWN, KNOWN, effect_vector, problems
-from drivers.mock.plant.gas_direct import Burn, burn, steady_pressure, throat_area
-from drivers.mock.plant.gas_pack import HEAT_RATIO
+from drivers.mock.plant.gas import HEAT_RATIO, Burn, burn, steady_pressure, throat_area
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
 
 Effects = Mapping[str, Mapping[str, float]]

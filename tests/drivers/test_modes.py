@@ -182,15 +182,6 @@ def test_where_the_encoder_is_coarse_the_drive_s_speed_counts(counts: float, own
     assert torque._speed(seen, 75.0) == pytest.approx(0.25 if own else 0.1)
 
 
-@pytest.mark.parametrize("mode", TARGETS)
-def test_what_only_this_program_holds_is_told(mode: str) -> None:
-    host = host_in(mode)
-    lacks = host.servo.lacks(host.cycle_s)
-    assert {"angle_min_rad", "angle_max_rad", "following_error_rad"} <= lacks.limits
-    assert ("speed_rad_s" in lacks.limits) is (mode == "cst")
-    assert "this program closes the position" in lacks.words[0]
-
-
 def test_a_lost_set_point_is_sent_again() -> None:
     host = enabled(host_in("pp"))
     host.cycles(50, lambda t: 0.2 * t)

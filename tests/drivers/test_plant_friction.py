@@ -133,22 +133,6 @@ def test_coasting_loses_exactly_its_kinetic_energy_over_the_distance_of_the_clos
     assert stop.angle_rad - start.angle_rad == pytest.approx(distance, rel=1e-6)
 
 
-def test_coasting_shaft_stops_when_the_closed_form_says() -> None:
-    machine = exact_machine()
-    machine.power(True)
-    machine.follow(1.2 * np.arange(1, 6001) / 20000.0)
-    machine.power(False)
-    speed = machine.truth().velocity_rad_s
-    duration, _ = integrate.quad(lambda v: JOINT.inertia_kg_m2 / magnitude(v, 0.0), 0.0, speed)
-    loops = 0
-    while machine.truth().velocity_rad_s > 0.0:
-        machine.advance(machine.loop_ns)
-        loops += 1
-    assert loops * machine.loop_ns * 1e-9 == pytest.approx(
-        duration, abs=2.0 * machine.loop_ns * 1e-9
-    )
-
-
 def test_electrical_torque_work_is_kinetic_energy_plus_friction_work() -> None:
     machine = exact_machine()
     machine.power(True)

@@ -83,13 +83,6 @@ def test_steady_sliding_current_balances_eq_9_and_13(weight: float, speed: float
     )
 
 
-@pytest.mark.parametrize("speed", [0.02, -0.03])
-def test_steady_sliding_on_the_falling_branch(speed: float) -> None:
-    out = simulate(MACHINE, lambda t: speed * t, 3.0, 1000.0)
-    torque = TORQUE_PER_AMPERE * out["current"][-1]
-    assert torque == pytest.approx(np.sign(speed) * friction_magnitude(abs(speed), 0.0), rel=1e-5)
-
-
 def test_weight_presses_with_the_lever_ratio() -> None:
     """Eq. 17: F'_P = (L3/L4) m_w g, so that hanging 30.6 kg is pressing with 3001 N."""
     hung, pressed = (simulate(MACHINE, np.sin, 0.4, 1000.0, **how) for how in HOW_LOADED)
@@ -114,15 +107,6 @@ def test_lowered_current_limit_holds_the_torque_below_the_static_limit() -> None
     machine.advance(300_000_000)
     assert machine.truth().angle_rad == 0.0
     assert machine.truth().current_A == pytest.approx(0.9 * 12.025 / TORQUE_PER_AMPERE, rel=1e-3)
-
-
-def test_lowering_never_raises_the_drives_own_current_limit() -> None:
-    machine = SimulatedMachine(replace(MACHINE, joint=LOCKED), np.random.default_rng(0))
-    machine.limit_current(1e6)
-    machine.power(True)
-    machine.track(0.5e6, 1_000_000)
-    machine.advance(300_000_000)
-    assert machine.truth().current_A == pytest.approx(25.0, rel=1e-3)
 
 
 @pytest.mark.parametrize(("limit", "supply"), [(6.0, 60.0), (60.0, 6.0)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,24 +95,12 @@ def test_following_error_is_in_motor_counts() -> None:
     assert machine.latch().following_error_counts == pytest.approx(500.0)
 
 
-def test_velocity_is_that_of_the_motor() -> None:
-    out = SimulatedMachine(Machine(sensing=Sensing(0, 0, 0.0)), np.random.default_rng(1))
-    out.power(True)
-    out.follow(0.5 * np.arange(1, 20001) / 20000.0)
-    assert out.latch().motor_velocity_rad_s == pytest.approx(50.0, rel=1e-6)
-
-
 def test_advance_refuses_a_part_of_a_loop_period() -> None:
     machine = SimulatedMachine(Machine(), np.random.default_rng(1))
     with pytest.raises(
         ValueError, match="75000 ns is not a whole number of loop periods of 50000 ns"
     ):
         machine.advance(75_000)
-
-
-def test_direct_simulation_refuses_rates_that_do_not_divide() -> None:
-    with pytest.raises(ValueError, match="20000 Hz: not a multiple of sample rate 3000 Hz"):
-        simulate(Machine(), np.sin, 0.1, 3000.0)
 
 
 def test_same_seed_same_run_and_another_seed_another() -> None:
@@ -136,14 +123,3 @@ def test_noise_goes_on_past_one_block() -> None:
         short.advance(CYCLE_NS)
     assert long.latch() == pytest.approx(short.latch(), rel=1e-9)
     assert long.truth() == short.truth()
-
-
-def test_fewer_counts_are_a_coarser_encoder() -> None:
-    machine = SimulatedMachine(
-        replace(Machine(), sensing=Sensing(1024, 4096, 0.0)), np.random.default_rng(1)
-    )
-    machine.power(True)
-    machine.follow(0.2 * np.arange(1, 20001) / 20000.0)
-    angle, reading = machine.truth().angle_rad, machine.latch()
-    assert reading.motor_counts == math.floor(angle * 100.0 * 1024.0 / (2.0 * math.pi))
-    assert reading.joint_counts == math.floor(angle * 4096.0 / (2.0 * math.pi))

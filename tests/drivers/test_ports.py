@@ -9,13 +9,13 @@ from collections.abc import Iterator
 import can
 import pytest
 
+from benchmarks.adapters import LawicelAdapter
 from drivers.can import slcan
 from drivers.can.port import PythonCanPort
 from drivers.can.slcan import SlcanPort
 from drivers.clock import NS, RealClock, SimulatedClock
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.serial_line import SimulatedLine
-from drivers.mock.wires.slcan import LawicelAdapter
 from drivers.serial_port import InheritedPort, PySerialPort
 
 from .host import frame

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.worlds.own_plant.sampled import Sampled, SampledMachine, Sent
 from drivers.mock.plant.machine import SimulatedMachine, simulate
 from drivers.mock.plant.parts.constants import Loops, Machine, Sensing
-from drivers.mock.plant.sampled import Sampled, SampledMachine, Sent
 
 RATE_HZ = 4000.0
 QUIET = Machine(loops=Loops(rate_Hz=RATE_HZ), sensing=Sensing(0, 0, 0.0), steps_per_loop=8)
@@ -132,10 +132,3 @@ def test_effects_of_any_size_and_of_known_names_alone() -> None:
     for wrong in ({"no_effect": {}}, {"compliance": {}}, {"compliance": {"stiffness": 1.0}}):
         with pytest.raises(ValueError, match=r"compliance|no_effect"):
             built(replace(QUIET, effects=wrong))
-
-
-def test_teeth_with_an_error_start_at_rest() -> None:
-    wave = {"amplitude_rad": 1e-3, "per_turn": 8.0, "phase_rad": 1.0}
-    found = built(replace(QUIET, effects={"gear_mesh_ripple": wave})).sample(sent(np.zeros(100)))
-    assert found.rotor_rad[0] == pytest.approx(1e-3 * np.sin(1.0))
-    assert np.ptp(found.rotor_rad[:5]) < 1e-5

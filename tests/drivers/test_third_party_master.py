@@ -38,7 +38,12 @@ class Stepped(canopen.Network):
                 self.notify(identifier, bytearray(found), time_ns / 1e9)
 
 
-@pytest.fixture(params=MAKES)
+OFTEN = ("EPOS4", "Faulhaber", "Copley")
+
+
+@pytest.fixture(
+    params=[m if m in OFTEN else pytest.param(m, marks=pytest.mark.proof) for m in MAKES]
+)
 def pair(
     request: pytest.FixtureRequest, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> Iterator[tuple[BaseNode402, SimulatedBench]]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from benchmarks.adapters import RealTimeBench
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import NS, RealClock
 from drivers.epos.link import EposSerialLink
@@ -16,7 +17,6 @@ from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.wires.serial_line import RealTimeBench
 from drivers.serial_port import PySerialPort
 
 from .contract import Rig, ServoContract

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant.gas import impacted_area, throat_area
 from drivers.mock.plant.parts.constants import Machine
 
 Array = NDArray[np.float64]
@@ -93,24 +93,6 @@ def test_areas_are_those_of_polygons(degrees: float) -> None:
     assert impacted_area(MACHINE, np.array([angle]))[0] == pytest.approx(
         by_polygons(float(angle)), abs=1e-9
     )
-
-
-def test_areas_are_those_of_random_points() -> None:
-    rng = np.random.default_rng(11)
-    count = 1_000_000
-    points = (
-        np.column_stack((rng.uniform(-0.5, 0.5, count), rng.uniform(-0.5, 0.5, count))) * OPENING
-    )
-    points = points[np.hypot(*points.T) <= 0.5 * OPENING] + [ARM, 0.0]
-    whole = 0.25 * np.pi * OPENING**2
-    for degrees in ANGLES_DEG:
-        on_plate = turned(points, -np.deg2rad(degrees))
-        solid = np.abs(on_plate[:, 1]) <= 0.5 * WIDTH
-        solid &= np.hypot(on_plate[:, 0] - ARM, on_plate[:, 1]) > 0.5 * HOLE
-        share = impacted_area(MACHINE, np.array([np.deg2rad(degrees)]))[0] / whole
-        assert (
-            abs(solid.mean() - share) <= 4.0 * np.sqrt(share * (1.0 - share) / len(points)) + 1e-15
-        ), degrees
 
 
 def test_the_closed_valve_leaves_its_hole_and_the_open_one_everything() -> None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.gas_direct import burn, throat_area
+from drivers.mock.plant.gas import burn, throat_area
 from drivers.mock.plant.machine import friction_vector
 from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction

@@ -32,6 +32,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from benchmarks.adapters import LawicelAdapter, Ports, SocketcandServer
 from drivers.clock import NS
 from drivers.interfaces import RawFrame
 from drivers.mock import dbc_drive, power_state
@@ -44,8 +45,7 @@ from drivers.mock.bench import (
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.wires.bus import Timer
-from drivers.mock.wires.serial_line import Ports, Station
-from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.wires.serial_line import Station
 from rig.config.bench import load_bench
 
 from .benches import TRANSPORTS

@@ -20,8 +20,7 @@ from drivers.clock import NS
 from drivers.homing import IN_PLACE
 from drivers.mock import faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.faults import LineFaults, WireFaults
-from drivers.mock.mistakes import MISTAKES, Mistake
+from drivers.mock.faults import MISTAKES, LineFaults, Mistake, WireFaults
 from drivers.mock.power_state import POWERED, State
 from rig.cli.entry import status
 from rig.commissioning import commission

@@ -16,11 +16,15 @@ from .mutant_runner import Verdict, judge
 
 ROOT = Path(__file__).resolve().parents[2]
 TARGETS: Mapping[str, tuple[str, ...]] = {
-    "rig.control.phases": ("tests/rig/test_phases.py",),
+    "rig.control.phase_handlers": ("tests/rig/test_phases.py", "tests/rig/test_sequencer.py"),
     "rig.wiring.teardown": ("tests/rig/test_teardown.py",),
     "rig.wiring.braking": ("tests/rig/test_braking.py",),
     "rig.wiring.runaway": ("tests/rig/test_runaway.py",),
-    "rig.wiring.steps": ("tests/rig/test_teardown.py", "tests/rig/test_braking.py"),
+    "rig.wiring.off": (
+        "tests/rig/test_teardown.py",
+        "tests/rig/test_braking.py",
+        "tests/rig/test_off.py",
+    ),
     "rig.control.safety": ("tests/rig/test_safety.py",),
     "rig.wiring.drive_limits": ("tests/rig/test_drive_limits.py",),
     "rig.terminal.stop_button": ("tests/rig/test_stop_button.py",),
@@ -38,7 +42,10 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_lean_devices.py",
     ),
-    "rig.control.motion_proof": ("tests/rig/test_speed_witness.py",),
+    "rig.control.motion_proof": (
+        "tests/rig/test_speed_witness.py",
+        "tests/rig/test_motion_proof.py",
+    ),
     "drivers.transitions": (
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo.py",

@@ -16,11 +16,10 @@ from pathlib import Path
 import yaml
 
 import drivers.mock
+from benchmarks.adapters import LawicelAdapter, RealTimeBench
 from drivers.mock.bench import simulated_bench
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.wires.serial_line import RealTimeBench
-from drivers.mock.wires.slcan import LawicelAdapter
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 

@@ -21,17 +21,15 @@ from drivers.mock.power_state import State as State402
 from rig.wiring.braking import (
     BRAKING_TIMEOUT_S,
     REACTION_S,
-    SOFT,
     TRANSITIONS,
     UNHEARD_S,
     Event,
     State,
     brake,
-    grown,
     next_state,
 )
-from rig.wiring.runaway import SIGNS, Runaway, RunawayError, Seen
-from rig.wiring.steps import Steps
+from rig.wiring.off import Steps
+from rig.wiring.runaway import Runaway, RunawayError, Seen
 from rig.wiring.teardown import SafeState, make_safe
 from tests.drivers.dbc_host import DbcHost, make_dbc_host
 from tests.drivers.dbc_host import enabled as enabled_dbc
@@ -190,20 +188,6 @@ def test_only_a_drive_with_a_watchdog_is_left_alone_if_nothing_reaches_it(watche
     assert servo.clock.now_ns() == BRAKING_TIMEOUT_S * NS
 
 
-def test_a_braking_that_is_not_seen_is_not_said_to_be_one() -> None:
-    wire = Wire()
-    wire.lose_all(10.0)
-    clock, steps = wire.host.clock, Steps()
-    assert brake(wire.host.servo, wire.watch, clock, NS // 1000, lambda: False, steps, True) is None
-    assert steps.problems
-
-
-def test_a_drive_that_has_shown_that_it_brakes_is_not_left_alone() -> None:
-    servo = Servo({"state": lambda: LinkError("gone")})
-    assert braked(servo, sending(servo, BRAKING, *[None] * 99))[0] is BRAKING
-    assert servo.order.count("watch") == 100
-
-
 @pytest.mark.parametrize("error", [LinkError("the encoder is lost"), DriveFault(1, "a warning")])
 def test_cycles_that_fail_do_not_end_the_braking_and_keep_their_period(error: Exception) -> None:
     servo = Servo({})
@@ -326,19 +310,6 @@ def test_lost_answers_while_the_drive_brakes_do_not_cut_its_ramp_short(lost: int
     wire.stop_from_speed()
 
 
-@pytest.mark.parametrize("lost", [1, 2])
-def test_lost_answers_to_the_quick_stop_do_not_cut_its_ramp_short(lost: int) -> None:
-    wire = Wire()
-    wire.lose_answers(lost)
-    wire.stop_from_speed()
-
-
-def test_a_quick_stop_that_is_lost_in_one_cycle_arrives_with_the_next() -> None:
-    wire = Wire()
-    wire.faults.lose(lambda identifier, host: identifier == 0x200 + DRIVE_NODE, 1)
-    wire.stop_from_speed()
-
-
 def test_a_drive_without_process_data_is_braked_by_sdo() -> None:
     wire = Wire()
     wire.faults.lose(lambda identifier, host: identifier == 0x200 + DRIVE_NODE, 1 << 30)
@@ -412,20 +383,6 @@ def test_a_lost_encoder_does_not_cut_the_ramp_short() -> None:
     with pytest.raises(LinkError, match="node 2 sent no heartbeat"):
         wire.host.cycles(100)
     wire.stop()
-
-
-def test_the_wait_for_answers_is_limited_while_a_watched_drive_brakes_only() -> None:
-    wire = Wire()
-    host = wire.host
-    host.servo.quick_stop()
-    for limit_s in (0.04, 0.3):
-        wire.lose_answers(1)
-        with pytest.raises(LinkError, match=f"no SDO response within {limit_s:g} s"):
-            host.servo.state()
-        host.servo.disable()
-    wire.lose_answers(1)
-    with pytest.raises(LinkError, match=r"no SDO response within 0\.3 s"):
-        host.servo.quick_stop()  # of a drive that misses no heartbeat
 
 
 def test_a_serial_drive_brakes_although_the_line_of_its_encoder_is_gone() -> None:
@@ -617,32 +574,6 @@ def test_a_lost_answer_does_not_keep_a_serial_drive_from_its_cycles(serial: Seri
     assert len(cycles) > 10
 
 
-class Reporting:
-    """A guard that reports once that the guardian has stopped the drive."""
-
-    def __init__(self) -> None:
-        self._left = ["the guardian stopped the drive"]
-
-    def arm(self, limit_s: float) -> None:
-        del limit_s
-
-    def release(self) -> None:
-        pass
-
-    def feed(self) -> None:
-        if self._left:
-            raise LinkError(self._left.pop())
-
-
-def test_the_report_of_the_guardian_during_the_order_is_kept(serial: SerialHost) -> None:
-    serial.epos.guard = Reporting()
-    found, entered, _ = serial_stop(serial)
-    assert found.verified
-    assert found.problems == ("the guardian stopped the drive",)
-    assert entered[0][0] is State402.QUICK_STOP_ACTIVE
-    assert entered[0][1] < 2 * serial.cycle_s
-
-
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst", "pp"])
 def test_a_drive_that_takes_no_process_data_is_ordered_at_once(mode: str) -> None:
     wire = Wire(mode)
@@ -771,15 +702,3 @@ def test_a_drive_whose_ramp_goes_the_wrong_way_is_cut(loop: Any, prepared: bool)
     assert wire.entered[-1] is State402.SWITCH_ON_DISABLED
     assert wire.off_s < (0.02 if prepared else 0.03)
     assert abs(wire.off_rad_s) < (3.0 if prepared else 7.0)
-
-
-@pytest.mark.parametrize(("target", "soft"), [(1.0, True), (0.0, False)])
-def test_a_joint_that_is_pulled_to_its_target_is_not_said_to_leave_it(
-    target: float, soft: bool
-) -> None:
-    judge = Runaway(1.0, 1e-5)
-    for n, speed in enumerate([0.0, 0.1, 0.2, 0.3]):
-        judge.see(Seen(n * 0.001, speed, 0.001 * speed * n, 0.001 * speed * n, target))
-    assert judge.leaving is not soft
-    assert (SOFT in grown(judge)) is soft
-    assert SIGNS in grown(judge)

@@ -18,7 +18,6 @@ import pytest
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
-from drivers.mock.mistakes import MISTAKES
 from rig.cli.entry import status
 from rig.commissioning.commission import STEPS, patched
 from rig.commissioning.moving import SMALL_DEG
@@ -83,12 +82,6 @@ def fastest_deg_s(gear_ratio: float) -> float:
             speed = (angle[10:] - angle[:-10]) / (time[10:] - time[:-10])
             found.append(float(np.max(np.abs(speed))))
     return math.degrees(max(found)) / gear_ratio
-
-
-def test_all_mistakes_are_tried() -> None:
-    homing = {name for name in MISTAKES if name.startswith("home_")}  # test_commission_homing.py
-    assert set(CORRECTED) | set(FOUND) | homing == set(MISTAKES)
-    assert len(MISTAKES) >= 10
 
 
 @pytest.mark.parametrize("mistake", CORRECTED)
@@ -232,15 +225,6 @@ def test_each_step_that_needs_it_is_asked_for(
     assert "'perhaps' is not one of `yes`, `no`, `abort`" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("lines", [("abort",), (), ("yes", "abort")])
-def test_giving_up_at_a_question(
-    here: Path, monkeypatch: pytest.MonkeyPatch, lines: tuple[str, ...]
-) -> None:
-    answers(monkeypatch, *lines)
-    assert status(["commission", "bench.yaml", "--out", "out"]) == 3
-    assert json.loads(Path("out/commission.json").read_text())["state"] == "stopped"
-
-
 def test_devices_that_are_not_confirmed_end_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers(monkeypatch, "no")
     assert status(["commission", "bench.yaml", "--out", "out"]) == 1
@@ -256,15 +240,6 @@ def test_a_real_bench_takes_no_yes(here: Path, capsys: pytest.CaptureFixture[str
     assert status(["commission", "real.yaml", "--mistake", "rpm", "--out", "o"]) == 2
     assert "works with simulated benches only" in capsys.readouterr().err
     assert not Path("o").exists()
-
-
-def test_an_existing_file_is_not_overwritten(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    Path("bench.commissioned.yaml").write_text("mine")
-    assert status(["commission", "bench.yaml", "--yes", "--out", "out"]) == 2
-    assert "exists already and is not overwritten" in capsys.readouterr().err
-    assert Path("bench.commissioned.yaml").read_text() == "mine"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import pytest
 
 from drivers.errors import LinkError
 from drivers.mock.drive import DRIVE_EDS, Homing
-from drivers.mock.mistakes import MISTAKES
 from drivers.mock.plant.machine import SimulatedMachine
 from rig.cli.entry import status
 from rig.common.sample import Sample
@@ -52,10 +51,6 @@ def ends_off(record: dict[str, Any]) -> bool:
     """Return whether the drive is verified off, and in the bench's mode."""
     drive, mode = record["drive"], measured(record)["mode of operation afterwards, 6061h"]
     return bool(drive["verified"]) and drive["state"] == "switch on disabled" and mode == "8"
-
-
-def test_every_mistake_of_a_homing_is_tried() -> None:
-    assert {name for name, _ in FAILURES} == {n for n in MISTAKES if n.startswith("home_")}
 
 
 @pytest.mark.parametrize("angle", ["0", "2.5"])
@@ -215,12 +210,6 @@ def test_a_drive_that_takes_the_offset_with_the_other_sign_is_found(
     assert ended in (0, 1)
 
 
-def test_a_wrong_home_angle_is_found(here: Path) -> None:
-    ended, record = commissioned("--home", "17", "--home-angle", "-15")
-    assert ended == 1
-    assert "correct --home-angle, or the zero of the joint encoder" in record["message"]
-
-
 def test_a_drive_without_a_watchdog_is_said_to_home_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -269,16 +258,6 @@ def test_a_method_that_the_drive_does_not_offer_is_a_bad_verdict(
     assert "requested by --home was not done: method 99 is not offered" in shown.err
     assert "Not as asked for: no homing" in shown.out
     assert "every step was good" not in shown.out.lower()
-
-
-def test_an_offer_is_said_and_not_taken_by_itself(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ended, record = commissioned("--mistake", "another_device")
-    assert ended == 1
-    assert not [s for s in record["sessions"][0] if s["name"] == "homing"]
-    assert commissioned("--mistake", "limits_ignored", "--out", "more")[0] == 1
-    assert "methods 17, 18, 35, 37; --home METHOD starts a homing" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,7 +15,7 @@ from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.control.cycle import Cycle, TripError
 from rig.control.safety import Check, Trip
-from rig.planning.limits import GasLimits, Limits
+from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
 
@@ -202,29 +201,6 @@ def test_a_sample_holds_what_each_device_said() -> None:
     assert frames == [RawFrame(2, 0x80, b"", True)]
 
 
-def test_a_bench_without_transmitter_records_no_pressure() -> None:
-    bench = Bench()
-    begun(bench)
-    assert math.isnan(bench.recorded[0][1].pressure)
-
-
-def test_a_new_cycle_has_done_nothing() -> None:
-    bench = Bench()
-    cycle = make(bench)
-    assert (cycle.count, cycle.overruns, cycle.stale, cycle.target) == (0, 0, 0, 0.0)
-    assert (cycle.now_ns, cycle.next_s) == (0, 0.0)
-    after(0.25, bench)()
-    assert cycle.now_ns == 250_000_000
-    timing = cycle.timing
-    assert (timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s) == (
-        0,
-        0,
-        0,
-        0.0,
-    )
-    assert sum(timing.lateness.counts) == sum(timing.answer.counts) == 0
-
-
 def test_cycles_start_a_period_apart_and_are_counted() -> None:
     bench = Bench()
     cycle = begun(bench)
@@ -239,15 +215,6 @@ def test_cycles_start_a_period_apart_and_are_counted() -> None:
     assert cycle.timing.answer.worst_ns == ANSWER_NS
     assert sum(cycle.timing.answer.counts) == sum(cycle.timing.lateness.counts) == 4
     assert cycle.timing.lateness.worst_ns == 0
-
-
-def test_the_target_goes_out_before_the_exchange_that_begins() -> None:
-    bench = Bench()
-    cycle = make(bench)
-    cycle.ask_reset()
-    cycle.begin(0.3)
-    assert bench.told == [("target", 0.3), ("exchange", 0)]
-    assert cycle.target == 0.3
 
 
 def test_begin_starts_the_grid_afresh() -> None:
@@ -274,16 +241,6 @@ def test_begin_trips_where_nobody_asked_or_the_first_sample_is_outside() -> None
         cycle.begin(0.1)
 
 
-def test_an_orderly_end_opens_the_latch() -> None:
-    bench = Bench()
-    cycle = begun(bench)
-    cycle.ask_reset()
-    cycle.end()
-    with pytest.raises(TripError) as caught:
-        cycle.begin(0.1)
-    assert caught.value.trip.check is Check.NOT_RESET
-
-
 def test_a_new_beginning_forgets_how_old_the_last_sample_was() -> None:
     bench = Bench()
     cycle = begun(bench)
@@ -297,18 +254,6 @@ def test_a_new_beginning_forgets_how_old_the_last_sample_was() -> None:
     cycle.follow([0.1] * 4, 1, "empty")
     with pytest.raises(TripError, match="sample age"):
         cycle.follow([0.1], 1, "empty")
-
-
-def test_begin_judges_its_lateness() -> None:
-    class Slow(Pacer):
-        def sleep_until_ns(self, deadline_ns: int) -> None:
-            self.now = deadline_ns + 20_000_001
-
-    cycle = make(Bench(), pacer=Slow())
-    cycle.ask_reset()
-    with pytest.raises(TripError) as caught:
-        cycle.begin(0.1)
-    assert caught.value.trip.check is Check.LATENESS
 
 
 def test_each_sample_is_judged_before_the_next_command() -> None:
@@ -367,12 +312,6 @@ def test_the_torque_offset_goes_out_with_the_command_and_ends_with_the_motion() 
     assert seen == [None, bench.recorded[1][1]]
 
 
-def test_without_a_compensator_no_offset_is_sent() -> None:
-    bench = Bench()
-    begun(bench).follow([0.1], 1, "empty")
-    assert bench.told == [("target", 0.1), ("exchange", 1)]
-
-
 def test_the_stop_button_is_looked_at_before_every_command() -> None:
     bench, stop = Bench(), StopButton()
     cycle = begun(bench, stop=stop)
@@ -410,27 +349,6 @@ def test_a_stage_may_be_under_power_for_its_time_and_no_longer() -> None:
         pytest.approx(0.0034),
         pytest.approx(1.004),
     )
-
-
-def test_a_cycle_at_the_very_end_of_the_time_is_sent() -> None:
-    bench = Bench()
-    cycle = make(bench)
-    cycle.ask_reset()
-    cycle.begin(0.1, time_limit_s=0.003)
-    cycle.follow([0.1] * 3, 1, "empty")
-    with pytest.raises(TripError, match="time under power"):
-        cycle.follow([0.1], 1, "empty")
-
-
-def test_without_a_time_limit_it_goes_on() -> None:
-    bench = Bench()
-    cycle = make(bench)
-    cycle.ask_reset()
-    cycle.begin(0.1, time_limit_s=0.002)
-    cycle.ask_reset()
-    cycle.begin(0.1)
-    cycle.follow([0.1] * 500, 1, "empty")
-    assert cycle.count == 502
 
 
 def test_watching_commands_nothing_and_judges_nothing() -> None:
@@ -490,22 +408,6 @@ def test_a_prompt_before_the_watching_is_no_lateness_of_this_computer() -> None:
     assert np.diff(pacer.deadlines[-2:]) == 1_000_000
 
 
-def test_before_it_begins_the_age_of_a_sample_counts_from_the_start() -> None:
-    bench = Bench()
-    cycle = make(bench)
-    bench.changes["fresh"] = False
-    after(0.5, bench)()
-    cycle.watch()
-    assert cycle.timing.oldest_s == pytest.approx(0.5)
-
-
-def test_before_it_begins_nothing_is_followed() -> None:
-    cycle = make(Bench())
-    with pytest.raises(TripError) as caught:
-        cycle.follow([0.1], 1, "empty")
-    assert caught.value.trip.check is Check.NOT_RESET
-
-
 def test_a_full_disk_does_not_end_the_watching() -> None:
     bench = Bench()
     cycle = begun(bench)
@@ -533,15 +435,6 @@ def test_a_cycle_more_than_a_period_late_moves_the_grid(
     assert bench.recorded[2][0] == 2_000_000 + moved
     # Late by a period or less, the next one makes up for it.
     assert bench.recorded[3][0] == 3_000_000 + moved
-
-
-def test_overruns_add_up() -> None:
-    bench = Bench()
-    cycle = begun(bench)
-    for exchange in (2, 4):
-        bench.actions[exchange] = after(0.005, bench)
-    cycle.follow([0.1] * 6, 1, "empty")
-    assert (cycle.overruns, cycle.timing.missed_syncs) == (2, 8)
 
 
 def test_lateness_is_judged() -> None:
@@ -691,53 +584,6 @@ def test_this_computers_lateness_is_counted_and_moves_the_real_grid(
     ]
     # The simulated bench waits: it is never late.
     assert bench.exchanged == [0, 1_000_000, 2_000_000, 3_000_000]
-
-
-def test_overruns_of_real_time_add_up() -> None:
-    bench, pacer = Bench(), Pacer()
-    cycle = begun(bench, pacer=pacer)
-
-    def busy() -> None:
-        pacer.now += 4_000_000
-
-    bench.actions = {2: busy, 4: busy}
-    cycle.follow([0.1] * 6, 1, "empty")
-    assert (cycle.overruns, cycle.timing.missed_syncs) == (2, 6)
-    assert pacer.deadlines[-1] == 90_006_000_000 + 6_000_000
-
-
-def test_this_computers_lateness_is_judged() -> None:
-    bench, pacer = Bench(), Pacer()
-    cycle = begun(bench, pacer=pacer)
-
-    def busy() -> None:
-        pacer.now += 21_000_001
-
-    bench.actions[2] = busy
-    with pytest.raises(TripError) as caught:
-        cycle.follow([0.1] * 3, 1, "empty")
-    assert caught.value.trip.check is Check.LATENESS
-    assert caught.value.trip.value == pytest.approx(0.020000001)
-
-
-def test_the_pressure_is_judged() -> None:
-    limits = dataclasses.replace(LIMITS, gas=GasLimits(2e5, 1e6, 0.0, lambda angle: 0.0))
-    with pytest.raises(TripError, match=r"chamber pressure 3e.05 Pa"):
-        begun(Bench(pressure=True), limits=limits)
-
-
-@pytest.mark.parametrize("pressure", [True, False])
-def test_every_device_is_prepared(pressure: bool) -> None:
-    bench = Bench(pressure)
-    devices(bench).prepare(0.002)
-    parts = ["prepare", "prepare encoder", *(["prepare pressure"] if pressure else [])]
-    assert bench.told == [(part, 0.002) for part in parts]
-
-
-def test_devices_cannot_be_changed() -> None:
-    found = devices(Bench())
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        found.pacer = None  # type: ignore[misc]
 
 
 class Boot:

@@ -174,7 +174,3 @@ def test_a_bus_too_slow_for_its_frames_is_refused(written: Callable[..., Path]) 
         InputError, match=r"bus\.bitrate: too slow: a cycle of 1 ms takes up to \d+ bits"
     ):
         load_bench(written(("bitrate: 1000000", "bitrate: 500000")))
-
-
-def test_a_servo_without_a_kind_is_canopen(written: Callable[..., Path]) -> None:
-    assert load_bench("practical").value.servo.kind == "canopen"

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 import drivers.mock.bench
-from drivers.mock.dbc_drive import COMMAND, DRIVE_DBC, DbcDrive
+from drivers.mock.dbc_drive import DbcDrive
 from rig.cli.commands.bench import _agreed
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.planning.plan import bench_limits, make_plan
+from rig.planning.plan import make_plan
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.terminal.prompt import Prompt
@@ -37,10 +37,6 @@ stages:
 TEXT = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
 LIMITS = TEXT[TEXT.index("  limits:   ") : TEXT.index("  messages:  ")]
 CLEAR = 0x130
-WITH_CLEAR = DRIVE_DBC.read_text().replace(
-    "BO_ 272 DRV_Command",
-    'BO_ 304 DRV_Clear: 1 HOST\n SG_ What : 0|8@1+ (1,0) [0|255] "" DRIVE\n\nBO_ 272 DRV_Command',
-)
 
 
 @pytest.fixture
@@ -90,18 +86,6 @@ def faulty(monkeypatch: pytest.MonkeyPatch, code: int) -> None:
             super().boot()
 
     monkeypatch.setattr(drivers.mock.bench, "DbcDrive", Faulty)
-
-
-def test_a_message_that_only_reset_names_is_not_in_a_run(written: Callable[..., str]) -> None:
-    Path("drive.dbc").write_text(WITH_CLEAR)
-    reset = "reset: {DRV_Command.Order: RESET"
-    bench = written(
-        ("file: null", "file: drive.dbc"), (f"{reset}}}", f"{reset}, DRV_Clear.What: 1}}")
-    )
-    assert run(bench) == 0
-    counted = sent()
-    assert counted[CLEAR] == 0
-    assert counted[COMMAND] > 400
 
 
 def test_a_fault_code_beside_a_state_that_is_off_is_a_fault(
@@ -170,14 +154,6 @@ def test_a_run_of_such_a_drive_says_what_it_alone_holds(
     assert any("joint torque (servo.held.torque_N_m)" in words for words in record["warnings"])
 
 
-def test_a_drive_that_takes_its_limits_is_not_asked_about(
-    capsys: pytest.CaptureFixture[str], answers: Callable[..., None]
-) -> None:
-    answers()
-    assert status(["jog", "practical_dbc", "--to", "1"]) == 0
-    assert "does not accept these limits" not in capsys.readouterr().err
-
-
 SENSORS = (
     ("    supply_voltage: {signal: DRV_Status.Supply}\n", ""),
     ("    temperature: {signal: DRV_Status.Temperature}\n", ""),
@@ -187,19 +163,6 @@ STATED = (
     ("  supply_min_V: 48\n", ""),
     ("  supply_max_V: 72\n", ""),
 )
-
-
-def test_a_drive_without_temperature_and_supply_runs(
-    written: Callable[..., str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    bench = written(*SENSORS, *STATED)
-    limits = bench_limits(load_bench(bench).value)
-    assert (limits.temperature, limits.supply_max) == (float("inf"), float("inf"))
-    assert status(["check", bench]) == 0
-    assert "not available" in capsys.readouterr().out
-    assert run(bench, "--dry-run") == 0
-    assert "not reported" in capsys.readouterr().out
-    assert run(bench) == 0
 
 
 def test_a_limit_for_what_is_not_reported_is_refused(written: Callable[..., str]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from drivers.mock.plant.gas_direct import burn
+from drivers.mock.plant.gas import burn
 from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.gas import CONSTANTS
 from identification.model.gas_generator import GasGenerator, ValveGeometry

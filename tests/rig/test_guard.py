@@ -143,16 +143,6 @@ def guard(guardian: Guardian, time: Time, tmp_path: Path, monkeypatch: pytest.Mo
     return made
 
 
-def test_it_opens_the_port_of_the_bench(guard: Guard) -> None:
-    port: Any = guard.open_port()
-    assert port.arguments == ("/dev/some", 1_000_000)
-    assert port.exclusive
-    guard.arm(0.2)
-    # The guardian has the same open file, and with it the lock.
-    again: Any = guard.open_port()
-    assert not again.exclusive
-
-
 def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
     guard: Guard, guardian: Guardian
 ) -> None:
@@ -169,13 +159,6 @@ def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
     }
     # The loop must never wait for the guardian to read.
     assert not os.get_blocking(guardian.stdin.fileno())
-
-
-def test_without_a_lock_the_guardian_gets_the_port(guard: Guard, guardian: Guardian) -> None:
-    guard.arm(0.2)
-    [(words, options)] = guardian.started
-    assert words[3:] == ["33"]
-    assert options["pass_fds"] == (33,)
 
 
 def test_it_tells_the_drive_first_and_then_to_stand_by(
@@ -199,29 +182,6 @@ def test_it_tells_the_drive_first_and_then_to_stand_by(
     assert rest == b""
 
 
-def test_a_relative_eds_file_is_found_by_the_guardian_as_well(
-    guard: Guard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guardian: Guardian
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    other = Guard("/dev/some", 9600, 1, Path("here.eds"), SCALES)
-    other.open_port()
-    other.arm(0.2)
-    assert json.loads(guardian.heard().split(b"\n")[0])["drive"]["eds"] == str(
-        tmp_path / "here.eds"
-    )
-
-
-def test_the_second_time_it_tells_the_guardian_that_it_has(
-    guard: Guard, guardian: Guardian
-) -> None:
-    guard.arm(0.2)
-    guard.release()
-    guardian.heard()
-    guard.arm(0.3)
-    assert len(guardian.started) == 1
-    assert guardian.heard() == b'{"armed": true, "limit_s": 0.3}\n'
-
-
 def test_it_feeds_while_armed_and_not_more_often_than_needed(
     guard: Guard, guardian: Guardian, time: Time
 ) -> None:
@@ -240,17 +200,6 @@ def test_it_feeds_while_armed_and_not_more_often_than_needed(
     time.wait(1.0)
     guard.feed()
     assert guardian.heard() == b""
-
-
-@pytest.mark.parametrize(("silent_ns", "fed"), [(19_999_999, b""), (20_000_000, b"\n")])
-def test_it_feeds_every_twenty_milliseconds(
-    guard: Guard, guardian: Guardian, time: Time, silent_ns: int, fed: bytes
-) -> None:
-    guard.arm(0.2)
-    guardian.heard()
-    time.now_ns += silent_ns
-    guard.feed()
-    assert guardian.heard() == fed
 
 
 def test_after_a_takeover_the_run_ends_and_the_drive_can_be_read_back(
@@ -315,25 +264,6 @@ def test_a_report_that_comes_in_parts_is_put_together_within_the_same_time(
     with pytest.raises(LinkError, match="the guardian stopped the drive: the drive is \ufffd off"):
         guard.feed()
     assert time.waits == [0.0, 3.0, 2.5, 2.0]
-
-
-def test_a_report_that_comes_too_late_is_not_waited_for(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
-    guard.arm(0.2)
-    time.wait(1.0)
-    time.waits.clear()
-    guardian.speaks.write(TOOK_OVER)
-
-    def speak() -> None:
-        if len(time.waits) == 2:
-            guardian.speaks.write(b"the drive ")
-            time.wait(5.0)
-
-    time.meanwhile = speak
-    with pytest.raises(LinkError, match="is still trying"):
-        guard.feed()
-    assert time.waits == [0.0, 3.0, 0.0]
 
 
 def test_a_guardian_that_is_gone_ends_the_run(guard: Guard, guardian: Guardian, time: Time) -> None:
@@ -415,16 +345,6 @@ def test_without_its_guardian_the_program_takes_the_power_off(
         assert safe.problems == ()
 
 
-def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Guardian) -> None:
-    guard.arm(0.2)
-    guardian.hears.close()
-    with pytest.raises(LinkError) as caught:
-        guard.release()
-    assert (
-        str(caught.value) == f"the guardian of {NAME} has ended (Broken pipe); stop and run again"
-    )
-
-
 def missed(guard: Guard, guardian: Guardian, time: Time) -> None:
     """Arm a guard whose guardian does not read; the guard reports this."""
     guard.arm(0.2)
@@ -462,18 +382,6 @@ def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
         guard.feed()
     # Armed again, it is missed again.
     missed(guard, guardian, time)
-
-
-def test_a_guardian_that_ends_after_it_did_not_listen_is_reported_as_well(
-    guard: Guard, guardian: Guardian, time: Time
-) -> None:
-    missed(guard, guardian, time)
-    guardian.hears.close()
-    time.wait(0.1)
-    with pytest.raises(LinkError, match="has ended"):
-        guard.feed()
-    time.wait(0.1)
-    guard.feed()
 
 
 def answered(guard: Guard, guardian: Guardian, time: Time, seconds: float) -> None:
@@ -579,12 +487,3 @@ def test_a_guardian_that_still_tries_is_left_alone(guard: Guard, guardian: Guard
     guard.close()
     # As if it had ended, so that nobody warns of a child that is still running.
     assert guardian.returncode == 0
-
-
-def test_a_port_that_is_not_open_cannot_be_guarded(tmp_path: Path) -> None:
-    guard = Guard("/dev/none", 1_000_000, 1, tmp_path / "drive.eds", SCALES)
-    with pytest.raises(LinkError) as caught:
-        guard.arm(0.2)
-    assert str(caught.value) == "EPOS4 at /dev/none is not open: call open() first"
-    guard.release()
-    guard.close()

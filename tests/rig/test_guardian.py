@@ -5,7 +5,6 @@ Real kills: tests/long.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 from collections.abc import Iterator
@@ -17,26 +16,22 @@ import pytest
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoMotion, ServoReadings, ServoState
+from drivers.interfaces import ServoState
 from drivers.mock.faults import LineFaults
 from drivers.mock.power_state import State
 from rig.wiring.guardian import (
-    ALIVE,
-    READY,
     REPORT_FILE,
-    SILENCE_S,
-    TOOK_OVER,
     Cause,
     Deed,
     Ward,
     report,
     stop,
     watch,
-    words_of,
 )
 from rig.wiring.teardown import SafeState
 
 from ..drivers.serial_host import SerialHost, make_serial_host
+from .drives import FakeDrive
 
 ARMED = b'{"armed": true, "folder": "/somewhere"}\n'
 RELEASED = b'{"armed": false}\n'
@@ -151,25 +146,6 @@ def test_it_remembers_the_drive_the_folder_and_the_limit() -> None:
     assert ward.armed is False
 
 
-def test_without_a_limit_it_waits_a_fifth_of_a_second() -> None:
-    ward = Ward()
-    assert (ward.drive, ward.folder, ward.armed) == ({}, None, False)
-    assert ward.limit_s == SILENCE_S == 0.2
-
-
-def test_the_words_of_the_two_programs() -> None:
-    """Both sides must be of one version: the guard waits for these bytes."""
-    assert (READY, TOOK_OVER) == (b"ready\n", b"took over\n")
-    assert ALIVE == b"alive\n"
-    assert [cause.value for cause in Cause] == [
-        "released",
-        "gone",
-        "left",
-        "silent",
-        "handed over",
-    ]
-
-
 def test_the_guard_stands_by_before_power_and_until_it_is_verified_off(host: SerialHost) -> None:
     host.epos.guard = witness = Witness()
     host.servo.prepare(host.cycle_s)
@@ -226,7 +202,7 @@ def test_it_goes_on_trying_while_the_line_is_dead(host: SerialHost) -> None:
     assert 8.0 < deed.seconds < 16.0
 
 
-class Stuck:
+class Stuck(FakeDrive):
     """A drive that brakes for ever, or that cannot be reached; notes when it is told what, s."""
 
     def __init__(self, reachable: bool = True) -> None:
@@ -234,42 +210,18 @@ class Stuck:
         self.reachable = reachable
         self.told: list[tuple[str, float]] = []
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
+        if verb == "glance":
+            self.clock.sleep_until_ns(self.clock.now_ns() + NS // 1000)
+            return
         self.told.append((verb, self.clock.now_ns() / NS))
         if not self.reachable:
             raise LinkError("gone")
-
-    prepared = False
-
-    def sent_state(self) -> ServoState | None:
-        return None
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self._do("quick stop")
-
-    def disable(self) -> None:
-        self._do("disable")
-
-    def glance(self) -> ServoReadings:
-        self.clock.sleep_until_ns(self.clock.now_ns() + NS // 1000)
-        return ServoReadings(0.0, current_A=0.0)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
-
-    def state(self) -> ServoState:
-        self._do("state")
-        return (
+        self.power = (
             ServoState.SWITCH_ON_DISABLED
             if ("disable", 1.0) in self.told
             else ServoState.QUICK_STOP_ACTIVE
         )
-
-    def motion(self) -> ServoMotion:
-        return ServoMotion()
-
-    def promised_deceleration(self) -> float:
-        return 1.0
 
 
 def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
@@ -277,7 +229,7 @@ def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
     failures: list[Deed] = []
     deed = stop(servo, servo.clock, failed=failures.append)
     assert [told for told in servo.told if told[0] != "state"] == [
-        ("quick stop", 0.0),
+        ("quick_stop", 0.0),
         ("disable", 1.0),
     ]
     assert (deed.safe.verified, deed.attempts) == (True, 1)
@@ -296,18 +248,11 @@ def test_it_tries_five_times_a_second_as_long_as_it_takes() -> None:
             servo.told.append(("disable", 1.0))
 
     deed = stop(servo, servo.clock, failed=failed)
-    tries = [seconds for verb, seconds in servo.told if verb == "quick stop"]
+    tries = [seconds for verb, seconds in servo.told if verb == "quick_stop"]
     assert tries[:3] == [0.0, 0.201, 0.402]
     assert (deed.safe.verified, deed.safe.watched) == (True, False)
     assert deed.attempts == len(failures) + 1 == len(tries) > 4900
     assert {failure.safe.state for failure in failures} == {"unknown"}
-
-
-def test_it_ends_after_an_attempt_when_the_drive_is_handed_over() -> None:
-    servo: Any = Stuck(reachable=False)
-    asked = iter([False, False, False, True])
-    deed = stop(servo, servo.clock, give_up=lambda: next(asked, True))
-    assert (deed.safe.verified, deed.attempts) == (False, 2)
 
 
 def test_a_link_that_cannot_be_opened_is_opened_again_and_again() -> None:
@@ -323,11 +268,6 @@ def test_a_link_that_cannot_be_opened_is_opened_again_and_again() -> None:
     deed = stop(servo, servo.clock, reach, failed=told.append)
     assert (deed.safe.verified, deed.attempts) == (True, 4)
     assert [failure.safe.problems for failure in told] == [("no such port",)] * 3
-
-
-def test_nobody_has_to_be_told_of_a_failure() -> None:
-    servo: Any = Stuck(reachable=False)
-    assert stop(servo, servo.clock, patience_s=0.001).attempts == 2
 
 
 def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> None:
@@ -368,31 +308,3 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
         "seconds": 0.0512,
         "message": words,
     }
-
-
-@pytest.mark.parametrize(
-    ("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "gave no sign of life for 0.25 s")]
-)
-def test_what_was_done_in_words(cause: Cause, why: str) -> None:
-    ward = Ward({"name": "the drive"}, limit_s=0.25)
-    words = (
-        f"guardian: the program that drove the drive {why}; "
-        "after 0.05 s the drive is de-energised (read back: switch on disabled)"
-    )
-    assert words_of(OFF, ward, cause) == report(OFF, ward, cause) == words
-
-
-def test_a_deed_cannot_be_changed() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        OFF.attempts = 1  # type: ignore[misc]
-
-
-def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:
-    deed = Deed(SafeState(True, "switch on disabled"), 1, 0.05)
-    words = report(deed, Ward({"name": "the drive"}, tmp_path / "gone"), Cause.GONE)
-    assert words == (
-        "guardian: the program that drove the drive is gone; after 0.05 s the drive is "
-        "de-energised "
-        "(read back: switch on disabled); guardian.json cannot be written: No such file or "
-        "directory"
-    )

@@ -16,10 +16,11 @@ from typing import Any
 import pytest
 
 import rig.wiring.guardian as guardian
-from drivers.clock import RealClock, SimulatedClock
+from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.units import ServoScales
+
+from .drives import FakeDrive
 
 SCALES = ServoScales(
     4096, 100.0, 15.0, 0.45, sign=-1, voltage_object=(0x2200, 1), temperature_object=(0x3201, 2)
@@ -37,7 +38,7 @@ SPEAKING = 4711
 OFF = "the drive is de-energised (read back: switch on disabled), 0.00 A, joint at rest"
 
 
-class Servo:
+class Servo(FakeDrive):
     """A drive that can be reached after so many attempts."""
 
     def __init__(self, failures: int = 0) -> None:
@@ -45,29 +46,12 @@ class Servo:
         self.stopped = 0
         self.asked: Callable[[], None] = lambda: None
 
-    prepared = False
-
-    def sent_state(self) -> ServoState | None:
-        return None
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self.stopped += 1
-        if self.stopped == 7:
+    def do(self, verb: str) -> None:
+        self.stopped += verb == "quick_stop"
+        if verb == "quick_stop" and self.stopped == 7:
             self.asked()
-
-    def disable(self) -> None:
-        pass
-
-    def glance(self) -> ServoReadings:
-        return ServoReadings(0.0, current_A=0.0)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
-
-    def state(self) -> ServoState:
-        if self.stopped <= self.failures:
+        if verb == "state" and self.stopped <= self.failures:
             raise LinkError("no answer")
-        return ServoState.SWITCH_ON_DISABLED
 
 
 @dataclasses.dataclass
@@ -179,22 +163,6 @@ def test_the_end_of_its_input_alone_ends_it(process: Process) -> None:
 STARTED = [("drive", 33, json.loads(json.dumps(DRIVE))), ("says", SPEAKING, b"ready\n")]
 
 
-def test_it_goes_when_it_is_released(process: Process) -> None:
-    process.told({"other": 1}, {"drive": DRIVE}, {"armed": True, "limit_s": 0.3}, {"armed": False})
-    assert process.ends() == 0
-    assert process.did == STARTED
-    assert process.servo.stopped == 0
-
-
-def test_it_waits_for_the_drive_to_be_named(
-    process: Process, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lines = [b'{"drive":', b" " + json.dumps(DRIVE).encode() + b"}\n", b""]
-    monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
-    assert guardian.main() == 0
-    assert process.did == STARTED
-
-
 @pytest.mark.parametrize("left", [False, True])
 def test_it_stops_the_drive_of_a_program_that_died(process: Process, left: bool) -> None:
     process.told({"drive": DRIVE}, {"armed": True}, *([{"left": True}] if left else []))
@@ -291,57 +259,6 @@ def test_after_a_takeover_it_stands_by_for_the_next_power(
     assert ("lock", [7, 9], "the guardian of a program that died") in process.did
 
 
-class Recorder:
-    """Takes the place of classes, and notes how they are used."""
-
-    def __init__(self) -> None:
-        self.made: dict[str, tuple[Any, ...]] = {}
-        self.opened: list[bool] = []
-
-    def of(self, name: str) -> Callable[..., Any]:
-        outer = self
-
-        class Made:
-            def __init__(self, *arguments: Any) -> None:
-                outer.made[name] = arguments
-
-            def add_node(self, *arguments: Any) -> str:
-                outer.made["node"] = arguments
-                return "the node"
-
-            def open(self) -> None:
-                outer.opened.append(True)
-
-        return Made
-
-
-def test_the_drive_is_reached_through_the_port_that_is_open(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    notes = Recorder()
-    for name in ("EposSerialLink", "Cia402Servo", "InheritedPort"):
-        monkeypatch.setattr(guardian, name, notes.of(name))
-    servo, clock = guardian.drive_on(33, guardian.Ward(json.loads(json.dumps(DRIVE))))
-    assert isinstance(clock, RealClock)
-    linked_clock, connect, name = notes.made["EposSerialLink"]
-    assert linked_clock is clock
-    assert name == "EPOS4 at /dev/some"
-    assert notes.made["InheritedPort"] == (33,)
-    connect()
-    opened: list[Any] = []
-    monkeypatch.setattr(guardian, "PySerialPort", lambda *a, **k: opened.append((a, k)))
-    # A port that is gone is opened by its name; the other program may still hold its lock.
-    connect()
-    assert opened == [(("/dev/some", 1_000_000), {"exclusive": False})]
-    assert notes.made["node"] == (5, Path("/some/drive.eds"))
-    node, link, scales = notes.made["Cia402Servo"]
-    assert node == "the node"
-    assert type(link).__qualname__ == type(servo).__qualname__
-    assert scales == SCALES
-    assert hash(scales) == hash(SCALES)
-    assert notes.opened == [True]
-
-
 def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
 
@@ -353,12 +270,3 @@ def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> 
     assert guardian._wait(7, 5, 0.25) is True
     assert guardian._wait(7, 5, None) is False
     assert asked == [([5, 7], [], [], 0.25), ([5, 7], [], [], None)]
-
-
-def test_it_speaks_to_a_program_that_is_gone_without_failing() -> None:
-    reading, writing = os.pipe()
-    guardian._speak(writing, b"ready\n")
-    assert os.read(reading, 100) == b"ready\n"
-    os.close(reading)
-    guardian._speak(writing, b"ready\n")
-    os.close(writing)

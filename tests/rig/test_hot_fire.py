@@ -33,7 +33,7 @@ from rig.runs.run import load_run, read_record
 from rig.runs.run_record import Ending
 from rig.sources import load_source
 from rig.terminal.stop_button import StopButton
-from rig.weighing.label_check import comparable, off_label
+from rig.weighing.weight_check import comparable, off_label
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
@@ -314,10 +314,8 @@ def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
 
     folder = Path("silent")
     folder.mkdir()
-    with (
-        connect(bench, 0, False, attach) as devices,
-        RunProgress(plan.cycle_s, plan.duration_s) as progress,
-    ):
+    progress = RunProgress(plan.cycle_s, plan.duration_s)
+    with connect(bench, 0, False, attach) as devices:
         inputs = Inputs(bench, sequence, 0, False)
         _, outcome = execute(
             inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress

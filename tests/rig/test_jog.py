@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -149,13 +147,3 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         True,
     )
     assert status(["jog", "practical", "--to", "99"]) == 2
-
-
-def test_angles_from_the_keyboard(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("2\nup\n0\n\n"))
-    assert status(["jog", "practical"]) == 0
-    captured = capsys.readouterr()
-    assert captured.out.count("done: 1 moves done") == 2
-    assert "'up' is not an angle" in captured.err

@@ -72,11 +72,6 @@ def test_half_of_the_weight_taken_off_is_said_recorded_and_judged(
     assert failed["words"].startswith("run.json: stages[0].load_change_kg: ")
 
 
-def test_a_weight_taken_off_between_two_excitations_is_noticed() -> None:
-    assert run("hold", 0.0, repeats=2) == 1
-    assert read_record(Path("out")).stages[0].load_change_kg is not None
-
-
 def test_without_a_change_nothing_is_said() -> None:
     Path("s.yaml").write_text(SEQUENCE.replace("REPEATS", "2"))
     assert status(["run", "s.yaml", "--yes", "--out", "out"]) == 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.control.motion_proof import Change, Motion, hint, prove, surer, travels
+from rig.control.motion_proof import Change, Motion, hint, prove, surer
 from rig.wiring.devices import Nominal
 
 GEAR, KM, RESISTANCE = 50.0, 0.04, 0.8
@@ -122,10 +122,6 @@ def test_sign_of_the_current(share: float, wrong: bool) -> None:
     )
 
 
-def test_a_constant_load_is_no_wrong_sign() -> None:
-    assert proven(motion(current=lambda i: i - 3.0, torque=nothing)).contradictions == ()
-
-
 @pytest.mark.parametrize("stated", [2.0, 0.5, 1.6, 1.4, 0.72])
 @pytest.mark.parametrize("source", ["torque", "voltage", "rated"])
 def test_torque_constant(stated: float, source: str) -> None:
@@ -138,13 +134,6 @@ def test_torque_constant(stated: float, source: str) -> None:
         (change,) = proof.contradictions[0].changes
         assert (change.section, change.key) == ("machine", "torque_constant_N_m_A")
         assert change.value == pytest.approx(KM, rel=0.1)
-
-
-def test_what_shows_no_torque_constant_says_so() -> None:
-    proof = proven(motion(torque=nothing, voltage=nothing))
-    assert math.isnan(proof.found["torque constant"])
-    assert proof.moved
-    assert "cannot be compared with a measurement" in proof.unproven
 
 
 @pytest.mark.parametrize(("share", "wrong"), [(0.577, 0), (0.5, 1)])
@@ -169,12 +158,6 @@ def test_a_joint_that_hardly_moves_shows_nothing() -> None:
     small = motion(motor=lambda m: 0.01 * m, joint=lambda j: -0.01 * j)
     assert not proven(small).moved
     assert proven(small).contradictions == ()
-
-
-def test_travels() -> None:
-    angle = np.concatenate((np.linspace(0, 1, 50), np.linspace(1, -1, 100), np.linspace(-1, 0, 50)))
-    assert travels(angle, 0.1) == [(0, 49), (49, 149), (149, 199)]
-    assert travels(0.05 * angle, 0.2) == []
 
 
 def early(moved: Any, joint: Any, velocity: Any) -> Motion:

@@ -17,14 +17,13 @@ from typing import Any
 import pytest
 
 import drivers.mock
+from benchmarks.adapters import RealTimeBench
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
-from drivers.interfaces import Measuring, ServoReadings, ServoState
 from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import State
-from drivers.mock.wires.serial_line import RealTimeBench
 from rig.cli.commands.bench import GOES_ON
 from rig.cli.entry import DEVICE_FAILED, DONE, status
 from rig.common import locks
@@ -38,45 +37,24 @@ from rig.wiring.connect import BareBench, bare_bench, bus_resources
 from rig.wiring.guardian import HAND_OVER, MODULE, Deed, Ward, drive_on, stop
 
 from ..drivers.host import DRIVE_EDS, DRIVE_NODE, SCALES
+from .drives import FakeDrive
 from .pty_bench import PtyBench, pty_bench
 from .test_one_owner import ANGLE, rig
 
 RUN, GUARDIAN = 101, 102
 
 
-class Servo:
+class Servo(FakeDrive):
     """A drive that is off after the first order, unless it cannot be reached."""
-
-    prepared = False
 
     def __init__(self) -> None:
         self.reachable = True
-        self.leak_A = 0.0
         self.told: list[str] = []
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
         self.told.append(verb)
-        if not self.reachable:
+        if not self.reachable and verb != "glance":
             raise LinkError("no answer")
-
-    def sent_state(self) -> ServoState | None:
-        return None
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self._do("quick stop")
-
-    def disable(self) -> None:
-        self._do("disable")
-
-    def state(self) -> ServoState:
-        self._do("state")
-        return ServoState.SWITCH_ON_DISABLED
-
-    def glance(self) -> ServoReadings:
-        return ServoReadings(0.0, current_A=self.leak_A)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
 
 class Encoder:
@@ -176,7 +154,7 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Desk:
 def test_a_bench_that_nobody_uses_is_switched_off(desk: Desk) -> None:
     done = desk.off()
     assert (done.proved, done.users, done.attempts, desk.link.closed) == (True, (), 1, 1)
-    assert desk.servo.told[0] == "quick stop"
+    assert desk.servo.told[0] == "quick_stop"
     record = done.record()
     assert (record["schema"], record["real"], record["proved"]) == ("loadrig.off/1", True, True)
     assert record["safe"]["state"] == "switch on disabled"
@@ -190,15 +168,6 @@ def test_a_joint_that_moves_while_its_motor_rests_is_not_proved_off(desk: Desk) 
     assert not done.proved
     assert done.record()["safe"]["motion_rad_s"] == pytest.approx(0.1, rel=0.1)
     assert "the joint moves at" in done.message
-
-
-def test_a_joint_encoder_that_cannot_be_read_is_said(desk: Desk) -> None:
-    desk.encoder.reachable = False
-    done = desk.off()
-    assert done.proved
-    safe = done.record()["safe"]
-    assert (safe["joint_read"], safe["problems"]) == (False, ["the encoder does not answer"])
-    assert "by the motor alone, because the joint encoder could not be read" in done.message
 
 
 @pytest.mark.parametrize("eds", ["encoder.eds", "gone.eds"])
@@ -232,7 +201,7 @@ def test_a_program_that_does_not_leave_is_killed_before_anything_is_sent(desk: D
     done = desk.off()
     assert desk.processes.sent == [(RUN, signal.SIGTERM), (RUN, signal.SIGKILL)]
     assert [user.ended for user in done.users] == ["killed"]
-    assert desk.servo.told[:2] == ["alone", "quick stop"]
+    assert desk.servo.told[:2] == ["alone", "quick_stop"]
     assert RELEASE_S <= done.seconds < RELEASE_S + 1.0
 
 
@@ -255,14 +224,6 @@ def test_a_guardian_hands_over_or_is_killed(desk: Desk, obeys: bool) -> None:
     assert desk.processes.sent == sent
     assert [user.ended for user in done.users] == ["handed over" if obeys else "killed"]
     assert done.seconds < (0.5 if obeys else HANDOVER_S + 0.5)
-
-
-def test_a_guardian_that_ends_with_its_program_is_left_alone(desk: Desk) -> None:
-    desk.processes.add(RUN, "rig run", signal.SIGTERM)
-    desk.processes.add(GUARDIAN, f"python -m {MODULE} 3")
-    desk.processes.after = lambda number: desk.processes.here.clear()
-    desk.off()
-    assert desk.processes.sent == [(RUN, signal.SIGTERM)]
 
 
 def test_who_cannot_be_ended_does_not_keep_the_bench_from_being_made_safe(desk: Desk) -> None:
@@ -309,7 +270,7 @@ def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: De
 
 
 def test_a_drive_that_says_off_while_current_flows_is_not_proved_off(desk: Desk) -> None:
-    desk.servo.leak_A = 3.98
+    desk.servo.current = 3.98
     done = desk.off()
     assert not done.proved
     assert done.record()["safe"]["current_A"] == pytest.approx(3.98)
@@ -326,16 +287,6 @@ def test_a_port_that_is_back_while_it_is_tried_is_used(
 
     done = make_off(desk.document, say, desk.link.clock, desk.processes)
     assert (done.proved, done.attempts, desk.link.opened) == (True, 2, 1)
-
-
-def test_a_simulation_has_nothing_to_switch_off(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "off.json"
-    assert status(["off", "practical", "--json", str(file)]) == DONE
-    record = json.loads(file.read_text())
-    assert (record["proved"], record["real"], record["safe"]) == (True, False, None)
-    assert "simulation" in capsys.readouterr().out
 
 
 @pytest.fixture

@@ -21,9 +21,8 @@ from drivers.errors import LinkError
 from rig.cli.entry import status
 from rig.common import locks
 from rig.common.errors import InputError, InUseError
-from rig.common.locks import OWNER_FILE, Resource, hold_bench, hold_folder
+from rig.common.locks import OWNER_FILE, Resource, hold_bench
 from rig.config.bench import load_bench
-from rig.runs.recover import recover
 from rig.runs.run import create_folder
 from rig.runs.run_file import read_record
 from rig.wiring import connect as connect_module
@@ -195,16 +194,6 @@ def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
     assert in_use() == "free"
 
 
-def test_a_bench_that_cannot_be_locked_is_a_storage_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "locks").touch()
-    monkeypatch.setattr(connect_module, "resources", lambda bench: (Resource("x", "port x"),))
-    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path / "locks")
-    assert status(["check", "practical"]) == 4
-    assert capsys.readouterr().err.startswith("storage error: bench practical (port x): ")
-
-
 def content(folder: Path) -> dict[str, bytes]:
     """Return every file of a folder."""
     return {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -262,14 +251,6 @@ def test_a_run_whose_program_was_killed_is_taken_over_and_said(
     )
     assert "which no longer holds the lock; the lock is taken over" in said.err
     assert not (moved / OWNER_FILE).exists()
-
-
-def test_a_recovery_holds_the_folder(tmp_path: Path) -> None:
-    with hold_folder(tmp_path, "rig resume"), pytest.raises(InUseError):
-        recover(tmp_path)
-    with pytest.raises(InputError, match=r"recording\.mcap"):
-        recover(tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_left_over_file_does_not_fill_a_folder(tmp_path: Path) -> None:

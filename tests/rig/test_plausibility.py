@@ -137,14 +137,3 @@ def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
         == "verdict: NOT good: a run would refuse, because of machine constants"
     )
     assert "state of the drive: switch on disabled" in shown
-
-
-def test_an_unusual_bench_runs_with_a_warning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = variant(tmp_path, ("speed_deg_s: 120", "speed_deg_s: 1300"))
-    assert status(["run", "figure10", "--dry-run", "--bench", str(path)]) == 0
-    assert "warning: " in capsys.readouterr().err
-    assert status(["check", str(path)]) == 0
-    assert "which is unusual on a bench of this kind" in capsys.readouterr().out

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import rig.wiring.connect
-from drivers.interfaces import Lacks, RawFrame, ServoLimits, ServoState
+from drivers.interfaces import Lacks, RawFrame, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen.dictionary import key
 from rig.cli.entry import status
@@ -135,11 +135,6 @@ def test_a_pressure_transmitter_has_a_node_of_its_own(tmp_path: Path) -> None:
     (finding,) = bench_findings(load_bench(bench), TODAY)
     assert "pressure.node: 2 is also the node identifier of the encoder" in finding.text
     assert (finding.cause, finding.connectable) == (Cause.NODES, False)
-
-
-def test_a_serial_line_has_no_heartbeat_of_this_program(tmp_path: Path) -> None:
-    bench = variant(tmp_path, ("servo: {node: 1", "servo: {node: 127"), source="practical_serial")
-    assert bench_findings(load_bench(bench), TODAY) == []
 
 
 @pytest.mark.parametrize(("node", "count"), [(2, 0), (0x10, 2)])
@@ -290,12 +285,6 @@ def test_what_devices_refuse_is_reported_once_in_the_words_of_the_run(
     assert reported[0] in found["run"][1]
 
 
-def test_without_a_cause_everything_runs(tmp_path: Path, outcomes: Any) -> None:
-    found = outcomes(variant(tmp_path))
-    assert [found[name][0] for name in ("dry", "check", "run")] == [0, 0, 0]
-    assert problems(found["check"][1]) == []
-
-
 def test_a_drive_under_power_is_refused_in_the_words_of_the_run() -> None:
     with connect(load_bench("practical"), 0, realtime=False) as devices:
         bench = load_bench("practical").value
@@ -416,37 +405,6 @@ def test_what_the_encoder_does_not_report_is_said_before_a_weight_is_asked_for(
     assert said.index("warning: joint encoder: not monitored: alarms (6503h)") == 0
     assert said.count("warning: joint encoder: not monitored: alarms (6503h)") == 1
     assert "prompt" in said
-
-
-def test_check_says_what_the_encoder_does_not_report(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def lean(bench: SimulatedBench) -> None:
-        for address in ((0x6503, 0), (0x1013, 0)):
-            del bench.encoder.objects.entries[key(*address)]
-
-    tampered(monkeypatch, lean)
-    assert status(["check", "practical"]) == 0
-    shown = capsys.readouterr().out
-    assert "warning: joint encoder: not monitored: alarms (6503h)" in shown
-    assert "warning: joint encoder: no time stamp (1013h)" in shown
-
-
-def test_a_drive_in_fault_is_no_reason_where_it_may_be_cleared(
-    runner: Any, fake_bench: Any
-) -> None:
-    bench = fake_bench()
-    bench.drive_state = ServoState.FAULT
-
-    def cleared() -> None:
-        bench.drive_state = ServoState.SWITCH_ON_DISABLED
-
-    bench.faults["reset_fault", 1] = cleared
-    inputs = dataclasses.replace(runner.inputs, reset_fault=True)
-    devices = dataclasses.replace(bench.devices(), hang=None)
-    runner.folder.mkdir()
-    arguments = AutomaticOperator(), StopButton(), lambda *_: None
-    assert execute(inputs, runner.plan, devices, runner.folder, *arguments)[1].ending is Ending.DONE
 
 
 def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

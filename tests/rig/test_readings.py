@@ -21,7 +21,7 @@ from rig.config.serial_bus import UNWATCHED_SHARE
 from rig.control.readings import NOT_AVAILABLE, Readings, reading_findings
 from rig.planning.limits import Limits
 from rig.planning.plan import bench_limits
-from rig.wiring.bench_text import Watcher, bench_line, watcher, watcher_of
+from rig.wiring.devices import Watcher, bench_line, watcher, watcher_of
 
 from .benches import variant
 
@@ -122,21 +122,6 @@ def test_what_is_not_available_is_shown_so_and_not_judged(name: str) -> None:
     assert json.loads(json.dumps(record, allow_nan=False)) == record
     assert [NOT_AVAILABLE, ""] in [row[1:] for row in readings.rows()]
     assert NOT_AVAILABLE not in [cell for row in CALM.rows() for cell in row]
-
-
-def test_angles_are_shown_in_degrees_and_kept_in_radians() -> None:
-    readings = dataclasses.replace(
-        CALM, motor_encoder_at_joint_rad=math.radians(10.5), joint_encoder_rad=math.radians(10)
-    )
-    rows = {row[0]: row[1:] for row in readings.rows()}
-    assert rows["motor encoder, at the joint"] == ["10.500", "deg"]
-    assert rows["joint encoder"] == ["10.000", "deg"]
-    assert rows["difference of the two"] == ["0.500", "deg"]
-    assert readings.record()["difference_rad"] == pytest.approx(math.radians(0.5))
-
-
-def test_zero_has_no_sign() -> None:
-    assert dataclasses.replace(CALM, current_A=-0.0).rows()[4] == ["motor current", "0.000", "A"]
 
 
 def moved(*arguments: Any) -> SimulatedBench:
@@ -253,14 +238,3 @@ def test_who_watches_a_connected_bench(
     bench = fake_bench()
     bench.has_watchdog, bench.watch_s = watchdog, 0.1
     assert watcher(dataclasses.replace(bench.devices(), guard=guard)) == expected
-
-
-def test_a_real_bench_is_named_before_it_is_opened(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = variant(tmp_path, REAL)
-    for command in (["check", str(path)], ["run", "figure10", "--dry-run", "--bench", str(path)]):
-        assert status(command) == 2
-        captured = capsys.readouterr()
-        assert captured.out.splitlines()[:1] == [f"REAL bench practical ({path})"]
-        assert "servo.eds: missing" in captured.err

@@ -67,10 +67,6 @@ def test_a_channel_is_a_device_or_a_name(
     assert resources(can_bench(interface, channel)) == (expected,)
 
 
-def test_a_bus_inside_this_process_is_nobody_elses() -> None:
-    assert resources(can_bench("virtual", "x")) == ()
-
-
 def test_a_port_is_the_same_under_all_its_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,19 +77,6 @@ def test_commands_never_jump(runner: Any, fake_bench: Any) -> None:
     assert np.abs(np.diff(bench.targets, 2)).max() / runner.plan.cycle_s**2 < 100
 
 
-def test_a_run_becomes_recordings(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    dataset = load_run(folder.path)
-    assert [r.name for r in dataset.recordings] == ["empty[1]", "empty[2]", "heavy"]
-    heavy = dataset.recordings[2]
-    assert (heavy.stage, heavy.weight_mass) == ("loaded", 10.0)
-    assert len(heavy.time) == 500
-    assert heavy.period == pytest.approx(0.001)
-    assert heavy.averaged == {"current", "voltage"}
-    np.testing.assert_array_equal(heavy.channels["command"], runner.plan.stages[1].targets)
-    assert heavy.contact_force == pytest.approx(10 * 10 * 9.80665)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -119,15 +106,6 @@ def test_a_limit_trips_mid_motion(
     assert segment[699] != 0
     assert len(segment) > 700
     assert not segment[700:].any()
-
-
-def test_encoder_disagreement_trips_before_the_first_motion(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench(angle_error=0.05)
-    folder, outcome = runner(bench)
-    assert outcome.ending is Ending.TRIPPED
-    assert "encoder against drive" in outcome.message
-    assert len(bench.targets) == 1
-    assert_safe_and_readable(runner, bench, folder, outcome)
 
 
 @pytest.mark.parametrize(
@@ -329,27 +307,6 @@ def test_a_drive_that_is_found_under_power_ends_its_ramp(runner: Any, fake_bench
     assert ended == [ServoState.SWITCH_ON_DISABLED]
 
 
-def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench(overrides={"stuck": True})
-    for call in range(1, 1000):
-        bench.faults["quick_stop", call] = throw(LinkError("gone"))
-    folder, outcome = runner(bench)
-    assert outcome.ending is Ending.FAILED
-    assert not outcome.safe.verified
-    assert "could NOT be verified" in outcome.message
-    assert "main supply" in outcome.message
-    assert folder.record.de_energised is False
-
-
-def test_equal_runs_give_equal_samples(runner: Any, fake_bench: Any) -> None:
-    first, _ = runner(fake_bench())
-    one = read_run(first.recording)
-    first.recording.unlink()
-    second, _ = runner(fake_bench())
-    two = read_run(second.recording)
-    assert one.messages == two.messages
-
-
 class Pacer:
     """A real clock that nobody has to wait for."""
 
@@ -375,22 +332,6 @@ def test_real_time_holds_every_cycle_to_its_instant(runner: Any, fake_bench: Any
     assert len(pacer.deadlines) == folder.record.cycles
     assert set(np.diff(pacer.deadlines)) == {1_000_000, 0}
     assert pacer.deadlines.count(pacer.deadlines[0]) == 1
-
-
-def test_a_late_cycle_is_counted_and_not_made_up_for(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(
-        bench.clock.now_ns() + 3_500_000
-    )
-    folder, outcome = runner(bench)
-    assert outcome.ending is Ending.DONE
-    assert folder.record.overruns == 1
-    steps = np.diff(read_run(folder.recording).samples["time"])
-    # A cycle, the late one, and the step from one stage to the next.
-    between, *within = sorted(set(np.round(steps, 6)), reverse=True)
-    assert between > 0.1  # twice proved off
-    assert within == [0.0039, 0.001]
-    assert np.count_nonzero(np.round(steps, 6) == 0.0039) == 1
 
 
 def test_a_cycle_that_is_far_too_late_ends_the_run(runner: Any, fake_bench: Any) -> None:

@@ -96,11 +96,6 @@ def test_a_bench_that_cannot_work_is_refused(
         load_bench(variant(tmp_path, *changes))
 
 
-def test_a_slower_cycle_fits_a_slower_line(tmp_path: Path) -> None:
-    changes = ("baud: 1000000", "baud: 115200"), ("cycle_Hz: 500", "cycle_Hz: 50")
-    assert load_bench(variant(tmp_path, *changes)).value.cycle_s == pytest.approx(0.02)
-
-
 def test_an_encoder_line_beside_a_can_servo(tmp_path: Path) -> None:
     path = variant(tmp_path, (BUS, "bus: {interface: mock}"), ("node: 1", "node: 2"))
     with connect(load_bench(path), 0, False) as devices:

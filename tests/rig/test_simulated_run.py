@@ -10,7 +10,6 @@ from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
-from rig.control import session
 from rig.control.session import run_simulated
 
 SHORT = """\
@@ -43,15 +42,4 @@ def test_a_real_bench_does_not_run_unattended(sequence: Path, tmp_path: Path) ->
 def test_a_run_that_trips_is_an_error(sequence: Path, tmp_path: Path) -> None:
     sequence.write_text(SHORT + "limits: {following_error_deg: 0.01}\n")
     with pytest.raises(InputError, match=r"short on practical: stage empty, .*following error"):
-        run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")
-
-
-def test_ctrl_c_goes_on_outward(
-    sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def press(stage: str, cycles: int, sample: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(session, "_silent", press)
-    with pytest.raises(KeyboardInterrupt):
         run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")

@@ -4,7 +4,6 @@ back.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import Measuring, ServoLimits, ServoMotion, ServoReadings, ServoState
+from drivers.interfaces import ServoLimits, ServoMotion, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import (
     INSISTENT_ATTEMPTS,
@@ -23,6 +22,8 @@ from rig.wiring.teardown import (
     give_back,
     make_safe,
 )
+
+from .drives import FakeDrive
 
 CYCLE_NS = 10_000_000
 OFF, ON, BRAKING = (
@@ -73,17 +74,14 @@ class Clock(SimulatedClock):
         super().sleep_until_ns(time_ns)
 
 
-class Servo:
+class Servo(FakeDrive):
     """A drive under power, whose verbs raise where they are told to."""
-
-    prepared = False
 
     def __init__(self, raising: dict[str, Callable[[], BaseException]]) -> None:
         self.raising = raising
         self.order: list[str] = []
         self.power = ON
         self.sent: ServoState | None = None
-        self.current = self.angle = 0.0
         self.moved = (0.0, 0.0)
         self.clock = Clock(self)
 
@@ -95,9 +93,12 @@ class Servo:
         if verb in self.raising:
             raise self.raising[verb]()
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
         self.order.append(verb)
         self.fail(verb)
+        if verb == "glance":
+            self.pass_time(NS // 1000)
+        self.power = {"quick_stop": BRAKING, "disable": OFF}.get(verb, self.power)
 
     def hurry(self) -> bool:
         self.fail("hurry")
@@ -106,39 +107,16 @@ class Servo:
     def sent_state(self) -> ServoState | None:
         return self.sent
 
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self._do("quick_stop")
-        self.power = BRAKING
-
     def watch(self) -> ServoState | None:
-        self._do("watch")
+        self.do("watch")
         self.pass_time(CYCLE_NS)
         return self.sent
-
-    def disable(self) -> None:
-        self._do("disable")
-        self.power = OFF
-
-    def state(self) -> ServoState:
-        self._do("state")
-        return self.power
-
-    def glance(self) -> ServoReadings:
-        self._do("glance")
-        self.pass_time(NS // 1000)
-        return ServoReadings(self.angle, current_A=self.current)
-
-    def measuring(self) -> Measuring:
-        return Measuring(1e-5, 100.0, 0.015, 15.0)
 
     def motion(self) -> ServoMotion:
         return ServoMotion(*self.moved)
 
-    def promised_deceleration(self) -> float:
-        return 1.0
-
     def write_limits(self, limits: ServoLimits) -> None:
-        self._do("write_limits")
+        self.do("write_limits")
 
 
 def safe(servo: Any, brake: bool = True, insistent: bool = False) -> SafeState:
@@ -223,12 +201,6 @@ def test_only_what_nobody_foresaw_is_handed_on() -> None:
     assert safe(Servo({"disable": KeyboardInterrupt})).unforeseen == ()
 
 
-def test_what_the_devices_and_the_disk_say_is_foreseen() -> None:
-    for error in (LinkError("gone"), StorageError("the disk is full")):
-        found = safe(Servo({"quick_stop": lambda error=error: error}))  # type: ignore[misc]
-        assert (found.problems, found.unforeseen) == ((str(error),), ())
-
-
 def test_an_exception_that_cannot_be_shown_is_named() -> None:
     class Mute(Exception):
         def __str__(self) -> str:
@@ -301,41 +273,6 @@ def test_all_steps_are_tried_in_order() -> None:
     assert done == [1, 2]
 
 
-UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unknown; gone; full); "
-
-
-@pytest.mark.parametrize(
-    ("found", "words"),
-    [
-        (
-            SafeState(True, "fault", current_A=-0.004, motion_rad_s=0.0),
-            "the drive is de-energised (read back: fault), 0.00 A, joint at rest",
-        ),
-        (
-            SafeState(True, "fault", motion_rad_s=0.0),
-            "the drive is de-energised (read back: fault), current not reported, joint at rest",
-        ),
-        (
-            SafeState(False, "switch on disabled", (), True, (), 3.98, 0.0, "3.98 A flow"),
-            "it could NOT be verified that the drive is de-energised: 3.98 A flow; do not touch "
-            "the weights or the joint; switch the main supply off, and wait until the joint rests",
-        ),
-        (
-            SafeState(False, "unknown", ("gone", "full"), watched=False),
-            UNVERIFIED + "it has no watchdog and may go on HOLDING UNDER POWER: switch the main "
-            "supply off now",
-        ),
-        (
-            SafeState(False, "unknown", ("gone", "full")),
-            UNVERIFIED + "its own watchdog takes the power off; "
-            "switch the main supply off before approaching the bench",
-        ),
-    ],
-)
-def test_how_the_drive_was_left_in_words(found: SafeState, words: str) -> None:
-    assert found.message == words
-
-
 def test_the_record_holds_no_exceptions() -> None:
     found = SafeState(False, "off", ("p",), True, (ValueError(),), 3.98, 0.5, "it flows")
     assert found.record() == {
@@ -350,14 +287,6 @@ def test_the_record_holds_no_exceptions() -> None:
     }
 
 
-def test_how_the_drive_was_left_is_a_plain_value() -> None:
-    found = SafeState(True, "off", unforeseen=(ValueError("odd"),))
-    assert found == SafeState(True, "off")
-    assert "odd" not in repr(found)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        found.verified = False  # type: ignore[misc]
-
-
 class Deaf(Servo):
     """A drive that hears nothing until a number of frames is lost."""
 
@@ -366,25 +295,21 @@ class Deaf(Servo):
         self.frames = frames
         self.word = ON
 
-    def _do(self, verb: str) -> None:
+    def do(self, verb: str) -> None:
         self.order.append(verb)
+        self.word = {"quick_stop": BRAKING, "disable": OFF}.get(verb, self.word)
         self.frames -= 1
         if self.frames >= 0:
             raise LinkError("gone")
-
-    def quick_stop(self, *, at_once: bool = True) -> None:
-        self.word = BRAKING
-        super().quick_stop(at_once=at_once)
+        if verb == "glance":
+            self.pass_time(NS // 1000)
+        if verb in ("quick_stop", "disable", "watch"):
+            self.power = self.word
 
     def watch(self) -> ServoState | None:
         self.pass_time(CYCLE_NS)
-        self._do("watch")
-        self.power = self.word
+        self.do("watch")
         return self.sent
-
-    def disable(self) -> None:
-        self.word = OFF
-        super().disable()
 
 
 def stopped(servo: Any, insistent: bool) -> SafeState:

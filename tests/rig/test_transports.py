@@ -4,15 +4,33 @@ line.
 
 from __future__ import annotations
 
-import importlib.util
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType
+from typing import Any
+from unittest.mock import patch
 
+import can
 import numpy as np
 import pytest
 
+from benchmarks.adapters import LawicelAdapter, Ports, SocketcandServer
+from drivers.can.slcan import SlcanPort
+from drivers.canopen.link import CanopenLink
+from drivers.mock.bench import SimulatedBench
+from drivers.mock.wires.serial_line import Station
+from drivers.serial_port import BytePort
 from rig.cli.entry import status
 from rig.runs.mcap.reader import read_run
+from rig.wiring import connect
+
+from ..drivers.lock_step import (
+    LockStep,
+    LockStepCan,
+    LockStepSerial,
+    count_socketcand,
+    served_meanwhile,
+)
 
 SEQUENCE = """\
 sequence: 1
@@ -22,29 +40,94 @@ stages:
      duration_s: 0.3,
      center_deg: 2, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.02}
 """
-SCRIPT = Path(__file__).parents[1] / "long" / "transports.py"
+LINES = ("EPOS serial, AMT21", "slcan on a pty", "socketcand on loopback")
+_ADAPTER_BAUD = 115_200
 
 
-@pytest.fixture(scope="module")
-def transports() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("long_transports", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+@contextlib.contextmanager
+def wired(transport: str) -> Iterator[None]:
+    """Put real pseudo-terminals or sockets between the host and the simulated bench, where the
+    transport has any.
+    """
+    ports = Ports()
+    with contextlib.ExitStack() as stack:
+        stack.callback(ports.close)
+        if transport == "EPOS serial, AMT21":
+            stack.enter_context(patch.object(connect, "_simulated", _over_ptys(ports)))
+        elif transport in LINES:
+            over = _over_slcan(ports) if transport == "slcan on a pty" else _over_socketcand(ports)
+            stack.enter_context(patch.object(connect, "_link", over))
+        yield
+
+
+def _over_ptys(
+    ports: Ports,
+) -> Callable[[SimulatedBench, str, int, Station], Callable[[], BytePort]]:
+    def line(
+        simulated: SimulatedBench, _name: str, baud: int, station: Station
+    ) -> Callable[[], BytePort]:
+        path = ports.open_pty(station)
+        return lambda: LockStepSerial(path, baud, LockStep(simulated.clock, ports, path))
+
+    return line
+
+
+def _over_slcan(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench]]:
+    def link(
+        bench: Any, servo: Any, bus: Any, seed: int, attach: Any
+    ) -> tuple[CanopenLink, SimulatedBench]:
+        simulated, clock = connect._simulated_bench(bench, servo, bus.bitrate, seed, attach)
+        assert simulated is not None
+        path = ports.open_pty(LawicelAdapter(simulated.bus))
+        step = LockStep(simulated.clock, ports, path)
+
+        def adapter() -> SlcanPort:
+            return SlcanPort(
+                LockStepSerial(path, _ADAPTER_BAUD, step), simulated.clock, bus.bitrate
+            )
+
+        return CanopenLink(clock, adapter, "slcan"), simulated
+
+    return link
+
+
+def _over_socketcand(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench]]:
+    def link(
+        bench: Any, servo: Any, bus: Any, seed: int, attach: Any
+    ) -> tuple[CanopenLink, SimulatedBench]:
+        simulated, clock = connect._simulated_bench(bench, servo, bus.bitrate, seed, attach)
+        assert simulated is not None
+        port = ports.open_socket(SocketcandServer(simulated.bus))
+        step = LockStep(simulated.clock, ports, port)
+        options = {
+            "interface": "socketcand",
+            "channel": "can0",
+            "host": "127.0.0.1",
+            "port": port,
+            "tcp_tune": True,
+        }
+
+        def client() -> LockStepCan:
+            opened = served_meanwhile(ports, lambda: can.Bus(**options))
+            step.sent, step.read = step.traffic.taken, step.traffic.given
+            count_socketcand(opened, step)
+            return LockStepCan(opened, step)
+
+        return CanopenLink(clock, client, "socketcand"), simulated
+
+    return link
 
 
 @pytest.mark.parametrize("transport", ["slcan on a pty", "socketcand on loopback"])
-def test_the_same_samples(transports: ModuleType, tmp_path: Path, transport: str) -> None:
+def test_the_same_samples(tmp_path: Path, transport: str) -> None:
     (tmp_path / "s.yaml").write_text(SEQUENCE)
     for name, wire in (("plain", "CANopen"), ("wired", transport)):
-        with transports.wired(wire):
+        with wired(wire):
             assert (
                 status(["run", str(tmp_path / "s.yaml"), "--yes", "--out", str(tmp_path / name)])
                 == 0
             )
-    plain, wired = (
+    plain, over = (
         read_run(tmp_path / name / "recording.mcap").samples for name in ("plain", "wired")
     )
     assert len(plain["time"]) > 300
@@ -58,13 +141,13 @@ def test_the_same_samples(transports: ModuleType, tmp_path: Path, transport: str
         "statusword",
         "fresh",
     ):
-        np.testing.assert_array_equal(plain[field], wired[field])
+        np.testing.assert_array_equal(plain[field], over[field])
 
 
-def test_an_epos_and_an_amt21_on_pseudo_terminals(transports: ModuleType, tmp_path: Path) -> None:
+def test_an_epos_and_an_amt21_on_pseudo_terminals(tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(SEQUENCE)
     out = tmp_path / "out"
-    with transports.wired("EPOS serial, AMT21"):
+    with wired("EPOS serial, AMT21"):
         assert (
             status(
                 [
@@ -94,9 +177,9 @@ def test_an_epos_and_an_amt21_on_pseudo_terminals(transports: ModuleType, tmp_pa
     ],
 )
 def test_a_bench_is_checked_over_its_wire(
-    transports: ModuleType, capsys: pytest.CaptureFixture[str], transport: str, bench: str
+    capsys: pytest.CaptureFixture[str], transport: str, bench: str
 ) -> None:
-    with transports.wired(transport):
+    with wired(transport):
         assert status(["check", bench]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[-2:] for line in lines if line.startswith("supply voltage ")] == [

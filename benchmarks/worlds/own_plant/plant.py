@@ -9,10 +9,10 @@ import numpy as np
 
 from benchmarks.worlds.gains import gains
 from benchmarks.worlds.own_plant.machine import machine_of
+from benchmarks.worlds.own_plant.sampled import SampledMachine, Sent
 from benchmarks.worlds.sizes import SIZES
 from benchmarks.worlds.world import COMMAND_S, Signals, World
 from drivers.mock.plant.effects.outside import OUTSIDE
-from drivers.mock.plant.sampled import SampledMachine, Sent
 
 NOISE_STREAM, FLICKER_STREAM = 6, 10
 

@@ -13,10 +13,20 @@ for any step.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.mock.plant.effects import gas as hidden
-from drivers.mock.plant.parts.compiled import Vector, inlined
-from drivers.mock.plant.parts.friction import throat_area
+from drivers.mock.plant.effects import table
+from drivers.mock.plant.effects.kernel import Histories, advance_hiding
+from drivers.mock.plant.effects.pack import GAS_KNOWN
+from drivers.mock.plant.effects.table import JOINT, RUN, SEEN
+from drivers.mock.plant.parts import constants
+from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
+from drivers.mock.plant.parts.friction import MOMENT, open_throat
+from drivers.mock.plant.parts.loops import LOOP_S, THETA, advance
 
 # State vector.
 (
@@ -168,7 +178,7 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     grows = hidden.layer(y[BURN_TIME] + h, g, HIDDEN)
     before, after = (
         y[THROAT],
-        throat_area(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH]),
+        open_throat(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH]),
     )
     mass, volume, pressure = y[MASS], y[VOLUME], y[PRESSURE]
     made = 1.0 / energy if g[SIMPLIFIED] != 0.0 else 0.0
@@ -207,7 +217,7 @@ def contact_force(pressure: float, throat: float, g: Vector) -> float:
 
 
 @inlined
-def steady_pressure(throat: float, g: Vector) -> float:
+def settled_pressure(throat: float, g: Vector) -> float:
     """Return the pressure at which the generator burns steadily, Pa.
 
     With eq. 8 this pressure is (rho_b A_b a C_r / A_t)^(1/(1-n)); with eq. 7 it is the slightly
@@ -230,3 +240,217 @@ def steady_pressure(throat: float, g: Vector) -> float:
         if abs(change) <= 1e-14 * p:
             break
     return p
+
+
+HEAT_RATIO = 1.25
+"""Specific-heat ratio of the gas."""
+
+
+def gas_vector(machine: constants.Machine) -> Vector:
+    """Pack the gas generator and valve of a machine; L1 is the joint's moment arm."""
+    generator, valve = machine.gas, machine.gas.valve
+    g = np.zeros(PARAMETER_SIZE)
+    g[DENSITY] = generator.propellant_density_kg_m3
+    g[BURNING_AREA] = 0.25 * math.pi * generator.chamber_diameter_m**2
+    g[RATE] = 1e-3 * generator.burning_rate_mm_s * 1e-6**generator.pressure_exponent
+    g[EXPONENT] = generator.pressure_exponent
+    g[ENERGY] = generator.energy_J_kg
+    g[ENTHALPY] = HEAT_RATIO / (HEAT_RATIO - 1.0) * generator.energy_J_kg
+    g[VELOCITY] = generator.characteristic_velocity_m_s
+    g[BACK_PRESSURE] = generator.back_pressure_Pa
+    g[SIMPLIFIED] = float(generator.equation == 8)
+    g[ARM] = machine.joint.moment_arm_m
+    g[HOLE] = 0.5 * valve.hole_diameter_m
+    g[OPENING] = 0.5 * valve.opening_diameter_m
+    g[HALF_WIDTH] = 0.5 * valve.plate_width_m
+    g[LOOPS_PER_STEP] = generator.loops_per_step
+    g[THROAT_SHARE] = g[BURNING_SHARE] = g[RATE_SHARE] = g[HEAT_SHARE] = 1.0
+    hides = GAS_KNOWN.keys() & machine.effects.keys()
+    for name in hides:
+        for key, value in machine.effects[name].items():
+            g[HIDDEN + GAS_KNOWN[name][key].slot] = value
+    g[HIDING] = float(bool(hides))
+    return g
+
+
+def unlit(machine: constants.Machine) -> Vector:
+    """Return the state without combustion: no gas, and the pressure downstream of the valve."""
+    y = np.zeros(GAS_SIZE)
+    y[PRESSURE] = machine.gas.back_pressure_Pa
+    return y
+
+
+def lit(
+    machine: constants.Machine, g: Vector, angle_rad: float, pressure_Pa: float | None = None
+) -> Vector:
+    """Return the state at ignition.
+
+    Args:
+        machine: The machine with the gas generator.
+        g: Vector of the gas generator.
+        angle_rad: Valve angle, rad.
+        pressure_Pa: Pressure at the start, or None for the steady pressure at this angle.
+    """
+    y = np.zeros(GAS_SIZE)
+    y[THROAT] = valve_throat(g, np.array([angle_rad]))[0]
+    y[PRESSURE] = (
+        steady_pressures(g, y[THROAT : THROAT + 1])[0] if pressure_Pa is None else pressure_Pa
+    )
+    y[VOLUME] = machine.gas.free_volume_m3
+    burnt = g[DENSITY] * g[BURNING_AREA] * g[RATE] * y[PRESSURE] ** g[EXPONENT]
+    cooled = hidden.settled_chill(burnt, g[ENTHALPY], g, HIDDEN)
+    y[MEMORY + hidden.COOLED] = cooled
+    y[MASS] = y[PRESSURE] * y[VOLUME] / (g[ENERGY] * g[HEAT_SHARE] * (1.0 - cooled))
+    y[FORCE] = contact_force(y[PRESSURE], y[THROAT], g)
+    return y
+
+
+@compiled
+def valve_throat(g: Vector, angle: Vector) -> Vector:
+    """Return A_t at each valve angle (rad), m^2, shape (n,)."""
+    out = np.empty_like(angle)
+    for k in range(len(angle)):
+        out[k] = open_throat(angle[k], g[ARM], g[HOLE], g[OPENING], g[HALF_WIDTH])
+    return out
+
+
+@compiled
+def steady_pressures(g: Vector, throat: Vector) -> Vector:
+    """Return the steady pressure at each throat area (m^2), Pa, shape (n,)."""
+    out = np.empty_like(throat)
+    for k in range(len(throat)):
+        out[k] = settled_pressure(throat[k], g)
+    return out
+
+
+class Burn(NamedTuple):
+    """A simulated firing, sampled at the times of its valve angles; arrays of shape (n,).
+
+    ``burnt`` and ``outflow`` are counted from the first sample.
+    """
+
+    pressure_Pa: Vector
+    throat_m2: Vector
+    contact_force_N: Vector
+    free_volume_m3: Vector
+    stored_kg: Vector
+    burnt_kg: Vector
+    outflow_kg: Vector
+
+
+def burn(
+    machine: constants.Machine,
+    angle_rad: Vector,
+    period_s: float,
+    steps: int = 1,
+    pressure_Pa: float | None = None,
+) -> Burn:
+    """Simulate a firing while the valve follows given angles, with linear interpolation between
+    samples.
+
+    Args:
+        machine: The machine with the gas generator.
+        angle_rad: Valve angles, rad, shape (n,).
+        period_s: Sampling period, s.
+        steps: Integration steps per sample.
+        pressure_Pa: Pressure at the start, or None for the steady pressure at the first angle.
+    """
+    g = gas_vector(machine)
+    y = lit(machine, g, float(angle_rad[0]), pressure_Pa)
+    out = np.zeros((len(angle_rad), GAS_SIZE))
+    _follow(y, g, np.ascontiguousarray(angle_rad, dtype=np.float64), period_s, steps, out)
+    return Burn(
+        out[:, PRESSURE],
+        out[:, THROAT],
+        out[:, FORCE],
+        out[:, VOLUME],
+        out[:, MASS],
+        out[:, BURNT],
+        out[:, OUTFLOW],
+    )
+
+
+def throat_area(machine: constants.Machine, angle_rad: Vector) -> Vector:
+    """Return the effective throat area A_t at each valve angle, m^2, shape (n,)."""
+    return valve_throat(gas_vector(machine), np.ascontiguousarray(angle_rad, dtype=np.float64))
+
+
+def impacted_area(machine: constants.Machine, angle_rad: Vector) -> Vector:
+    """Return the impacted area A_s = pi D^2/4 - A_t at each valve angle, m^2, shape (n,)."""
+    opening = 0.25 * np.pi * machine.gas.valve.opening_diameter_m**2
+    return np.asarray(opening - throat_area(machine, angle_rad))
+
+
+def steady_pressure(machine: constants.Machine, angle_rad: Vector) -> Vector:
+    """Return the pressure of steady burning at each valve angle, Pa, shape (n,)."""
+    return steady_pressures(gas_vector(machine), throat_area(machine, angle_rad))
+
+
+@compiled
+def _follow(
+    y: Vector, g: Vector, angle: Vector, period: float, steps: int, out: NDArray[np.float64]
+) -> None:
+    out[0] = y
+    for k in range(1, len(angle)):
+        for j in range(1, steps + 1):
+            step_gas(y, g, angle[k - 1] + (angle[k] - angle[k - 1]) * j / steps, period / steps)
+        out[k] = y
+
+
+REFERENCE_FORCE_N = 3000.0
+"""Contact force at which the injected effect ``load_exponent`` has no effect."""
+
+
+@compiled
+def felt_force(force: float, e: Vector) -> float:
+    """Return the effective contact force, to which friction is proportional, N.
+
+    With the injected effect ``load_exponent``, the effective force is a power of the contact force
+    ``force``, equal to ``force`` at the reference force. Without this effect it is equal to
+    ``force``.
+    """
+    if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
+        return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
+    return force
+
+
+@compiled
+def advance_loaded(
+    loops: int,
+    s: Vector,
+    x: Vector,
+    histories: Histories,
+    d: Vector,
+    p: Vector,
+    e: Vector,
+    y: Vector,
+    g: Vector,
+    noise: Vector,
+    path: Vector,
+) -> None:
+    """Advance ``loops`` drive-loop periods; the arguments are those of the kernels of machine and
+    gas generator, of which ``y`` and ``g`` belong to the gas generator.
+
+    In each gas step the contact force is that at the start of the step; at 50 deg/s the force
+    changes by 0.5 N in 100 microseconds. Steps are counted from ignition, so that the result does
+    not depend on how the time is divided among calls.
+    """
+    burns = y[MASS] > 0.0
+    done = 0
+    while done < loops:
+        n = min(int(g[LOOPS_PER_STEP] - y[PENDING]), loops - done) if burns else loops
+        if burns:
+            p[MOMENT] = felt_force(y[FORCE], e) * g[ARM]
+        part = path[done : done + n]
+        if len(e) > 0:
+            advance_hiding(n, s, x, histories, d, p, e, noise[done : done + n], part)
+        else:
+            advance(n, s, d, p, noise[done : done + n], part)
+            x[RUN] += n * d[LOOP_S]
+            x[SEEN] = s[THETA]
+        done += n
+        if burns:
+            y[PENDING] += n
+            if y[PENDING] >= g[LOOPS_PER_STEP]:
+                step_gas(y, g, x[JOINT] if len(e) > 0 else s[THETA], y[PENDING] * d[LOOP_S])
+                y[PENDING] = 0.0

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
 from drivers.mock.plant import gas
-from drivers.mock.plant.burning import advance_loaded, felt_force
-from drivers.mock.plant.effects import state as extra
 from drivers.mock.plant.effects import table
+from drivers.mock.plant.effects import table as extra
+from drivers.mock.plant.effects.kernel import Histories
 from drivers.mock.plant.effects.pack import bare_vector, effect_vector
-from drivers.mock.plant.effects.sensing import Histories
-from drivers.mock.plant.effects.state import RUN, SEEN, SUPPLY
-from drivers.mock.plant.gas import PRESSURE
-from drivers.mock.plant.gas_pack import gas_vector, lit, unlit
+from drivers.mock.plant.effects.table import RUN, SEEN, SUPPLY
+from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
 from drivers.mock.plant.parts.compiled import Vector, compiled
 from drivers.mock.plant.parts.constants import Loops
@@ -529,9 +527,7 @@ class SimulatedMachine:
         )
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
-        """Return the next ``count`` noise samples, equal to those that ``count`` single loop
-        periods draw.
-        """
+        """Return the next noise samples, as single loop periods would draw them."""
         left = self._noise[self._noise_at :]
         if count <= len(left):
             self._noise_at += count

@@ -122,9 +122,7 @@ class SimulatedBus(can.BusABC):
         return self._times[0 if identifier & REMOTE_FLAG else len(data)]
 
     def _arrived(self) -> None:
-        """Deliver the frame on the bus and the frames that follow it, up to the next event of
-        another kind.
-        """
+        """Deliver the frame, and those that follow it up to the next event of another kind."""
         clock, contenders = self._clock, self._contenders
         now = clock.now_ns()
         while (sender := self._sender) is not None:
@@ -230,9 +228,7 @@ class SimulatedBus(can.BusABC):
         return None
 
     def _wait(self, deadline_ns: int) -> bool:
-        """Advance simulated time until there is a frame for the host; return False if there is none
-        before the deadline.
-        """
+        """Advance time until there is a frame; return False if none comes before the deadline."""
         if self._is_shutdown:
             raise OSError("the bus is shut")
         clock = self._clock

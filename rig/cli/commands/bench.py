@@ -33,10 +33,8 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
-from rig.wiring.bench_text import bench_line, unprotected, watcher
 from rig.wiring.connect import connect
-from rig.wiring.devices import Devices
-from rig.wiring.ownership import say_taken_over
+from rig.wiring.devices import Devices, bench_line, say_taken_over, unprotected, watcher
 from rig.wiring.preflight import require_startable
 from rig.wiring.teardown import observed
 
@@ -284,16 +282,15 @@ def _move(
     reset_fault: bool,
 ) -> Outcome:
     span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
-    with RunProgress(bench.cycle_s, len(planned.angles) * span / planned.speed, screen) as progress:
-        return move(
-            planned,
-            bench,
-            devices,
-            stop,
-            progress,
-            lambda words, good: screen.say(words, err=not good),
-            reset_fault,
-        )
+    return move(
+        planned,
+        bench,
+        devices,
+        stop,
+        RunProgress(bench.cycle_s, len(planned.angles) * span / planned.speed, screen),
+        lambda words, good: screen.say(words, err=not good),
+        reset_fault,
+    )
 
 
 def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:

@@ -12,7 +12,7 @@ import click
 
 from drivers.clock import Clock
 from drivers.mock.bench import SimulatedBench, SimulatedDbcBench
-from drivers.mock.mistakes import MISTAKES
+from drivers.mock.faults import MISTAKES
 from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
@@ -43,9 +43,7 @@ from rig.runs.run_record import Ending
 from rig.terminal.prompt import Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import bench_line, unprotected
-from rig.wiring.devices import Devices
-from rig.wiring.ownership import say_taken_over
+from rig.wiring.devices import Devices, bench_line, say_taken_over, unprotected
 from rig.wiring.preflight import require_startable
 
 RECORD_FILE = COMMISSION_JSON

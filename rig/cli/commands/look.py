@@ -27,7 +27,7 @@ from rig.runs.recover import damaged_name, mend
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
-from rig.wiring.ownership import until_the_end
+from rig.wiring.devices import until_the_end
 
 if TYPE_CHECKING:
     from rig.sources.look import Look

@@ -48,8 +48,7 @@ from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
-from rig.wiring.bench_text import bench_line
-from rig.wiring.ownership import say_taken_over, until_the_end
+from rig.wiring.devices import bench_line, say_taken_over, until_the_end
 from rig.wiring.preflight import require_startable
 
 
@@ -316,9 +315,9 @@ def _carry_out(
             tolerance = bench.value.weight_tolerance
             operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
             carry_out = execute if injector is None else injector.execute
-            with RunProgress(plan.cycle_s, _left(plan, inputs).duration_s, screen) as progress:
-                devices = observed(devices, control, progress)
-                folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
+            progress = RunProgress(plan.cycle_s, _left(plan, inputs).duration_s, screen)
+            devices = observed(devices, control, progress)
+            folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, json_file, screen)
     if injector is not None:
         click.echo(describe_findings(injector.conclude(status, outcome.message)))

@@ -284,7 +284,7 @@ def accept(
     from rig.cli.accepting import accept_run, limits_for
     from rig.common.locks import hold_folder
     from rig.common.places import require_file, write_asked
-    from rig.wiring.ownership import until_the_end
+    from rig.wiring.devices import until_the_end
 
     require_file(json_file, "--json")
     require_file(junit_file, "--junit")

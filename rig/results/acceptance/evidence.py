@@ -31,7 +31,7 @@ from rig.runs.run import load_run
 from rig.runs.run_file import read_record
 from rig.runs.run_record import Ending, RunRecord
 from rig.runs.run_record import Verdict as WeightVerdict
-from rig.weighing.label_check import comparable, off_label
+from rig.weighing.weight_check import comparable, off_label
 
 Progress = Callable[[str, float], None]
 DIAGNOSIS_FOLDER = "diagnosis"

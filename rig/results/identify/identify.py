@@ -27,7 +27,7 @@ from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite, plain
 from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
 from rig.runs.run_record import FEEDFORWARD_INPUT, RUN_FILE
 from rig.sources import load_source
-from rig.weighing.label_check import comparable, off_label
+from rig.weighing.weight_check import comparable, off_label
 
 
 class Method(Protocol):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from drivers.mock.plant import gas_direct
-from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant import gas as gas_direct
+from drivers.mock.plant.gas import impacted_area, throat_area
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.constants import Machine

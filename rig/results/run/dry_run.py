@@ -19,7 +19,7 @@ from rig.planning.predicted_load import (
     PredictedLoad,
     moves_to_start,
 )
-from rig.wiring.bench_text import Watcher, watcher_of
+from rig.wiring.devices import Watcher, watcher_of
 
 NOT_JUDGED = (
     "acceptance: neither the sequence nor --acceptance states limits, so the run will not be judged"

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.mock.plant.gas_direct import burn
+from drivers.mock.plant.gas import burn
 from drivers.mock.plant.parts.constants import Machine
 from identification.model.gas_generator import GasGenerator
 from identification.recording import Array, Bench, Dataset, Recording

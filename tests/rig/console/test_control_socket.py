@@ -19,7 +19,7 @@ import pytest
 from drivers.clock import NS, SimulatedClock
 from rig.common.sample import Phase
 from rig.control.operator import AutomaticOperator, ConsoleOperator, Verb
-from rig.control.phases import TRANSITIONS
+from rig.control.phase_handlers import TRANSITIONS
 from rig.runs.run_record import Ending
 from rig.terminal.control_socket import (
     LONGEST_BYTES,

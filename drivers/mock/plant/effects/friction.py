@@ -6,21 +6,17 @@ import math
 
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.outside import ACCELERATION_DRAG, outside_level, outside_sides
-from drivers.mock.plant.effects.state import (
+from drivers.mock.plant.effects.table import (
     ACCELERATION,
     EXTERNAL,
     FALLING,
-    GROWN,
-    JOINT,
-    RUN,
-    TIME,
-    TRANSMITTED,
-)
-from drivers.mock.plant.effects.table import (
     GRAVITY_TORQUE,
     GRAVITY_ZERO,
+    GROWN,
+    JOINT,
     LOAD_SLOPE,
     PRESLIDING_STIFFNESS,
+    RUN,
     SPRING_REST,
     SPRING_STIFFNESS,
     STOP_ANGLE,
@@ -29,6 +25,8 @@ from drivers.mock.plant.effects.table import (
     SWING_DECAY,
     SWING_FRACTION,
     SWING_FREQUENCY,
+    TIME,
+    TRANSMITTED,
 )
 from drivers.mock.plant.parts.compiled import Vector, inlined
 from drivers.mock.plant.parts.friction import (

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
-from drivers.mock.plant.effects.kernel import CONSTANTS_AT
+from drivers.mock.plant.effects.kernel import CONSTANTS_AT, DAMPING_RATIO, stiffness_of
 from drivers.mock.plant.effects.outside import OUTSIDE
-from drivers.mock.plant.effects.shaft import DAMPING_RATIO, stiffness_of
-from drivers.mock.plant.effects.state import (
+from drivers.mock.plant.effects.table import (
+    CATALOGUE,
     CONSTANTS_SIZE,
     GEAR,
     NOMINAL_SUPPLY,
@@ -20,8 +20,8 @@ from drivers.mock.plant.effects.state import (
     ROTOR_INERTIA,
     SHAFT_DAMPING,
     TWO_MASSES,
+    Parameter,
 )
-from drivers.mock.plant.effects.table import CATALOGUE, Parameter
 from drivers.mock.plant.parts import constants
 
 Effects = Mapping[str, Mapping[str, float]]

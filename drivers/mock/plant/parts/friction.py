@@ -117,7 +117,7 @@ def lens(large: float, small: float, distance: float) -> float:
 
 
 @inlined
-def throat_area(angle: float, arm: float, hole: float, opening: float, half_width: float) -> float:
+def open_throat(angle: float, arm: float, hole: float, opening: float, half_width: float) -> float:
     """Return A_t, m^2, at a valve angle.
 
     Args:

@@ -11,13 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant.burning import advance_loaded
-from drivers.mock.plant.effects.kernel import CONSTANTS_AT
-from drivers.mock.plant.effects.motor import dead_time_voltage
+from drivers.mock.plant.effects.kernel import CONSTANTS_AT, Histories, dead_time_voltage, mesh_error
 from drivers.mock.plant.effects.pack import bare_vector
-from drivers.mock.plant.effects.sensing import Histories
-from drivers.mock.plant.effects.shaft import mesh_error
-from drivers.mock.plant.effects.state import (
+from drivers.mock.plant.effects.table import (
     HEAT,
     JOINT,
     NOMINAL_SUPPLY,
@@ -26,6 +22,7 @@ from drivers.mock.plant.effects.state import (
     SUPPLY,
     TORQUE_CURRENT,
 )
+from drivers.mock.plant.gas import advance_loaded
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants, loops
 from drivers.mock.plant.parts.compiled import Vector, compiled
@@ -160,7 +157,7 @@ class SampledMachine(SimulatedMachine):
 
 
 class _Vectors(NamedTuple):
-    """Vectors of a machine, the arguments of :func:`drivers.mock.plant.burning.advance_loaded`."""
+    """Vectors of a machine, the arguments of :func:`drivers.mock.plant.gas.advance_loaded`."""
 
     s: Vector
     x: Vector

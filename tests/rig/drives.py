@@ -1,0 +1,42 @@
+"""A drive for tests of what is done with one: it reports off, without current or motion."""
+
+from __future__ import annotations
+
+from drivers.interfaces import Measuring, ServoMotion, ServoReadings, ServoState
+
+
+class FakeDrive:
+    """Passes its verbs to :meth:`do`, which a test may let note them, or fail."""
+
+    prepared = False
+    power = ServoState.SWITCH_ON_DISABLED
+    angle = current = 0.0
+
+    def do(self, verb: str) -> None:
+        """Note a verb, take time, or raise its error."""
+
+    def sent_state(self) -> ServoState | None:
+        return None
+
+    def quick_stop(self, *, at_once: bool = True) -> None:
+        self.do("quick_stop")
+
+    def disable(self) -> None:
+        self.do("disable")
+
+    def state(self) -> ServoState:
+        self.do("state")
+        return self.power
+
+    def glance(self) -> ServoReadings:
+        self.do("glance")
+        return ServoReadings(self.angle, current_A=self.current)
+
+    def measuring(self) -> Measuring:
+        return Measuring(1e-5, 100.0, 0.015, 15.0)
+
+    def motion(self) -> ServoMotion:
+        return ServoMotion()
+
+    def promised_deceleration(self) -> float:
+        return 1.0
