@@ -75,7 +75,7 @@ def test_every_state_and_command(state: ServoState, order: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    "word", [w for words in WORDS.values() for w in words[1:] if w is not None]
+    "word", sorted({w for words in WORDS.values() for w in words[1:] if w is not None})
 )
 @pytest.mark.parametrize("state", list(State))
 def test_no_sequence_of_words_without_enable_leads_toward_power(state: State, word: int) -> None:
