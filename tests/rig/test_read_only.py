@@ -112,3 +112,9 @@ def test_figures_are_drawn_without_a_word_about_folders(program: Path) -> None:
     assert_in_words(ended)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert (program.parent / "figure.png").stat().st_size > 1000
+
+
+def test_numbers_are_not_loaded_before_the_command_line_sets_one_thread() -> None:
+    """Sums in several threads differ in their last digits from sums in one."""
+    script = "import sys, rig.cli.entry; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
