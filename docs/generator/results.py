@@ -91,8 +91,8 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig off --json": ("rig.control.off:Off.record", "rig.wiring.teardown:SafeState.record"),
     "rig run --faults: faults.json": (),
     "rig effects --json": (
-        "rig.results.effects:effects_record",
-        "rig.results.effects:_entry_record",
+        "rig.results.diagnose.document:effects_record",
+        "rig.results.diagnose.document:_entry_record",
     ),
     "rig look --json": (
         "rig.results.look:look_record",

@@ -59,7 +59,7 @@ def effects_raise(monkeypatch: pytest.MonkeyPatch) -> Raise:
         def overview(shown: object) -> str:
             raise error
 
-        monkeypatch.setattr("rig.results.effects.overview", overview)
+        monkeypatch.setattr("rig.results.diagnose.document.overview", overview)
 
     return arrange
 

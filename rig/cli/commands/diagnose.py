@@ -135,7 +135,7 @@ def effects(name: str | None, json_file: Path | None) -> None:
     """
     from identification.effects import EFFECTS
     from rig.common.places import require_file, write_json
-    from rig.results.effects import effects_record, entry_of, overview, whole
+    from rig.results.diagnose.document import effects_record, entry_of, overview, whole
 
     require_file(json_file, "--json")
     shown = [entry_of(name)] if name else list(EFFECTS.values())

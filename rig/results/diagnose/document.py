@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -22,6 +23,7 @@ from identification.diagnosis.result import Verdict as Outcomes
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.statement import FACTORS, readable
 from identification.effects import EFFECTS
+from identification.effects.effect import Effect, Quantity
 from identification.export.model import COORDINATES
 from identification.model.parameters import parameter_title, parameter_unit
 from identification.plots import mismatch
@@ -29,8 +31,9 @@ from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.places import is_folder, source_name
-from rig.common.provenance import Provenance, finite
-from rig.common.tables import number, percent
+from rig.common.provenance import Provenance, finite, utc_now, versions
+from rig.common.tables import number, percent, table
+from rig.config.configuration import nearest
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.document import (
     Block,
@@ -473,3 +476,89 @@ def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
     )
     by = f"explained to {100.0 * RULES.alike:.0f} % by"
     return Table(("effect", "least size shown", "beyond the nominal model", by), rows, (1, 2))
+
+
+EFFECTS_SCHEMA = "loadrig.effects/1"
+_WIDTH = 100
+_LABEL = 18
+
+
+def entry_of(name: str) -> Effect:
+    """Return one entry of the catalogue.
+
+    Raises:
+        InputError: The effect does not exist; the message suggests the nearest name.
+    """
+    if name not in EFFECTS:
+        raise InputError(f"{name}: not an effect of the catalogue; {nearest(name, list(EFFECTS))}")
+    return EFFECTS[name]
+
+
+def overview(entries: Iterable[Effect]) -> str:
+    """Return one line for each effect: its location and its fitted parameters."""
+    rows = [
+        (
+            e.group,
+            e.name,
+            e.shows_in,
+            e.coordinate.partition(":")[0],
+            ", ".join(q.name for q in e.parameters),
+        )
+        for e in entries
+    ]
+    return table(("group", "effect", "equation", "against", "parameters"), rows)
+
+
+def whole(entry: Effect) -> str:
+    """Return the whole catalogue entry of one effect."""
+    lines = [
+        ("effect", f"{entry.name} ({entry.group})"),
+        ("equation", entry.equation),
+        ("breaks", entry.assumption),
+        ("shows in", f"the {entry.shows_in} equation, against {entry.coordinate}"),
+        *(("parameter" if k == 0 else "", _quantity(q)) for k, q in enumerate(entry.parameters)),
+        ("look-alikes", ", ".join(entry.look_alikes)),
+        ("distinguished by", entry.experiment),
+        ("finding", entry.sentence),
+    ]
+    return "\n".join(_wrapped(label, text) for label, text in lines)
+
+
+def effects_record(entries: Iterable[Effect]) -> dict[str, Any]:
+    """Return the record of ``rig effects --json``."""
+    known = versions()
+    return {
+        "schema": EFFECTS_SCHEMA,
+        "version": known["loadrig"],
+        "versions": known,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "effects": [_entry_record(e) for e in entries],
+    }
+
+
+def _entry_record(entry: Effect) -> dict[str, Any]:
+    return {
+        "name": entry.name,
+        "group": entry.group,
+        "equation": entry.equation,
+        "assumption_broken": entry.assumption,
+        "shows_in": entry.shows_in,
+        "coordinate": entry.coordinate,
+        "parameters": {
+            q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in entry.parameters
+        },
+        "look_alikes": list(entry.look_alikes),
+        "separating_experiment": entry.experiment,
+        "statement": entry.sentence,
+    }
+
+
+def _quantity(q: Quantity) -> str:
+    unit = f" {q.unit}" if q.unit else ""
+    return f"{q.name}: plausible from {q.low:.4g} to {q.high:.4g}{unit}"
+
+
+def _wrapped(label: str, text: str) -> str:
+    return textwrap.fill(
+        text, _WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=" " * _LABEL
+    )
