@@ -246,9 +246,9 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
         if effect.statement not in found.statement:
             yield Section("", (Paragraph(effect.statement, f"{effect.name}:"),))
     tables = (where_table, rival_table, fit_table, shift_table)
-    for table in (_effect_table(outcome), *(make(found) for make in tables)):
-        if table.rows:
-            yield Section("", (table,))
+    for shown in (_effect_table(outcome), *(make(found) for make in tables)):
+        if shown.rows:
+            yield Section("", (shown,))
     for effect in found.effects:
         if len(effect.alias_group) > 1:
             lead = f"to split {', '.join(effect.alias_group)}:"

@@ -185,7 +185,7 @@ stick.
 """
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
-UNIFORM = 0.05
+STEADY = 0.05
 """Relative deviation of the speed up to which the motion counts as uniform."""
 SMOOTHING_S = 0.020
 """Time, s, over which the speed is computed from the joint encoder."""
@@ -296,7 +296,7 @@ def _uniform(angle: Array, wanted: float) -> NDArray[np.bool_]:
     width = round(SMOOTHING_S / CYCLE_S)
     kernel = np.ones(width) / width
     speed = np.convolve(np.gradient(angle, CYCLE_S), kernel, mode="same")
-    marks = np.abs(speed - wanted) <= UNIFORM * wanted
+    marks = np.abs(speed - wanted) <= STEADY * wanted
     marks[:width] = marks[-width:] = False
     return np.asarray(marks)
 
