@@ -18,8 +18,8 @@ from rig.results.paper.figures import Exhibit, columns, data_files, files_of
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
     """Columns of numbers of an exhibit's data."""
-    assert figures.data is not None
-    titles, rows = figures.data[name or figures.name]
+    assert exhibit.data is not None
+    titles, rows = exhibit.data[name or exhibit.name]
     return {
         title: np.array(column)
         for title, column in zip(titles, zip(*rows, strict=True), strict=True)
