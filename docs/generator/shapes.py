@@ -26,9 +26,9 @@ _VALIDATORS = {
     "_not_zero": "not 0",
     "_measured": "",
     "iso_time": "(ISO 8601 date and time)",
-    "_known_channel": "a [canonical channel](#channels)",
-    "_known_parameter": "a [parameter](../glossary.md)",
-    "_known_friction": "one of `coulomb_viscous`, `stribeck`, `load_dependent`, "
+    "known_channel": "a [canonical channel](#channels)",
+    "known_parameter": "a [parameter](../glossary.md)",
+    "known_friction": "one of `coulomb_viscous`, `stribeck`, `load_dependent`, "
     "`stribeck_load_dependent`",
     "_acceptable": "(a limit)",
     "_known_term": "one of `offset`, `load_dependent_friction`",

@@ -33,7 +33,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "off": ("rig.cli.commands.bench:off", "Make a bench safe, whoever uses it."),
     "jog": ("rig.cli.commands.bench:jog", "Move a bench by hand, at low limits."),
     "watch": (
-        "rig.cli.commands.watch:command",
+        "rig.cli.commands.console:watch",
         "Show a recording live in Foxglove or PlotJuggler.",
     ),
     "commission": (
@@ -45,18 +45,18 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Connect to a bench and read its values; nothing moves.",
     ),
     "identify": (
-        "rig.cli.commands.identify:command",
+        "rig.cli.commands.identify:identify",
         "Identify friction and inertia from a run or a campaign.",
     ),
     "simulate": (
-        "rig.cli.commands.simulate:command",
+        "rig.cli.commands.identify:simulate",
         "Predict recordings with a fitted model, and compare.",
     ),
     "diagnose": (
-        "rig.cli.commands.diagnose:command",
+        "rig.cli.commands.diagnose:diagnose",
         "Find physics that the model lacks, and add it to the model.",
     ),
-    "effects": ("rig.cli.commands.effects:command", "List the effects of a diagnosis."),
+    "effects": ("rig.cli.commands.diagnose:effects", "List the effects of a diagnosis."),
     "paper": ("rig.cli.commands.prove:paper", "Reproduce the paper's tables and figures."),
     "prove": (
         "rig.cli.commands.prove:prove",
@@ -66,11 +66,11 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.runs:command",
         "List, show, compare and verify recorded runs.",
     ),
-    "look": ("rig.cli.commands.look:command", "Show the content of a log made elsewhere."),
-    "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
-    "recover": ("rig.cli.commands.recover:command", "Repair a run whose writer died."),
+    "look": ("rig.cli.commands.look:look", "Show the content of a log made elsewhere."),
+    "export": ("rig.cli.commands.look:export", "Convert recordings for other tools."),
+    "recover": ("rig.cli.commands.look:recover", "Repair a run whose writer died."),
     "console": (
-        "rig.cli.commands.console:command",
+        "rig.cli.commands.console:console",
         "Watch, stop and start runs on a page in the browser.",
     ),
     "schema": (

@@ -63,6 +63,7 @@ def _one_of(names: Iterable[str], what: str) -> AfterValidator:
             raise ValueError(f"unknown {what}; {nearest(name, known)}")
         return name
 
+    check.__name__ = f"known_{what}"  # by which the reference describes the check
     return AfterValidator(check)
 
 

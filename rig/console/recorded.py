@@ -5,13 +5,10 @@ from __future__ import annotations
 import asyncio
 import glob
 import json
-import os
 import secrets
-import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +20,7 @@ from starlette.routing import Route
 from rig.common.errors import InputError
 from rig.console.gate import RUN_SANDBOX, SANDBOX
 from rig.console.hub import Refusal
+from rig.console.starting import output_of
 from rig.results.catalogue.listing import PAGES, cells
 from rig.results.document import PAGE_FILE
 from rig.results.run.report import REPORT_FILE
@@ -303,31 +301,16 @@ class Made:
             Refusal: The command failed, or took too long.
         """
         try:
-            child = await asyncio.create_subprocess_exec(
-                *self._command,
-                "runs",
-                *arguments,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-            )
-        except (ValueError, OSError) as error:
-            raise Refusal(f"the page cannot be made: {error}") from error
-        try:
-            with suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, child.pid, os.nice(0) + NICE)
-            output, _ = await asyncio.wait_for(child.communicate(), MAKE_S)
+            status, words = await output_of([*self._command, "runs", *arguments], MAKE_S, NICE)
         except TimeoutError as error:
             raise Refusal(
                 f"the page took more than {MAKE_S:g} s; choose fewer runs, or use `rig runs` in a "
                 "terminal"
             ) from error
-        finally:
-            if child.returncode is None:
-                child.kill()
-                await child.wait()
-        if child.returncode != 0:
-            raise Refusal(output.decode(errors="replace").strip()[-_SHOWN:])
+        except (ValueError, OSError) as error:
+            raise Refusal(f"the page cannot be made: {error}") from error
+        if status != 0:
+            raise Refusal(words.strip()[-_SHOWN:])
 
     async def _page(self, request: Request) -> Response:
         content = self._pages.get(request.path_params["key"])

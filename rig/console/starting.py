@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import secrets
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +28,41 @@ _SHOWN: Final = 4000
 _NOT_STARTABLE: Final = frozenset({0, 1})
 _KEPT: Final = 20
 _LONGEST_NAME: Final = 100
+
+
+async def output_of(
+    command: Sequence[str], timeout_s: float | None = None, nice: int = 0, keep: bool = False
+) -> tuple[int, str]:
+    """Run a command without input; return its exit status and its output.
+
+    Args:
+        command: The command line.
+        timeout_s: Longest time, s; None for no limit.
+        nice: Increase of the niceness of the command.
+        keep: Whether the command continues when this console ends.
+
+    Raises:
+        TimeoutError: The command took too long, and was killed.
+        OSError: The command cannot be started.
+    """
+    child = await asyncio.create_subprocess_exec(
+        *command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=keep,
+    )
+    try:
+        if nice:
+            with suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, child.pid, os.nice(0) + nice)
+        output, _ = await asyncio.wait_for(child.communicate(), timeout_s)
+    finally:
+        if child.returncode is None and not keep:
+            child.kill()
+            await child.wait()
+    assert child.returncode is not None
+    return child.returncode, output.decode(errors="replace")
 
 
 class StartError(Exception):
@@ -139,23 +176,13 @@ class Starter:
             digests = _digests(wish)
         except (InputError, OSError) as error:
             return _refused(str(error))
-        child = await asyncio.create_subprocess_exec(
-            *self.command,
-            *wish.arguments,
-            "--dry-run",
-            *(["--yes"] if wish.yes else []),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-        )
+        yes = ["--yes"] if wish.yes else []
+        command = [*self.command, *wish.arguments, "--dry-run", *yes]
         try:
-            output, _ = await asyncio.wait_for(child.communicate(), DRY_RUN_S)
+            status, words = await output_of(command, DRY_RUN_S)
         except TimeoutError as error:
-            child.kill()
-            await child.wait()
             raise StartError(f"the dry run took more than {DRY_RUN_S:g} s") from error
-        words = output.decode(errors="replace")
-        if child.returncode not in _NOT_STARTABLE:
+        if status not in _NOT_STARTABLE:
             return _refused(words)
         key = secrets.token_hex(16)
         self._shown[key] = Shown(wish, digests, not bench.value.simulated, bench.value.name)
@@ -164,7 +191,7 @@ class Starter:
         return {
             "shown": key,
             "words": words,
-            "status": child.returncode,
+            "status": status,
             "real": not bench.value.simulated,
             "bench": bench.value.name,
         }
@@ -240,19 +267,8 @@ class Starter:
         return await asyncio.shield(task)
 
     async def _make_off(self, bench: str) -> dict[str, Any]:
-        child = await asyncio.create_subprocess_exec(
-            *self.command,
-            "off",
-            "--",
-            bench,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        output, _ = await child.communicate()
-        words = output.decode(errors="replace").strip()[-_SHOWN:]
-        return {"words": words, "proved": child.returncode == 0}
+        status, words = await output_of([*self.command, "off", "--", bench], keep=True)
+        return {"words": words.strip()[-_SHOWN:], "proved": status == 0}
 
     def failures(self) -> list[str]:
         """Return the last output of started runs that have ended with invalid input or a crash."""

@@ -128,12 +128,16 @@ class _Level:
             low = np.fmin.reduceat(low, starts, axis=1)
             high = np.fmax.reduceat(high, starts, axis=1)
         self._make_room(int(held[0]), int(held[-1]))
-        inside = held >= self._first
-        places = held[inside] - self._first
-        self._low[:, places] = np.fmin(self._low[:, places], low[:, inside])
-        self._high[:, places] = np.fmax(self._high[:, places], high[:, inside])
-        if len(places):
-            self._count = max(self._count, int(places[-1]) + 1)
+        # Numbers without a gap are stored as a slice, which is faster than by index.
+        out = int(np.searchsorted(held, self._first))
+        places: NDArray[np.int64] | slice = held[out:] - self._first
+        if out < len(held):
+            begin, end = int(held[out]) - self._first, int(held[-1]) - self._first + 1
+            if end - begin == len(held) - out:
+                places = slice(begin, end)
+            self._low[:, places] = np.fmin(self._low[:, places], low[:, out:])
+            self._high[:, places] = np.fmax(self._high[:, places], high[:, out:])
+            self._count = max(self._count, end)
         return held, low, high
 
     def since(self, level: int, first: int) -> Slice:

@@ -17,7 +17,7 @@ import hmac
 import json
 import secrets
 import struct
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
@@ -39,7 +39,6 @@ from wsproto.events import (
 )
 from wsproto.utilities import RemoteProtocolError
 
-from drivers.interfaces import RawFrame
 from rig.runs.mcap import ros
 from rig.runs.mcap.layout import (
     EVENT_JSON_SCHEMA,
@@ -154,45 +153,23 @@ def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) ->
     """
     for recorded, group in groupby(messages, lambda item: item[0]):
         rows = [message for _, message in group]
-        yield from _WRITERS[recorded](rows, wanted)
+        if recorded == SAMPLE_TOPIC and recorded in wanted:
+            for row, data in zip(rows, ros.samples([row.data for row in rows]), strict=True):
+                yield Outgoing(SAMPLE_TOPIC, row.time_ns, data)
+        elif recorded == EVENT_TOPIC and recorded in wanted:
+            for row in rows:
+                yield Outgoing(EVENT_TOPIC, row.time_ns, _json_without_nan(row.data))
+        elif recorded == FRAMES_TOPIC and wanted & {ros.CAN_TOPIC, ros.SERIAL_TOPIC}:
+            for row in rows:
+                for frame in decode_frames(row.data):
+                    serial = ros.is_serial(frame)
+                    topic = ros.SERIAL_TOPIC if serial else ros.CAN_TOPIC
+                    if topic in wanted:
+                        data = ros.serial_bytes(frame) if serial else ros.can_frame(frame)
+                        yield Outgoing(topic, row.time_ns, data)
 
 
-def _samples(rows: Sequence[Message], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    if SAMPLE_TOPIC in wanted:
-        for row, data in zip(rows, ros.samples([row.data for row in rows]), strict=True):
-            yield Outgoing(SAMPLE_TOPIC, row.time_ns, data)
-
-
-def _events(rows: Sequence[Message], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    if EVENT_TOPIC in wanted:
-        for row in rows:
-            yield Outgoing(EVENT_TOPIC, row.time_ns, json_without_nan(row.data))
-
-
-def _frames(rows: Sequence[Message], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    if not wanted & {ros.CAN_TOPIC, ros.SERIAL_TOPIC}:
-        return
-    for row in rows:
-        for frame in decode_frames(row.data):
-            item = _frame(row.time_ns, frame)
-            if item.topic in wanted:
-                yield item
-
-
-def _frame(time_ns: int, frame: RawFrame) -> Outgoing:
-    if ros.is_serial(frame):
-        return Outgoing(ros.SERIAL_TOPIC, time_ns, ros.serial_bytes(frame))
-    return Outgoing(ros.CAN_TOPIC, time_ns, ros.can_frame(frame))
-
-
-_WRITERS: dict[str, Callable[[Sequence[Message], frozenset[str]], Iterator[Outgoing]]] = {
-    SAMPLE_TOPIC: _samples,
-    EVENT_TOPIC: _events,
-    FRAMES_TOPIC: _frames,
-}
-
-
-def json_without_nan(data: bytes) -> bytes:
+def _json_without_nan(data: bytes) -> bytes:
     """Return an event as strict JSON: NaN and infinities, which JSON lacks, become text.
 
     An event without NaN and infinities is returned unchanged.

@@ -40,9 +40,8 @@ class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of cli
         each: Type of a value.
     """
 
-    name = "list"
-
     def __init__(self, each: click.ParamType = POSITIVE) -> None:  # type: ignore[type-arg]
+        self.name = "numbers" if isinstance(each, Number) else "names"
         self._each = each
         self._separator = r"[,\s]+" if isinstance(each, Number) else r"\s*,\s*"
 
@@ -111,7 +110,10 @@ def options(questions: Iterable[Question]) -> Callable[[Any], Any]:
             static = question.default is not None and not callable(question.default)
             default = f" [default: {shown(question.default)}]" if static else ""
             command = click.option(
-                question.option, question.name, type=question.kind, help=question.text + default
+                question.option,
+                question.name,
+                type=question.kind,
+                help=f"{question.text}.{default}",
             )(command)
         return command
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -78,101 +79,54 @@ class Panel:
     least: float = 0.0
 
 
+# fmt: off
 LATENESS = Panel(
-    "lateness of the control cycle, beyond a period",
-    "ms",
-    1e3,
-    {"late": "lateness"},
-    (Check.LATENESS,),
-    lambda limits: limits.lateness,
+    "lateness of the control cycle, beyond a period", "ms", 1e3, {"late": "lateness"},
+    (Check.LATENESS,), attrgetter("lateness"),
 )
 PANELS: tuple[Panel, ...] = (
     Panel(
-        "joint angle",
-        "deg",
-        DEG,
+        "joint angle", "deg", DEG,
         {"angle": "joint encoder", "command": "command", "motor": "drive's encoder / gear ratio"},
-        (Check.ANGLE,),
-        lambda limits: limits.angle_max,
-        lambda limits: limits.angle_min,
+        (Check.ANGLE,), attrgetter("angle_max"), attrgetter("angle_min"),
     ),
     Panel("tracking error, command less joint encoder", "deg", DEG, {"error": "error"}),
     Panel(
-        "following error, as the drive computes it",
-        "deg",
-        DEG,
+        "following error, as the drive computes it", "deg", DEG,
         {"following_error": "following error"},
-        (Check.FOLLOWING_ERROR,),
-        lambda limits: limits.following_error,
-        symmetric=True,
+        (Check.FOLLOWING_ERROR,), attrgetter("following_error"), symmetric=True,
     ),
     Panel(
-        "drive's encoder less joint encoder",
-        "deg",
-        DEG,
-        {"disagreement": "difference"},
-        (Check.DISAGREEMENT,),
-        lambda limits: limits.encoder_disagreement,
-        symmetric=True,
+        "drive's encoder less joint encoder", "deg", DEG, {"disagreement": "difference"},
+        (Check.DISAGREEMENT,), attrgetter("encoder_disagreement"), symmetric=True,
     ),
     Panel(
-        "joint speed",
-        "deg/s",
-        DEG,
-        {"velocity": "speed"},
-        (Check.SPEED, Check.RUNAWAY),
-        lambda limits: limits.speed,
-        symmetric=True,
+        "joint speed", "deg/s", DEG, {"velocity": "speed"},
+        (Check.SPEED, Check.RUNAWAY), attrgetter("speed"), symmetric=True,
     ),
     Panel(
-        "motor current",
-        "A",
-        1.0,
-        {"current": "current"},
-        (Check.CURRENT,),
-        lambda limits: limits.current,
-        symmetric=True,
+        "motor current", "A", 1.0, {"current": "current"},
+        (Check.CURRENT,), attrgetter("current"), symmetric=True,
     ),
     Panel(
-        "joint torque Km i I",
-        "N m",
-        1.0,
-        {"torque": "torque"},
-        (Check.TORQUE,),
-        lambda limits: limits.torque,
-        symmetric=True,
+        "joint torque Km i I", "N m", 1.0, {"torque": "torque"},
+        (Check.TORQUE,), attrgetter("torque"), symmetric=True,
     ),
     Panel("motor voltage", "V", 1.0, {"voltage": "voltage"}),
     Panel(
-        "supply voltage (DC link)",
-        "V",
-        1.0,
-        {"supply_voltage": "supply"},
-        (Check.SUPPLY,),
-        lambda limits: limits.supply_max,
-        lambda limits: limits.supply_min or None,
+        "supply voltage (DC link)", "V", 1.0, {"supply_voltage": "supply"},
+        (Check.SUPPLY,), attrgetter("supply_max"), lambda limits: limits.supply_min or None,
     ),
     Panel(
-        "motor temperature",
-        "deg C",
-        1.0,
-        {"temperature": "temperature"},
-        (Check.TEMPERATURE,),
-        lambda limits: limits.temperature,
+        "motor temperature", "deg C", 1.0, {"temperature": "temperature"},
+        (Check.TEMPERATURE,), attrgetter("temperature"),
     ),
     Panel(
-        "chamber pressure",
-        "MPa",
-        1e-6,
-        {"pressure": "pressure"},
-        (Check.PRESSURE,),
-        lambda limits: None if limits.gas is None else limits.gas.pressure,
+        "chamber pressure", "MPa", 1e-6, {"pressure": "pressure"},
+        (Check.PRESSURE,), lambda limits: None if limits.gas is None else limits.gas.pressure,
     ),
     Panel(
-        "contact force that follows from the pressure",
-        "N",
-        1.0,
-        {"force": "force"},
+        "contact force that follows from the pressure", "N", 1.0, {"force": "force"},
         (Check.CONTACT_FORCE,),
         lambda limits: None if limits.gas is None else limits.gas.contact_force,
     ),
@@ -180,22 +134,17 @@ PANELS: tuple[Panel, ...] = (
         "state of the drive", "", 1.0, {"state": "state"}, (Check.DRIVE_STATE,), categories=STATES
     ),
     Panel(
-        "age of the last whole answer",
-        "ms",
-        1e3,
+        "age of the last whole answer", "ms", 1e3,
         {"age": "age", "answer": "answer collected after the cycle's start"},
-        (Check.SAMPLE_AGE, Check.PAUSE),
-        lambda limits: limits.sample_age,
+        (Check.SAMPLE_AGE, Check.PAUSE), attrgetter("sample_age"),
     ),
     LATENESS,
     Panel(
-        "clocks of the devices less the host's",
-        "ms",
-        1e3,
-        {"drive_clock": "drive", "encoder_clock": "encoder"},
-        least=1e-3,
+        "clocks of the devices less the host's", "ms", 1e3,
+        {"drive_clock": "drive", "encoder_clock": "encoder"}, least=1e-3,
     ),
 )
+# fmt: on
 
 
 RESULT = ("error", "current", "temperature")

@@ -24,6 +24,10 @@ ON_TIME = (
 )
 STATIC = Path(__file__).parent.parent / "static"
 """Folder of scripts and styles of pages; the console serves them as well."""
+UNDRAWN = (
+    "The charts are not drawn, because the script of this page did not run. The console runs only "
+    "the script of its own version: open the file run.html itself in a browser."
+)
 SCRIPTS = ("uplot.js", "chart.js", "run.js")
 
 
@@ -77,7 +81,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     yield '<meta name="color-scheme" content="light dark">'
     style = "".join((STATIC / name).read_text("utf-8") for name in ("uplot.css", "run.css"))
     yield f"<style>{style}</style></head><body><h1>{title}</h1>"
-    yield '<noscript><p class="warning">The charts of this page need scripts.</p></noscript>'
+    yield f'<p class="warning" id="undrawn">{UNDRAWN}</p>'
     plots = Plots()
     recordings = [_recorded(folder, record, number) for number in range(1, len(record.parts) + 1)]
     last = recordings[-1] if recordings else None

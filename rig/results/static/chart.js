@@ -12,8 +12,8 @@ function axisStyle() {
 
 // Returns two series, of the least and the greatest values, and the band between them; `index` is
 // the place of the first series.
-function envelope(index, stroke, { dash = [], fill = stroke, points = false } = {}) {
-  const line = { stroke, dash, width: 1, points: { show: points, size: 5, fill: stroke } };
+function envelope(index, stroke, { dash = [], fill = stroke, points = false, width = 1 } = {}) {
+  const line = { stroke, dash, width, points: { show: points, size: 5, fill: stroke } };
   return { series: [{ ...line }, { ...line }], band: { series: [index + 1, index], fill } };
 }
 
@@ -23,6 +23,9 @@ function paint(plot, name, draw) {
   ctx.save();
   ctx.strokeStyle = ctx.fillStyle = colour(name);
   ctx.font = `${11 * uPlot.pxRatio}px sans-serif`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "alphabetic";
+  ctx.setLineDash([]);
   draw(ctx, bbox, uPlot.pxRatio);
   ctx.restore();
 }

@@ -15,7 +15,7 @@
     const drawn = curves.map((name, k) => {
       const stroke = colour(`--curve-${k}`);
       const fill = curves.length > 1 ? `${stroke}70` : stroke;
-      return envelope(1 + 2 * k, stroke, { dash: DASHES[k], fill, points: few });
+      return envelope(1 + 2 * k, stroke, { dash: DASHES[k], fill, points: few, width: 1.5 });
     });
     const right = Boolean(frame.mark && frame.mark[0] <= 0.5);
     return {
@@ -69,6 +69,7 @@
   }
 
   draw(false);
+  document.getElementById("undrawn").remove();
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => draw(false));
   addEventListener("beforeprint", () => {
     document.documentElement.dataset.paper = "";

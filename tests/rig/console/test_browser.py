@@ -609,6 +609,9 @@ def test_a_rejected_run_is_said_to_be_rejected(
     places = made.locator("[data-plot]").count()
     assert places > 10
     expect(made.locator("[data-plot] canvas")).to_have_count(places)
+    expect(made.locator("#undrawn")).to_have_count(0)
+    painted = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v)"
+    assert made.locator("[data-plot] canvas").first.evaluate(painted)
     # A script that somebody else put into the page does not run.
     (file,) = where.folder.glob("runs/strict-*/run.html")
     foreign = "</h1><script>document.title = 'foreign'</script>"

@@ -1,18 +1,38 @@
-"""What the console reads of a run that was stopped and continued."""
+"""What the console reads of a run: its growing recording, the extremes for its charts, torque
+against speed; also of a run that was stopped and continued.
+"""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import rig.console.followed as growing
+from identification.model.parameters import NOMINAL
 from rig.cli.entry import status
-from rig.console.followed import CHANNELS, DEG, Followed
+from rig.common.provenance import IDENTIFY_SCHEMA, RESULT_FILE
+from rig.common.sample import Sample
+from rig.console.followed import (
+    BLOCK,
+    CHANNELS,
+    DEG,
+    MOST,
+    Followed,
+    Growing,
+    TorqueSpeed,
+    curves,
+    event_words,
+)
 from rig.control.remote import RunProgress
-from rig.runs.mcap.reader import read_run
+from rig.runs.decimation import KEPT, Decimation
+from rig.runs.mcap.reader import DamageError, read_run
+from rig.runs.recorder import open_recorder
 
 SEQUENCE = """\
 sequence: 1
@@ -159,3 +179,177 @@ def test_a_recording_that_cannot_be_read_does_not_hide_the_next(
     assert run.trouble is not None
     assert "not an MCAP recording" in run.trouble
     assert any("all 2 stages done" in words for _, words in run.events)
+
+
+def recorded(path: Path, count: int) -> bytes:
+    recorder = open_recorder(path)
+    recorder.attach("large.bin", "application/octet-stream", bytes(700_000))
+    for k in range(count):
+        fields = [float(k)] * 13
+        recorder.sample(k * 1_000_000, Sample(k * 1e-3, *fields[1:], 0x27, 1, True), [])
+        if k % 50 == 0:
+            recorder.event(k * 1_000_000, "segment", stage="empty", number=k)
+    recorder.close()
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("step", [977, 100_000, 10_000_000])
+def test_everything_is_read_once_however_it_grows(
+    tmp_path: Path, step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(growing, "READ_BYTES", 40_000)
+    data = recorded(tmp_path / "whole.mcap", 400)
+    path = tmp_path / "growing.mcap"
+    path.write_bytes(b"")
+    reading, times, events = Growing(path), [np.empty(0)], 0
+    begins = range(0, len(data), step) if step > 977 else [*range(0, 3000, step), 3000]
+    with open(path, "ab") as stream:
+        for begin, end in zip(begins, [*list(begins)[1:], len(data)], strict=True):
+            stream.write(data[begin:end])
+            stream.flush()
+            more = True
+            while more:
+                news = reading.read()
+                times.append(news.samples.get("time", np.empty(0)))
+                events += len(news.events)
+                more = news.more
+    np.testing.assert_array_equal(np.concatenate(times), np.arange(400) * 1e-3)
+    assert events == 8
+
+
+@pytest.mark.parametrize("content", [b"no recording at all", b"\x89MCAP0\r\n" + b"\xee" * 30])
+def test_what_is_no_recording_is_said(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(DamageError):
+        Growing(path).read()
+
+
+def test_events_are_told_in_words() -> None:
+    assert event_words({"time": 1.25, "event": "answer", "stage": "heavy", "weight_kg": 30.6}) == (
+        "1.2 s  heavy: 30.6 kg confirmed"
+    )
+    assert event_words({"time": 3.0, "event": "repeat", "stage": "heavy"}) == (
+        "3.0 s  heavy: the stage will be repeated"
+    )
+    assert event_words({"time": 4.0, "event": "abort", "stage": "heavy"}) == (
+        "4.0 s  heavy: the operator aborted the run"
+    )
+    assert event_words({"time": 2, "event": "stopped", "message": "by the operator"}) == (
+        "2.0 s  stopped: by the operator"
+    )
+    assert event_words({"event": "prompt"}) == "prompt"
+
+
+def taken_in(segments: list[int]) -> dict[str, Any]:
+    segment = np.array(segments, dtype=float)
+    return {
+        "segment": segment,
+        "velocity": 0.1 * segment,
+        "current": 2.0 * segment,
+    }
+
+
+def test_points_are_means_within_one_excitation() -> None:
+    found = TorqueSpeed()
+    # 25 samples of the first excitation, a rest, 15 of the second: one block has both.
+    for part in ([1] * 13, [1] * 12 + [0] * 30, [2] * 15):
+        found.add(taken_in(part), 3.0)
+    np.testing.assert_allclose(
+        found.points, [[0.1 * DEG, 6.0, 1], [0.1 * DEG, 6.0, 1], [0.2 * DEG, 12.0, 2]]
+    )
+
+
+def test_their_number_is_bounded_and_every_part_of_the_run_stays() -> None:
+    found = TorqueSpeed()
+    for segment in range(1, 9):
+        found.add(taken_in([segment] * BLOCK * (MOST // 2)), 1.0)
+    assert MOST // 2 < len(found.points) <= MOST
+    assert found.version > 0
+    counts = [np.count_nonzero(found.points[:, 2] == segment) for segment in range(1, 9)]
+    assert max(counts) - min(counts) <= 2
+
+
+@pytest.mark.parametrize("identified", [False, True])
+def test_the_curve_is_that_of_an_identification_of_this_bench(
+    runner: Any, fake_bench: Any, identified: bool
+) -> None:
+    folder, _ = runner(fake_bench())
+    if identified:
+        result = {
+            "schema": IDENTIFY_SCHEMA,
+            "motion": "rotary",
+            "parameters": {name: {"value": value} for name, value in NOMINAL.items()},
+            "alpha": 2.0,
+        }
+        (folder.path / RESULT_FILE).write_text(json.dumps(result))
+    found = curves(folder.record, folder.path)
+    if not identified:
+        assert found is None
+        return
+    assert found is not None
+    assert [line["mass_kg"] for line in found["lines"]] == [0, 10]
+    light, heavy = (np.array(line["torque"]) for line in found["lines"])
+    assert np.all(heavy > light)
+    assert light[-1] == pytest.approx(NOMINAL["Mc"] + 2.0 * NOMINAL["sigma_2"], rel=1e-3)
+
+
+def test_a_place_without_a_run_has_no_curve(runner: Any, fake_bench: Any, tmp_path: Path) -> None:
+    folder, _ = runner(fake_bench())
+    assert curves(folder.record, tmp_path / "elsewhere" / "run") is None
+
+
+CYCLE_S = 1e-3
+
+
+@settings(max_examples=30)
+@given(
+    pieces=st.lists(st.integers(1, 700), min_size=1, max_size=12),
+    gap=st.integers(0, 30_000),
+    seed=st.integers(0, 9),
+)
+def test_every_interval_has_the_extremes_of_its_samples(
+    pieces: list[int], gap: int, seed: int
+) -> None:
+    values = np.random.default_rng(seed).normal(size=(2, sum(pieces)))
+    cycles = np.arange(sum(pieces))
+    # The recording stands still while the operator hangs a weight.
+    cycles[len(cycles) // 2 :] += gap
+    decimation, begin = Decimation(2, CYCLE_S), 0
+    for size in pieces:
+        part = slice(begin, begin + size)
+        decimation.add(cycles[part] * CYCLE_S, values[:, part])
+        begin += size
+    level = 0
+    while (found := decimation.since(level, 0)).low.shape[1]:
+        numbers = cycles >> level
+        assert found.first + found.low.shape[1] == numbers[-1] + 1
+        for k in {0, found.low.shape[1] // 2, found.low.shape[1] - 1}:
+            inside = values[:, numbers == found.first + k]
+            if inside.shape[1]:
+                np.testing.assert_array_equal(found.low[:, k], inside.min(axis=1))
+                np.testing.assert_array_equal(found.high[:, k], inside.max(axis=1))
+            else:
+                assert np.isnan(found.low[:, k]).all()
+        level += 1
+    assert level >= 1
+
+
+def test_a_single_peak_is_seen_in_an_hour() -> None:
+    decimation = Decimation(1, 10 * CYCLE_S)
+    for begin in range(0, 360_000, 10_000):
+        cycles = begin + np.arange(10_000)
+        peak = np.where(cycles == 123_456, 99.0, 0.0)
+        decimation.add(cycles * 10 * CYCLE_S, peak[None, :])
+    level = decimation.level(3600.0, 390)
+    found = decimation.since(level, 0)
+    assert found.high.max() == 99.0
+    assert decimation.interval_s(level) <= 3600.0 / 390 < 2 * decimation.interval_s(level)
+    assert found.low.shape[1] <= KEPT
+
+
+def test_pixels_and_windows_choose_one_or_two_intervals_per_pixel() -> None:
+    decimation = Decimation(1, CYCLE_S)
+    assert decimation.level(0.1, 1000) == 0
+    assert decimation.level(10.0, 600) == 4
+    assert decimation.level(10.0, 10**9) == decimation.level(10.0, KEPT // 2)

@@ -239,15 +239,6 @@ def test_damaged_runs_are_refused_with_the_remedy(root: Path) -> None:
     assert os.listdir(root.parent / "outside") == []
 
 
-def test_a_run_without_constants_is_compared_by_what_was_measured(root: Path) -> None:
-    desk = Desk(root, *COMMAND)
-    status, text, _ = desk.post("/compare", {"runs": ["mine-01", "bare"]})
-    assert status == 200, text
-    page = desk.get(json.loads(text)["page"])[1]
-    assert "<td>tracking error rms</td>" in page
-    assert "bare: the constants of this run are not compared" in page
-
-
 def test_a_page_that_was_not_made_is_not_there(desk: Desk) -> None:
     for key in ("none", "..", "../recorded"):
         assert desk.get(f"/made/{key}")[0] == 404
