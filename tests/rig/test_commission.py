@@ -149,7 +149,14 @@ def test_what_no_value_corrects_ends_it(
 
 
 @pytest.mark.parametrize("source", ["practical_serial", "practical_dbc"])
-@pytest.mark.parametrize("mistake", ["position_sign", "velocity_sign", "phases_swapped"])
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        pytest.param("position_sign", marks=pytest.mark.proof),
+        pytest.param("velocity_sign", marks=pytest.mark.proof),
+        "phases_swapped",
+    ],
+)
 def test_a_wrong_sign_is_found_on_every_kind_of_drive(
     tmp_path: Path, mistake: str, source: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -359,7 +366,7 @@ def test_a_recording_that_fails_takes_the_power_off_first(
     assert "the drive is de-energised (read back: switch on disabled)" in shown
 
 
-@pytest.mark.parametrize("limit_deg_s", [None, 28.0, 30.0])
+@pytest.mark.parametrize("limit_deg_s", [pytest.param(None, marks=pytest.mark.proof), 28.0, 30.0])
 def test_soft_gains_are_refused_before_the_motion_with_the_limit_that_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit_deg_s: float | None
 ) -> None:

@@ -80,13 +80,15 @@ def test_without_a_change_nothing_is_said() -> None:
     assert record.weights == []
 
 
-def test_no_alarm_on_sound_benches() -> None:
+@pytest.mark.parametrize("count", [8, pytest.param(40, marks=pytest.mark.proof)])
+def test_no_alarm_on_sound_benches(count: int) -> None:
     """The rate over 600 stages is that of `python -m tests.long.load_change`."""
-    assert [trial for trial in trials(40, removed=False) if trial.found is not None] == []
+    assert [trial for trial in trials(count, removed=False) if trial.found is not None] == []
 
 
-def test_what_was_taken_off_is_found() -> None:
-    missed = [trial for trial in trials(40, removed=True) if trial.found is None]
+@pytest.mark.parametrize("count", [8, pytest.param(40, marks=pytest.mark.proof)])
+def test_what_was_taken_off_is_found(count: int) -> None:
+    missed = [trial for trial in trials(count, removed=True) if trial.found is None]
     assert all(trial.soft for trial in missed)
     assert len(missed) <= 3
 

@@ -103,7 +103,7 @@ def settled(bench: PtyBench) -> int:
     return now
 
 
-@pytest.mark.parametrize("kind", ["serial", "slcan"])
+@pytest.mark.parametrize("kind", ["serial", pytest.param("slcan", marks=pytest.mark.proof)])
 def test_the_second_program_on_a_bench_is_refused(
     kind: str, tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -230,7 +230,7 @@ def test_a_drive_without_a_heartbeat_consumer_is_guarded_or_has_reduced_limits(
     assert (NO_WATCHDOG in shown.out + shown.err) is not watched
 
 
-@pytest.mark.parametrize("behaviour", [0, 2])
+@pytest.mark.parametrize("behaviour", [0, pytest.param(2, marks=pytest.mark.proof)])
 def test_a_drive_that_leaves_operational_without_its_master_is_commissioned(
     here: Path, behaviour: int
 ) -> None:
