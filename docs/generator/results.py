@@ -16,6 +16,7 @@ from pathlib import Path
 from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
+from identification.diagnosis import result as diagnosis
 from identification.estimate.ladder import Interval
 from identification.estimate.paper_method import Contender
 from identification.estimate.simulated_ladder import Constant
@@ -36,6 +37,7 @@ from rig.commissioning.record import Measured
 from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
+from rig.results.diagnose.model_file import FIELDS
 from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 
@@ -58,12 +60,6 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.model_file:diagnosis_record",
         "rig.results.diagnose.model_file:effects_record",
-        "rig.results.diagnose.model_file:_effect_record",
-        "rig.results.diagnose.model_file:_estimate_record",
-        "rig.results.diagnose.model_file:_location_record",
-        "rig.results.diagnose.model_file:_fit_record",
-        "rig.results.diagnose.model_file:_curve_record",
-        "rig.results.diagnose.model_file:_step_record",
     ),
     "rig diagnose --observable": ("rig.results.diagnose.document:Seen.record",),
     "rig simulate: simulate.json": (
@@ -150,6 +146,10 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
         *(Convergence, Fit, KnownConstant, MeasuredNoise, Parameter, Prior, Profile, Resampled),
         *(Starts, Tradeoff, Constant, Contender, Interval),
     ),
+    "rig diagnose: diagnose.json": (
+        *(diagnosis.Curve, diagnosis.Estimate, diagnosis.Fit, diagnosis.IdentifiedEffect),
+        *(diagnosis.Location, diagnosis.Rival, diagnosis.Shift, diagnosis.Step),
+    ),
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
@@ -174,6 +174,7 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
             "partial",
         }
     ),
+    "rig diagnose: diagnose.json": frozenset(FIELDS),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),

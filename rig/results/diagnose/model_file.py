@@ -21,7 +21,7 @@ from rig.planning.reference import LARGEST_ALPHA
 from rig.runs.run_file import partial_names
 
 DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
-_FIELDS = (
+FIELDS = (
     *("fit", "fits", "parameter_shift", "p_value", "location", "parameters", "alpha", "steps"),
     "warnings",
 )
@@ -38,7 +38,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
         "verdict": found.verdict.value,
         "statement": found.statement,
         **effects_record(found),
-        **{name: plain(getattr(found, name)) for name in _FIELDS},
+        **{name: plain(getattr(found, name)) for name in FIELDS},
         "motion": dataset.recordings[0].bench.motion,
         "partial": partial_names(dataset),
         "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
