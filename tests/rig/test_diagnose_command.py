@@ -228,7 +228,7 @@ def test_refined_values_take_the_place_of_the_search_s(
     free = {"mu_s": Shift(None, None, "1"), "Ms": Shift(12.1, 12.0, "N m")}
     asked = {**PLAIN.parameter_shift, **free}
     found(dataclasses.replace(PLAIN, parameter_shift=asked))
-    values = {"Mc": 6.7, "mu_c": 0.053, "J": 0.21, "mu_s": None}
+    values = {"Mc": 6.7, "Ms": 12.0, "mu_c": 0.053, "J": 0.21, "mu_s": None}
     parameters = {n: Parameter(n, "", v, identifiable=v is not None) for n, v in values.items()}
     taken_out: list[tuple[str, ...]] = []
 
