@@ -17,9 +17,8 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.prove import run
-from rig.results.prove.engines import Processes, cluster
-from rig.results.prove.engines.engine import bundle, without_place
+from rig.results.prove import cluster, run
+from rig.results.prove.engine import Processes, bundle, without_place
 from rig.results.prove.interchange import begin_from, diagnose_all, score_all
 from tests.rig import proof_parts
 

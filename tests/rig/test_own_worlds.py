@@ -23,7 +23,7 @@ from benchmarks.worlds.own_plant.plant import OwnPlant
 from benchmarks.worlds.seal import log_of, seal_worlds, strength_of
 from benchmarks.worlds.sizes import SIZES
 from rig.cli.entry import status
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.run import SUMS_FILE
 from rig.results.prove.truth import load_truth, repeated_salt

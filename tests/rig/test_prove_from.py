@@ -13,11 +13,11 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import interchange as judging
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import SUMS_FILE, write_sums
-from rig.results.prove.scoring.score import score
+from rig.results.prove.score import score
 from rig.results.prove.truth import Truth, load_truth, unseal
 
 ENGINE = Processes(1)

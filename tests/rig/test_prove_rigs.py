@@ -17,7 +17,7 @@ from rig.common.errors import InputError
 from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, apportion, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
 from rig.results.prove.generate import as_recorded
-from rig.results.prove.scoring.score import STRONG
+from rig.results.prove.score import STRONG
 from rig.results.prove.simulate import (
     SETTLE_S,
     campaign,

@@ -22,7 +22,7 @@ from benchmarks.worlds.seal import log_of, seal_worlds
 from benchmarks.worlds.sizes import NEEDS, SIZES
 from benchmarks.worlds.torque import Course
 from benchmarks.worlds.world import COMMAND_S, Planned, Signals, World
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from rig.results.prove.truth import load_truth
 from rig.sources import load_source
 
