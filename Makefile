@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster makes masters units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster makes masters units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -86,9 +86,6 @@ accuracy: $(VENV)/.runtime  ## errors and interval coverage of the default metho
 floor: $(VENV)/.runtime  ## errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)
 	$(BIN)/python benchmarks/floor.py --benches 200 --first 5000
 
-profile-coverage: $(VENV)/.runtime  ## how often likelihood profiles and intervals hold the truth
-	$(BIN)/python benchmarks/profile_coverage.py --benches 40
-
 literal: $(VENV)/.runtime  ## the literal bench, noise-free: the paper's constants and 20 random sets
 	$(BIN)/python benchmarks/literal_accuracy.py
 
@@ -101,7 +98,6 @@ loop: $(VENV)/.runtime  ## hide an effect, diagnose, run the corrected model, co
 
 feedforward: $(VENV)/.runtime  ## tracking and energy before and after friction feed-forward, 8 seeds
 	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 200
-	$(BIN)/python benchmarks/feedforward_hidden.py
 
 prove: $(VENV)/.dev  ## the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)
 	$(BIN)/rig prove --rigs $(or $(RIGS),24) --jobs 2 --out out/proof
@@ -120,7 +116,7 @@ cluster: $(VENV)/.dev  ## the same proof with one process, two, and a cluster of
 	$(BIN)/python -m tests.long.cluster out/cluster --rigs $(or $(RIGS),12) --seed $(or $(SEED),1)
 
 bench: $(VENV)/.runtime  ## speed, as ratios within one run
-	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 growth: $(VENV)/.runtime  ## how a diagnosis grows with samples and with the catalogue
 	$(BIN)/python benchmarks/diagnosis_growth.py

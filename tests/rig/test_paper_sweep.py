@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.parts.constants import GasGenerator, Joint, Machine
-from rig.results.paper.loop import PAPER_DEG_S, SLOW_DEG_S, sweep
+from rig.results.paper.figures import PAPER_DEG_S, SLOW_DEG_S, sweep
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,936 @@
+"""Figures of the paper, with our results: Fig. 2 and 9 (a low-speed ramp with soft gains, without
+and with friction feed-forward), Fig. 5 and 11 (the closed loop of valve and gas generator, with
+mutual disturbance), the conventional method of Eq. 14 on ramps of many speeds, and the motion of
+the valve.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from drivers.mock.plant import gas_direct
+from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts import constants
+from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.without_bus import record
+from identification.estimate.equation_error import (
+    UNIFORM,
+    UniformPoint,
+    errors_percent,
+    fit_uniform,
+    uniform_points,
+)
+from identification.model.friction import load_coefficient, system_friction
+from identification.plots import regulator
+from identification.recording import Array, Dataset, Recording
+from identification.signals import Tracking, track, tracking_error
+from rig.common.places import write_json
+from rig.common.tables import number, percent
+from rig.config.bench import load_bench
+from rig.config.configuration import Document, load_located
+from rig.config.sequence import FlowSection, load_sequence
+from rig.config.sequence import Sequence as SequenceFile
+from rig.control.session import run_simulated
+from rig.planning.feedforward import Feedforward, load_feedforward
+from rig.planning.hot_fire import nominal_generator, pressure_for
+from rig.results.document import Picture, Table
+from rig.results.identify.identify import Request, identification_record, identify_source
+from rig.runs.recorded_inputs import true_parameters
+from rig.runs.run import bench_constants
+
+Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
+"""Column titles with their units, and the rows of the table."""
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """Content of the page under one heading.
+
+    Attributes:
+        name: Key in the result file, and file name of its data: ``fig_2``.
+        title: Heading.
+        paper: What the paper prints or shows, as text.
+        found: Our results, one sentence each.
+        pictures: Figures; the first is named like the exhibit.
+        data: Plotted data by the name of the picture.
+        table: Values side by side, if any.
+    """
+
+    name: str
+    title: str
+    paper: str
+    found: tuple[str, ...]
+    pictures: tuple[Picture, ...] = ()
+    data: Mapping[str, Rows] | None = None
+    table: Table | None = None
+
+
+def columns(**named: Array) -> Rows:
+    """Return arrays of one length, shape (n,), as rows; each title is a ``name`` with its unit
+    (``time_s``).
+    """
+    return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
+
+
+def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
+    """Return the CSV text with the numbers of every picture, by the name of its file relative to
+    the page.
+    """
+    return {
+        _data_file(name): _csv(rows)
+        for exhibit in exhibits
+        for name, rows in (exhibit.data or {}).items()
+    }
+
+
+def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
+    """Return the paths of each picture and of its plotted data, relative to the page, by the name
+    of the picture.
+    """
+    files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
+    for exhibit in exhibits:
+        for name in exhibit.data or {}:
+            files.setdefault(name, []).append(_data_file(name))
+    return files
+
+
+def _data_file(name: str) -> str:
+    return f"data/{name}.csv"
+
+
+def _csv(rows: Rows) -> str:
+    titles, lines = rows
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(titles)
+    writer.writerows(
+        [cell if isinstance(cell, str) else f"{cell:.9g}" for cell in line] for line in lines
+    )
+    return text.getvalue()
+
+
+def true_machine(name: str) -> Machine:
+    """Return the simulated machine of a packaged bench.
+
+    Raises:
+        ValueError: The bench has no simulated machine.
+    """
+    machine = load_bench(name).value.mock
+    if machine is None:
+        raise ValueError(f"the packaged bench {name!r} has no simulated machine")
+    return machine
+
+
+def identified(
+    name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]
+) -> Feedforward:
+    """Run ``figure10`` on a packaged bench and identify that run.
+
+    Args:
+        name: Name of the bench.
+        scratch: Empty folder for the run and its result.
+        seed: Seed of the bench's noise and of the method.
+        progress: Called with the current step and the completed share.
+    """
+    bench = load_bench(name)
+    progress(f"running figure10 on {name}", 0.0)
+    run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
+    outcome = identify_source(scratch / f"{name}-run", Request(seed=seed), progress)
+    result = scratch / f"{name}.json"
+    write_json(result, identification_record(outcome.results[0], outcome.provenance))
+    return load_feedforward(result, bench_constants(bench.value))
+
+
+SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)
+WEIGHT_KG = 30.6
+TRAVEL_DEG = {0.0: 8.0, WEIGHT_KG: 14.0}
+"""Travel, deg, for each weight, kg: it exceeds the deflection of a soft drive before breakaway,
+1.7 deg without weight and 5.2 deg with weight.
+"""
+LEAST_LEG_S = 0.6
+GAINS = {"stiff": "practical", "soft": "practical_soft"}
+
+
+@dataclass(frozen=True)
+class UniformStudy:
+    """Points of both gain sets, with the machine's true parameters for comparison."""
+
+    points: Mapping[str, Sequence[UniformPoint]]
+    truth: Mapping[str, float]
+    moment: float
+
+
+def sequence(scratch: Path) -> Document[SequenceFile]:
+    """Write a sequence file with ramps out and back at every speed, unloaded and loaded."""
+    lines = ["sequence: 1", "name: uniform", "stages:"]
+    for weight, least in TRAVEL_DEG.items():
+        load = "loaded" if weight else "unloaded"
+        for speed in SPEEDS_DEG_S:
+            travel = max(least, LEAST_LEG_S * speed)
+            ramp = f"{{travel_deg: {travel:g}, speed_deg_s: {speed:g}, rest_s: 0.3}}"
+            duration = 2.0 * travel / speed + 0.6
+            lines.append(
+                f"  - {{name: {load}-{speed:g}, stage: {load}, weight_kg: {weight:g}, center_deg: "
+                f"{-0.5 * travel:g}, "
+                f"ramp: {ramp}, duration_s: {duration:.9g}}}"
+            )
+    path = scratch / "uniform.yaml"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return load_located(path, SequenceFile)
+
+
+def measure(scratch: Path, seed: int) -> UniformStudy:
+    """Run the ramps with both gain sets of the practical bench; return a point for each interval of
+    constant speed.
+    """
+    plan = sequence(scratch)
+    points = {}
+    for gains, name in GAINS.items():
+        dataset = run_simulated(load_bench(name), plan, seed, scratch / name)
+        points[gains] = [
+            point for recording in dataset.recordings for point in uniform_points(recording)
+        ]
+    moment = max(p.moment for p in points["stiff"])
+    return UniformStudy(points, true_parameters(true_machine("practical")), moment)
+
+
+def uniform_exhibit(study: UniformStudy) -> Exhibit:
+    """Return the points with the true friction, and the parameters of a Stribeck curve fitted to
+    the points.
+    """
+    sets = {
+        "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],
+        "stiff gains, all points": study.points["stiff"],
+        "stiff gains, uniform points": [p for p in study.points["stiff"] if p.uniform],
+        "soft gains, all points": study.points["soft"],
+        "soft gains, uniform points": [p for p in study.points["soft"] if p.uniform],
+    }
+    fits = {name: fit_uniform(points) for name, points in sets.items()}
+    return Exhibit(
+        "eq_14",
+        "Eq. 14: the conventional method, friction from uniform motion",
+        "J domega/dt = M_T - M_f(omega) = 0: the motor's torque at constant speed is the "
+        "friction. The paper calls this method almost impossible for the regulator, because "
+        "stick-slip prevents uniform motion; the paper gives no figures.",
+        tuple(_uniform_words(gains, study.points[gains]) for gains in study.points)
+        + _verdict(fits, study.truth),
+        (
+            Picture.of(
+                "eq_14",
+                f"Eq. 14: mean torque against commanded speed; hollow points: the speed varies by "
+                f"more than {UNIFORM:.0%}",
+                _uniform_figure(study),
+            ),
+        ),
+        {"eq_14": _uniform_data(study)},
+        _uniform_table(fits, study.truth),
+    )
+
+
+def _uniform_words(gains: str, points: Sequence[UniformPoint]) -> str:
+    def count(loaded: bool) -> str:
+        chosen = [p for p in points if (p.moment > 0.0) is loaded]
+        return f"{sum(p.uniform for p in chosen)} of {len(chosen)}"
+
+    return (
+        f"{gains.capitalize()} gains: the motion was uniform in {count(False)} intervals without "
+        f"weight, in {count(True)} under 3000 N."
+    )
+
+
+def _verdict(
+    fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]
+) -> tuple[str, ...]:
+    lines = []
+    for name, found in fits.items():
+        if not found:
+            lines.append(f"{name.capitalize()}: too few points for a Stribeck curve.")
+            continue
+        errors = errors_percent(found, truth)
+        worst = max(errors, key=lambda key: abs(errors[key]))
+        lines.append(f"{name.capitalize()}: worst parameter {worst}, {errors[worst]:+.3g} %.")
+    return tuple(lines)
+
+
+def _uniform_table(fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]) -> Table:
+    header = ["parameter", "true"]
+    for name in fits:
+        header += [name, "error"]
+    rows = []
+    for parameter in ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"):
+        cells = [parameter, number(truth[parameter])]
+        for found in fits.values():
+            value = found.get(parameter)
+            error = None if value is None else 100.0 * (value / truth[parameter] - 1.0)
+            cells += [number(value), percent(error)]
+        rows.append(tuple(cells))
+    return Table(tuple(header), tuple(rows), tuple(range(1, len(header))))
+
+
+def _uniform_figure(study: UniformStudy) -> regulator.Figure:
+    speed = np.geomspace(0.5 * np.deg2rad(SPEEDS_DEG_S[0]), 1.3 * np.deg2rad(SPEEDS_DEG_S[-1]), 400)
+    unloaded = system_friction(speed, study.truth, 2.0)
+    loaded = unloaded + study.moment * load_coefficient(speed, study.truth, 2.0)
+    panels = []
+    for title, curve, is_loaded in (
+        ("no weight", unloaded, False),
+        ("30.6 kg (3000 N)", loaded, True),
+    ):
+        chosen = {
+            f"{gains} gains": [
+                (abs(p.speed), p.friction, p.uniform)
+                for p in points
+                if (p.moment > 0.0) is is_loaded
+            ]
+            for gains, points in study.points.items()
+        }
+        panels.append((title, curve, chosen))
+    return regulator.uniform(speed, panels)
+
+
+def _uniform_data(study: UniformStudy) -> Rows:
+    titles = ("gains", "stage", "speed_rad_s", "mean_torque_N_m", "spread", "contact_moment_N_m")
+    return titles, [
+        (gains, p.recording, p.speed, p.torque, p.spread, p.moment)
+        for gains, points in study.points.items()
+        for p in points
+    ]
+
+
+RAMP_BENCH, RAMP_SEQUENCE = "practical_soft", "slow_ramp"
+_SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
+_THIN = 10  # the data files contain every tenth sample
+
+
+@dataclass(frozen=True)
+class RampStudy:
+    """Ramps at low speed, unloaded and loaded, each without and with feed-forward."""
+
+    plain: Dataset
+    fed: Dataset
+
+
+def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
+    """Run the ramps with soft gains, without and with feed-forward; the noise differs from that of
+    the identification.
+    """
+    bench, sequence = load_bench(RAMP_BENCH), load_sequence(RAMP_SEQUENCE)
+    return RampStudy(
+        run_simulated(bench, sequence, seed + 1, scratch / "plain"),
+        run_simulated(bench, sequence, seed + 1, scratch / "fed", model),
+    )
+
+
+def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
+    """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under
+    3000 N).
+    """
+    plain, fed = study.plain.recordings, study.fed.recordings
+    ramp = f"{RAMP_SEQUENCE} on {RAMP_BENCH}: 8 deg at 1 deg/s and back"
+    fig_2 = Exhibit(
+        "fig_2",
+        "Fig. 2: low-speed ramp, stick-slip and steady-state error",
+        "Angle against time while the regulator follows a low-speed ramp, gas generator not "
+        "working: the valve waits, "
+        "jumps and waits, and comes to rest with an error. The paper gives no speed and no gains.",
+        (
+            f"{ramp}, no weight. {_ramp_words('Without feed-forward', track(plain[0]))}",
+            _ramp_words(
+                "With the torque offset computed from parameters identified from a log of "
+                "this bench",
+                track(fed[0]),
+            ),
+        ),
+        (Picture.of("fig_2", f"Fig. 2: {ramp}, no weight", _angle_figure(plain[0], fed[0])),),
+        {"fig_2": _ramp_data(plain[0], fed[0])},
+    )
+    names = ("no weight", "30.6 kg (3000 N)")
+    pairs = list(zip(plain, fed, strict=True))
+    fig_9 = Exhibit(
+        "fig_9",
+        "Fig. 9: a position loop that should turn uniformly",
+        "The regulator is commanded to move uniformly, but sticks and slips. For this reason the "
+        "paper regards the conventional identification (eq. 14) as impossible for this regulator.",
+        tuple(
+            _ramp_words(f"{name}, {how}", track(recording))
+            for name, pair in zip(names, pairs, strict=True)
+            for how, recording in zip(("without feed-forward", "with it"), pair, strict=True)
+        ),
+        (
+            Picture.of(
+                "fig_9",
+                "Fig. 9: joint speed on the same ramp, mean over 20 ms, without and with "
+                "feed-forward",
+                regulator.speeds(
+                    [(name, *_speeds(*pair)) for name, pair in zip(names, pairs, strict=True)]
+                ),
+            ),
+        ),
+        {"fig_9": _speed_data(pairs)},
+    )
+    return [fig_2, fig_9]
+
+
+def _ramp_words(what: str, t: Tracking) -> str:
+    return (
+        f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; "
+        f"at rest "
+        f"{100.0 * t.waiting:.0f} % of the time in which the command moves; {1e3 * t.at_end:+.3g} "
+        f"mrad off at the end; "
+        f"{t.energy:.0f} J electrical."
+    )
+
+
+def _time(recording: Recording) -> Array:
+    return np.asarray(recording.time - recording.time[0])
+
+
+def _angle_figure(plain: Recording, fed: Recording) -> regulator.Figure:
+    time = _time(plain)
+    return regulator.tracking(
+        time,
+        plain.channels["command"],
+        {"without feed-forward": plain.channels["angle"], "with it": fed.channels["angle"]},
+        {"without feed-forward": tracking_error(plain), "with it": tracking_error(fed)},
+    )
+
+
+def _speeds(plain: Recording, fed: Recording) -> tuple[Array, Array, dict[str, Array]]:
+    commanded = np.gradient(plain.channels["command"], plain.period)
+    return _time(plain), commanded, {"without feed-forward": _speed(plain), "with it": _speed(fed)}
+
+
+def _speed(recording: Recording) -> Array:
+    n = round(_SPEED_SPAN_S / recording.period)
+    padded = np.pad(recording.channels["angle"], (n // 2, n - n // 2), mode="edge")
+    return np.asarray((padded[n:] - padded[:-n]) / (n * recording.period))
+
+
+def _ramp_data(plain: Recording, fed: Recording) -> Rows:
+    few = slice(None, None, _THIN)
+    return columns(
+        time_s=_time(plain)[few],
+        command_rad=plain.channels["command"][few],
+        angle_rad=plain.channels["angle"][few],
+        angle_fed_rad=fed.channels["angle"][few],
+        current_A=plain.channels["current"][few],
+        current_fed_A=fed.channels["current"][few],
+    )
+
+
+def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
+    few = slice(None, None, _THIN)
+    first = pairs[0][0]
+    named = {
+        "time_s": _time(first)[few],
+        "command_rad_s": np.gradient(first.channels["command"], first.period)[few],
+    }
+    for plain, fed in pairs:
+        named[f"{plain.stage}_rad_s"] = _speed(plain)[few]
+        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)[few]
+    return columns(**named)
+
+
+SINE_BENCH, SINE_SEQUENCE = "practical", "figure10"
+PERIOD_S = 5.0
+FIRST_S = 2.0
+CYCLES = 2
+_SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
+# the data file contains every tenth sample
+
+
+def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
+    """Run the paper's two cases without and with feed-forward; the noise differs from that of the
+    identification.
+    """
+    bench, sequence = load_bench(SINE_BENCH), load_sequence(SINE_SEQUENCE)
+    plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
+    return plain, run_simulated(bench, sequence, seed + 1, scratch / "sine-fed", model)
+
+
+def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
+    """Return the tracking error of both cases over two whole cycles, and the energy of one
+    cycle.
+    """
+    pairs = list(zip(plain.recordings, fed.recordings, strict=True))
+    return Exhibit(
+        "compensation",
+        "Compensation: the sine of Case 1 and 2 before and after feed-forward, and its energy",
+        "The paper states that friction raises control error and power consumption, and that "
+        "the model is a starting point for compensation; it shows no compensation.",
+        (
+            f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: "
+            "command less "
+            f"joint encoder, and electrical energy, over {CYCLES} cycles.",
+        ),
+        (
+            Picture.of(
+                "compensation",
+                "Tracking error of the 0.2 Hz sine without and with feed-forward",
+                regulator.errors([_panel(*pair) for pair in pairs]),
+            ),
+        ),
+        {"compensation": _sine_data(pairs)},
+        _ramp_table(pairs),
+    )
+
+
+def _load(recording: Recording) -> str:
+    return f"{recording.contact_force:.0f} N"
+
+
+def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the time from the start of a recording, s, and a mask of the samples of whole
+    cycles.
+    """
+    time = np.asarray(recording.time - recording.time[0])
+    return time, (time >= _SPAN[0]) & (time < _SPAN[1])
+
+
+def _panel(before: Recording, after: Recording) -> tuple[str, Array, dict[str, Array]]:
+    time, part = _part(before)
+    errors = {
+        "without feed-forward": tracking_error(before)[part],
+        "with it": tracking_error(after)[part],
+    }
+    return _load(before), time[part], errors
+
+
+def _sine_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
+    few = slice(None, None, _THIN)
+    named: dict[str, Array] = {}
+    for before, after in pairs:
+        time, part = _part(before)
+        named["time_s"] = time[part][few]
+        both = ((before, before.stage), (after, f"{before.stage}_fed"))
+        for recording, name in both:
+            named[f"error_{name}_rad"] = tracking_error(recording)[part][few]
+        for recording, name in both:
+            power = recording.channels["voltage"] * recording.channels["current"]
+            named[f"power_{name}_W"] = power[part][few]
+    return columns(**named)
+
+
+def _ramp_table(pairs: Sequence[tuple[Recording, Recording]]) -> Table:
+    header = (
+        "contact force",
+        "error before (mrad rms)",
+        "after",
+        "ratio",
+        "largest (mrad)",
+        "after",
+        "energy per cycle (J)",
+        "after",
+    )
+    rows = []
+    for before, after in pairs:
+        one, other = track(before, *_SPAN), track(after, *_SPAN)
+        rows.append(
+            (
+                _load(before),
+                *(number(1e3 * t.rms, 3) for t in (one, other)),
+                number(one.rms / other.rms, 3),
+                *(number(1e3 * t.largest, 3) for t in (one, other)),
+                *(number(t.energy / CYCLES, 4) for t in (one, other)),
+            )
+        )
+    return Table(header, tuple(rows), tuple(range(1, 8)))
+
+
+LOOP_BENCH, LOOP_SEQUENCE, LOOP_STAGE = "practical_hot", "hotfire", "flow"
+SETTLED = 0.02
+"""Relative deviation from the commanded flow up to which a flow counts as settled."""
+_SMOOTHING_S = (
+    0.05  # settling is judged on means over this time, so that sensor noise has little influence
+)
+# the data file contains every tenth sample
+
+
+@dataclass(frozen=True)
+class Firing:
+    """The closed-loop stage of a hot firing; each array of shape (n,).
+
+    Attributes:
+        flow: Flow command of the stage.
+        period: Sampling period, s.
+        time: Time since the start of the stage, s.
+        flows: Commanded flow, and flow computed from pressure and angle, kg/s.
+        pressures: Commanded and measured pressure, Pa.
+        angles: Commanded and measured valve angle, rad.
+        current: Motor current, A.
+        force: Contact force, N.
+    """
+
+    flow: FlowSection
+    period: float
+    time: Array
+    flows: tuple[Array, Array]
+    pressures: tuple[Array, Array]
+    angles: tuple[Array, Array]
+    current: Array
+    force: Array
+
+
+def fire(scratch: Path, seed: int) -> Firing:
+    """Run the packaged hot firing and return its closed-loop stage."""
+    bench, sequence = load_bench(LOOP_BENCH), load_sequence(LOOP_SEQUENCE)
+    dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
+    recording = next(r for r in dataset.recordings if r.name == LOOP_STAGE)
+    flow = next(stage.flow for stage in sequence.value.stages if stage.name == LOOP_STAGE)
+    generator = nominal_generator(bench.value)
+    if flow is None or generator is None:
+        raise ValueError(f"{LOOP_SEQUENCE} has no flow command, or {LOOP_BENCH} no gas generator")
+    machine = true_machine(LOOP_BENCH)
+    time = recording.time - recording.time[0]
+    commanded = flow.command(len(time) * recording.period, recording.period)[: len(time)]
+    angle, pressure = recording.channels["angle"], recording.channels["pressure"]
+    gas = machine.gas
+    outflow = pressure * throat_area(machine, angle) / gas.characteristic_velocity_m_s
+    return Firing(
+        flow,
+        recording.period,
+        time,
+        (commanded, outflow),
+        (pressure_for(commanded, generator), pressure),
+        (recording.channels["command"], angle),
+        recording.channels["current"],
+        (pressure - gas.back_pressure_Pa) * impacted_area(machine, angle),
+    )
+
+
+def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
+    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
+    and load.
+    """
+    found = fire(scratch, seed)
+    caption = (
+        "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured "
+        "pressure and angle"
+    )
+    return Exhibit(
+        "fig_11",
+        "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
+        "Block diagrams of the loop, in which pressure and valve angle determine the load on the "
+        "motor, and "
+        "the angle determines the pressure. The paper gives no controller and no response.",
+        (
+            f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command "
+            "through the whole simulated chain, "
+            "pressure measured by a transmitter.",
+            _settling(found),
+            "The flow first changes in the wrong direction: when the throat opens, more gas flows "
+            "out until the pressure falls. " + _hunting(found),
+            f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, which varies "
+            f"only with pressure and angle; the motor "
+            f"current that holds and moves the valve against its friction reaches "
+            f"{np.max(np.abs(found.current)):.1f} A.",
+        ),
+        (Picture.of("fig_11", caption, _loop_figure(found)),),
+        {"fig_11": _loop_data(found)},
+    )
+
+
+def _loop_figure(found: Firing) -> regulator.Figure:
+    asked, pressure = (1e-6 * signal for signal in found.pressures)
+    return regulator.closed_loop(
+        found.time,
+        dict(zip(("command", "flow"), found.flows, strict=True)),
+        {"command": asked, "measured": pressure},
+        dict(zip(("command", "measured"), found.angles, strict=True)),
+        found.current,
+        found.force,
+    )
+
+
+def _loop_data(found: Firing) -> Rows:
+    few = slice(None, None, _THIN)
+    return columns(
+        time_s=found.time[few],
+        flow_command_kg_s=found.flows[0][few],
+        flow_kg_s=found.flows[1][few],
+        pressure_command_Pa=found.pressures[0][few],
+        pressure_Pa=found.pressures[1][few],
+        angle_command_rad=found.angles[0][few],
+        angle_rad=found.angles[1][few],
+        current_A=found.current[few],
+        contact_force_N=found.force[few],
+    )
+
+
+def _hunting(found: Firing) -> str:
+    """Return text on the current oscillation at steady flow, before the first step."""
+    time = found.time
+    before = found.current[(time >= 1.0) & (time < found.flow.steps[1].at_s)]
+    return (
+        f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
+        f"{np.max(before):+.1f} A: the integrators of the loop hunt across static friction, one of "
+        "the limit cycles of which the paper warns."
+    )
+
+
+def _settling(found: Firing) -> str:
+    """Return text on the settling time of each step."""
+    flow, time, (_, outflow) = found.flow, found.time, found.flows
+    n = max(1, round(_SMOOTHING_S / found.period))
+    smooth = np.convolve(
+        np.pad(outflow, (n // 2, n - 1 - n // 2), mode="edge"), np.full(n, 1.0 / n), mode="valid"
+    )
+    ends = [step.at_s for step in flow.steps[1:]] + [float(time[-1])]
+    words = []
+    for (before, step), end in zip(pairwise(flow.steps), ends[1:], strict=True):
+        part = (time >= step.at_s) & (time < end)
+        off = np.flatnonzero(np.abs(smooth[part] / step.flow_kg_s - 1.0) > SETTLED)
+        if off.size and off[-1] + 1 == np.count_nonzero(part):
+            took = "not before the next step"
+        else:
+            took = f"{(off[-1] + 1) * found.period if off.size else 0.0:.2f} s"
+        words.append(f"{before.flow_kg_s:g} to {step.flow_kg_s:g} kg/s {took}")
+    return f"Time to stay within {SETTLED:.0%} of the commanded flow: {', '.join(words)}."
+
+
+PAPER_DEG_S = 50.0
+"""Opening speed in the paper, deg/s."""
+SLOW_DEG_S = 5.0
+"""Speed, deg/s, at which the pressure follows the throat area within 7 % and the joint does not
+stick.
+"""
+OPEN_DEG = 30.0
+CYCLE_S = 0.001
+FOLLOWED = 0.05
+"""Relative deviation of the speed up to which the motion counts as uniform."""
+SMOOTHING_S = 0.020
+"""Time, s, over which the speed is computed from the joint encoder."""
+REST_S = 0.2
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One opening of the valve as measured by the sensors of the bench; arrays of shape (n,), from
+    the start of the motion.
+
+    Attributes:
+        speed_deg_s: Commanded speed.
+        time: Time, s.
+        angle: Angle of the joint encoder, rad.
+        current: Mean current over each cycle, A.
+        pressure: Pressure by the transmitter, Pa.
+        area: Impacted area A_s at the angle, m^2.
+        steady_pressure: Steady pressure at that angle, Pa.
+        uniform: Samples at the commanded speed.
+        rank_pressure: Spearman's rank correlation of current and pressure over the samples in
+            ``uniform``.
+        rank_area: Spearman's rank correlation of current and area over the samples in ``uniform``.
+    """
+
+    speed_deg_s: float
+    time: Array
+    angle: Array
+    current: Array
+    pressure: Array
+    area: Array
+    steady_pressure: Array
+    uniform: NDArray[np.bool_]
+    rank_pressure: float
+    rank_area: float
+
+    @property
+    def lag(self) -> float:
+        """Greatest relative excess of the pressure over the steady pressure."""
+        return float(np.max(self.pressure[self.uniform] / self.steady_pressure[self.uniform]) - 1.0)
+
+    def at(self, degrees: Array) -> Array:
+        """Return angle (deg), current (A), pressure (MPa) and area (mm^2) at these angles, shape
+        (m, 4).
+
+        Means over the samples within half a degree in uniform motion, or NaN if there are none.
+        """
+        angle = np.rad2deg(self.angle)
+        rows = np.full((len(degrees), 4), np.nan)
+        for row, degree in zip(rows, degrees, strict=True):
+            near = self.uniform & (np.abs(angle - degree) <= 0.5)
+            row[0] = degree
+            if near.any():
+                row[1:] = [
+                    np.mean(v[near]) for v in (self.current, self.pressure * 1e-6, self.area * 1e6)
+                ]
+        return rows
+
+
+def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
+    """Open the valve of a burning gas generator from 0 to 30 deg at constant speed.
+
+    Args:
+        machine: The bench; its gas generator burns steadily at the closed valve when the motion
+            starts.
+        speed_deg_s: Commanded speed.
+        seed: Seed of the sensor noise.
+
+    Raises:
+        ValueError: The joint sticks, or is in stick-slip, during the whole motion.
+    """
+    noise, transmitter = np.random.default_rng(seed).spawn(2)
+    plant = SimulatedMachine(machine, noise)
+    plant.power(True)
+    plant.advance(round(REST_S * 1e9))
+    plant.ignite()
+    plant.latch()
+    time = np.asarray(
+        np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64
+    )
+    samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
+    area = gas_direct.impacted_area(machine, samples.angle)
+    uniform = _uniform(samples.angle, math.radians(speed_deg_s))
+    if not uniform.any():
+        raise ValueError(
+            f"at {speed_deg_s:g} deg/s the joint never moves uniformly; sweep faster, or stiffen "
+            f"the drive"
+        )
+    ranks = [
+        float(spearmanr(samples.current[uniform], v[uniform]).statistic)
+        for v in (samples.pressure, area)
+    ]
+    return Sweep(
+        speed_deg_s,
+        time,
+        samples.angle,
+        samples.current,
+        samples.pressure,
+        area,
+        gas_direct.steady_pressure(machine, samples.angle),
+        uniform,
+        *ranks,
+    )
+
+
+def _uniform(angle: Array, wanted: float) -> NDArray[np.bool_]:
+    """Return a mask of the samples at this speed (rad/s)."""
+    width = round(SMOOTHING_S / CYCLE_S)
+    kernel = np.ones(width) / width
+    speed = np.convolve(np.gradient(angle, CYCLE_S), kernel, mode="same")
+    marks = np.abs(speed - wanted) <= FOLLOWED * wanted
+    marks[:width] = marks[-width:] = False
+    return np.asarray(marks)
+
+
+_ENDS_DEG = np.array([5.0, 29.0])
+
+
+def sweep_exhibit(seed: int) -> Exhibit:
+    """Return Fig. 4 at the speed of the paper, and at a lower speed, at which the pressure follows
+    the throat area.
+    """
+    machine = true_machine("practical_hot")
+    sweeps = [sweep(machine, speed, seed) for speed in (PAPER_DEG_S, SLOW_DEG_S)]
+    return Exhibit(
+        "fig_4",
+        "Fig. 4: the motor's current falls with pressure and impacted area",
+        "The valve turns from 0 to 30 deg at 50 deg/s under a stable pressure; the curve of the "
+        "current falls as the "
+        "pressure and the impacted area fall. The text gives no values of the curve.",
+        tuple(_loop_words(found) for found in sweeps),
+        (
+            Picture.of(
+                "fig_4",
+                "Fig. 4: an opening valve, at the speed of the paper and slowly",
+                _sweep_figure(sweeps),
+            ),
+        ),
+        {
+            name: _sweep_data(found)
+            for name, found in zip(("fig_4", "fig_4_slow"), sweeps, strict=True)
+        },
+    )
+
+
+def _loop_words(found: Sweep) -> str:
+    (_, current, pressure, area), (_, last_current, last_pressure, last_area) = found.at(_ENDS_DEG)
+    return (
+        f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the "
+        f"current falls from "
+        f"{current:.2f} to {last_current:.2f} A, the pressure from {pressure:.2f} to "
+        f"{last_pressure:.2f} MPa, the area "
+        f"from {area:.0f} to {last_area:.0f} mm^2. Rank correlation of the current with the "
+        f"pressure "
+        f"{found.rank_pressure:.3f}, with the area {found.rank_area:.3f}. The pressure stays up to "
+        f"{100.0 * found.lag:.0f} % above the steady pressure."
+    )
+
+
+def _sweep_figure(sweeps: list[Sweep]) -> regulator.Figure:
+    return regulator.sweep(
+        [
+            (
+                f"{found.speed_deg_s:g} deg/s",
+                np.rad2deg(found.angle),
+                np.where(found.uniform, found.current, np.nan),
+                1e-6 * found.pressure,
+                1e-6 * found.steady_pressure,
+                1e6 * found.area,
+            )
+            for found in sweeps
+        ]
+    )
+
+
+def _sweep_data(found: Sweep) -> Rows:
+    return columns(
+        time_s=found.time,
+        angle_rad=found.angle,
+        current_A=found.current,
+        pressure_Pa=found.pressure,
+        steady_pressure_Pa=found.steady_pressure,
+        impacted_area_m2=found.area,
+        uniform=found.uniform.astype(np.float64),
+    )
+
+
+GREATEST_DEG = 30.0
+_STEP_DEG = 0.1
+
+
+def clear_deg(machine: Machine) -> float:
+    """Return the angle at which the plate has left the opening, L1 sin(theta) = (b + D)/2, deg."""
+    valve = machine.gas.valve
+    beside = 0.5 * (valve.plate_width_m + valve.opening_diameter_m)
+    return math.degrees(math.asin(beside / machine.joint.moment_arm_m))
+
+
+def valve_exhibit() -> Exhibit:
+    """Return Fig. 3 from the closed form of the plant's valve."""
+    machine = true_machine("practical_hot")
+    angle_deg = np.arange(0.0, GREATEST_DEG + 0.5 * _STEP_DEG, _STEP_DEG)
+    angle = np.deg2rad(angle_deg)
+    throat, impacted = throat_area(machine, angle), impacted_area(machine, angle)
+    total = 0.25 * math.pi * machine.gas.valve.opening_diameter_m**2
+    clear = clear_deg(machine)
+    return Exhibit(
+        "fig_3",
+        "Fig. 3: impacted and effective throat area",
+        "The platform, and the schematic of the impacted area: d = 25 mm, D = 40 mm, b = 54 mm; "
+        "the greatest throat is the sum of both areas; the valve turns from 0 to 30 deg. The "
+        "paper announces the curve of the throat area, but does not print this curve.",
+        (
+            f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate has "
+            f"left the opening at {clear:.2f} deg, by the paper at 30 deg; A_s + A_t = "
+            f"{total:.5g} m^2 at every angle.",
+        ),
+        (
+            Picture.of(
+                "fig_3",
+                "Fig. 3: areas against the valve angle",
+                regulator.areas(angle_deg, impacted, throat, clear),
+            ),
+        ),
+        {"fig_3": columns(angle_deg=angle_deg, impacted_area_m2=impacted, throat_area_m2=throat)},
+    )
