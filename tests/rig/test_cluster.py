@@ -40,6 +40,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.results.prove.judge.judge", proof_parts.judge)
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("quick")
 def test_the_same_bytes_from_a_cluster_of_which_a_worker_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
