@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drivers.mock.plant.parts.constants import GasGenerator, Joint, Machine
 from identification.model.parameters import NOMINAL
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
 from rig.results.document import write_texts
 from rig.results.paper import figures, tables
-from rig.results.paper.figures import Exhibit, columns, data_files, files_of
+from rig.results.paper.figures import (
+    PAPER_DEG_S,
+    SLOW_DEG_S,
+    Exhibit,
+    columns,
+    data_files,
+    files_of,
+    sweep,
+)
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
@@ -26,13 +36,18 @@ def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
     }
 
 
+def true_model(folder: Path) -> Feedforward:
+    """Return the feed-forward with the true parameters."""
+    known = folder / "known.json"
+    known.write_text("{}")
+    return Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+
+
 @pytest.fixture(scope="module")
 def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
     """Fig. 2 and 9 on a shorter ramp, with the true parameters."""
     scratch = tmp_path_factory.mktemp("ramps")
-    known = scratch / "known.json"
-    known.write_text("{}")
-    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+    model = true_model(scratch)
     with pytest.MonkeyPatch.context() as patch:
         short = scratch / "slow_ramp.yaml"
         text = resolve("slow_ramp", "sequences").read_text()
@@ -140,9 +155,7 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
     monkeypatch.setattr(figures, "SINE_SEQUENCE", str(short))
     monkeypatch.setattr(figures, "FIRST_S", 1.0)
     monkeypatch.setattr(figures, "CYCLES", 1)
-    known = tmp_path / "known.json"
-    known.write_text("{}")
-    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+    model = true_model(tmp_path)
     made = figures.compensation_exhibit(*figures.run_sines(tmp_path, model, 5))
     data = numbers(made)
     for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
@@ -195,3 +208,34 @@ def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
 def test_columns_must_be_of_one_length() -> None:
     with pytest.raises(ValueError, match="argument 2"):
         columns(a=np.zeros(3), b=np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("speed", "lag"), [(PAPER_DEG_S, (0.45, 0.60)), (SLOW_DEG_S, (0.02, 0.08))]
+)
+def test_the_current_falls_with_pressure_and_area(speed: float, lag: tuple[float, float]) -> None:
+    found = sweep(Machine(), speed)
+    assert found.rank_pressure > 0.95
+    assert found.rank_area > 0.95
+    assert lag[0] < found.lag < lag[1]
+    assert found.uniform.mean() > 0.85
+    assert np.rad2deg(found.angle[-1]) == pytest.approx(30.0, abs=1.0)
+    rows = found.at(np.array([5.0, 10.0, 15.0, 20.0, 25.0, 29.0]))
+    assert np.all(np.diff(rows[:, 1:], axis=0) < 0.0)
+
+
+def test_without_pressure_behind_it_the_valve_is_moved_at_one_current() -> None:
+    """What falls in the current is the load: behind a valve under equal pressure on both sides it
+    does not.
+    """
+    found = sweep(replace(Machine(), gas=GasGenerator(back_pressure_Pa=10e6)), PAPER_DEG_S)
+    assert np.ptp(found.at(np.array([5.0, 15.0, 25.0]))[:, 1]) < 0.1
+
+
+def test_where_there_are_no_samples_there_are_no_values() -> None:
+    assert np.isnan(sweep(Machine(), PAPER_DEG_S).at(np.array([40.0]))[0, 1:]).all()
+
+
+def test_a_joint_that_never_moves_uniformly_says_so() -> None:
+    with pytest.raises(ValueError, match="at 50 deg/s the joint never moves uniformly"):
+        sweep(replace(Machine(), joint=Joint(Ms_N_m=200.0)), PAPER_DEG_S)
