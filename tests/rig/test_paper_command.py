@@ -8,7 +8,7 @@ import pytest
 
 from identification.recording import Dataset
 from rig.cli.entry import status
-from rig.results.paper import figures
+from rig.results.paper import loop
 from rig.results.paper import tables as paper
 from rig.results.paper.tables import TABLE_1, TABLE_2
 
@@ -27,7 +27,7 @@ def folder(
     path = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "simulate_cases", lambda: cases)
-        patch.setattr(paper, "study", lambda seed, progress: [figures.valve_exhibit()])
+        patch.setattr(paper, "study", lambda seed, progress: [loop.valve_exhibit()])
         assert (
             status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")])
             == 0

@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drivers.mock.plant.parts.constants import GasGenerator, Joint, Machine
 from identification.model.parameters import NOMINAL
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
 from rig.results.document import write_texts
-from rig.results.paper import figures, tables
-from rig.results.paper.figures import (
-    PAPER_DEG_S,
-    SLOW_DEG_S,
-    Exhibit,
-    columns,
-    data_files,
-    files_of,
-    sweep,
-)
+from rig.results.paper import loop, ramp, tables, uniform
+from rig.results.paper.exhibit import Exhibit, columns, data_files, files_of
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
@@ -36,18 +26,13 @@ def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
     }
 
 
-def true_model(folder: Path) -> Feedforward:
-    """Return the feed-forward with the true parameters."""
-    known = folder / "known.json"
-    known.write_text("{}")
-    return Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
-
-
 @pytest.fixture(scope="module")
 def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
     """Fig. 2 and 9 on a shorter ramp, with the true parameters."""
     scratch = tmp_path_factory.mktemp("ramps")
-    model = true_model(scratch)
+    known = scratch / "known.json"
+    known.write_text("{}")
+    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
     with pytest.MonkeyPatch.context() as patch:
         short = scratch / "slow_ramp.yaml"
         text = resolve("slow_ramp", "sequences").read_text()
@@ -56,8 +41,8 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
                 "duration_s: 18", "duration_s: 9.5"
             )
         )
-        patch.setattr(figures, "RAMP_SEQUENCE", str(short))
-        return figures.ramp_exhibits(figures.run_ramps(scratch, model, 3))
+        patch.setattr(ramp, "RAMP_SEQUENCE", str(short))
+        return ramp.ramp_exhibits(ramp.run_ramps(scratch, model, 3))
 
 
 def test_fig_2_shows_stick_slip_and_steady_state_error_and_their_end(ramps: list[Exhibit]) -> None:
@@ -80,7 +65,7 @@ def test_fig_9_is_the_speed_of_both_loads(ramps: list[Exhibit]) -> None:
 
 
 def test_fig_3_is_what_the_paper_says_of_it() -> None:
-    made = figures.valve_exhibit()
+    made = loop.valve_exhibit()
     data = numbers(made)
     total = data["impacted_area_m2"] + data["throat_area_m2"]
     np.testing.assert_allclose(total, np.pi * 0.04**2 / 4, rtol=1e-12)
@@ -94,13 +79,13 @@ def test_fig_3_is_what_the_paper_says_of_it() -> None:
 def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(figures, "SPEEDS_DEG_S", (1.5, 2.5, 4.0, 8.0, 20.0))
-    monkeypatch.setattr(figures, "TRAVEL_DEG", {0.0: 5.0})
-    study = figures.measure(tmp_path, 4)
+    monkeypatch.setattr(uniform, "SPEEDS_DEG_S", (1.5, 2.5, 4.0, 8.0, 20.0))
+    monkeypatch.setattr(uniform, "TRAVEL_DEG", {0.0: 5.0})
+    study = uniform.measure(tmp_path, 4)
     stiff, soft = study.points["stiff"], study.points["soft"]
     assert all(p.uniform for p in stiff)
     assert not any(p.uniform for p in soft if abs(p.speed) < np.deg2rad(5.0))
-    made = figures.uniform_exhibit(study)
+    made = uniform.uniform_exhibit(study)
     assert made.table is not None
     rows = {row[0]: row for row in made.table.rows}
     at = made.table.header.index("stiff gains, no weight") + 1
@@ -132,8 +117,8 @@ def test_the_closed_loop_settles_and_moves_its_own_load(
 ) -> None:
     path = tmp_path / "steps.yaml"
     path.write_text(STEPS)
-    monkeypatch.setattr(figures, "LOOP_SEQUENCE", str(path))
-    made = figures.loop_exhibit(tmp_path, 2)
+    monkeypatch.setattr(loop, "LOOP_SEQUENCE", str(path))
+    made = loop.loop_exhibit(tmp_path, 2)
     data = numbers(made)
     late = (data["time_s"] > 3.0) & (data["time_s"] < 3.9)
     np.testing.assert_allclose(data["flow_kg_s"][late], data["flow_command_kg_s"][late], rtol=0.02)
@@ -152,11 +137,13 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
     short.write_text(
         text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5")
     )
-    monkeypatch.setattr(figures, "SINE_SEQUENCE", str(short))
-    monkeypatch.setattr(figures, "FIRST_S", 1.0)
-    monkeypatch.setattr(figures, "CYCLES", 1)
-    model = true_model(tmp_path)
-    made = figures.compensation_exhibit(*figures.run_sines(tmp_path, model, 5))
+    monkeypatch.setattr(ramp, "SINE_SEQUENCE", str(short))
+    monkeypatch.setattr(ramp, "FIRST_S", 1.0)
+    monkeypatch.setattr(ramp, "CYCLES", 1)
+    known = tmp_path / "known.json"
+    known.write_text("{}")
+    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+    made = ramp.compensation_exhibit(*ramp.run_sines(tmp_path, model, 5))
     data = numbers(made)
     for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
         before, after = (
@@ -164,13 +151,13 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(
         )
         assert before > ratio * after
         for fed in ("", "_fed"):
-            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * figures.PERIOD_S < energy[1]
+            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * ramp.PERIOD_S < energy[1]
     assert made.table is not None
     assert [row[0] for row in made.table.rows] == ["0 N", "3001 N"]
 
 
 def test_fig_4_falls_with_pressure_and_area() -> None:
-    made = figures.sweep_exhibit(0)
+    made = loop.sweep_exhibit(0)
     for name, fastest in (("fig_4", 0.7), ("fig_4_slow", 7.0)):
         data = numbers(made, name)
         even = data["uniform"] > 0.5
@@ -195,7 +182,7 @@ def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
 
 
 def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
-    made = figures.valve_exhibit()
+    made = loop.valve_exhibit()
     assert files_of([made]) == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
     write_texts(data_files([made]), tmp_path)
     with (tmp_path / "data/fig_3.csv").open(newline="") as lines:
@@ -208,34 +195,3 @@ def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
 def test_columns_must_be_of_one_length() -> None:
     with pytest.raises(ValueError, match="argument 2"):
         columns(a=np.zeros(3), b=np.zeros(4))
-
-
-@pytest.mark.parametrize(
-    ("speed", "lag"), [(PAPER_DEG_S, (0.45, 0.60)), (SLOW_DEG_S, (0.02, 0.08))]
-)
-def test_the_current_falls_with_pressure_and_area(speed: float, lag: tuple[float, float]) -> None:
-    found = sweep(Machine(), speed)
-    assert found.rank_pressure > 0.95
-    assert found.rank_area > 0.95
-    assert lag[0] < found.lag < lag[1]
-    assert found.uniform.mean() > 0.85
-    assert np.rad2deg(found.angle[-1]) == pytest.approx(30.0, abs=1.0)
-    rows = found.at(np.array([5.0, 10.0, 15.0, 20.0, 25.0, 29.0]))
-    assert np.all(np.diff(rows[:, 1:], axis=0) < 0.0)
-
-
-def test_without_pressure_behind_it_the_valve_is_moved_at_one_current() -> None:
-    """What falls in the current is the load: behind a valve under equal pressure on both sides it
-    does not.
-    """
-    found = sweep(replace(Machine(), gas=GasGenerator(back_pressure_Pa=10e6)), PAPER_DEG_S)
-    assert np.ptp(found.at(np.array([5.0, 15.0, 25.0]))[:, 1]) < 0.1
-
-
-def test_where_there_are_no_samples_there_are_no_values() -> None:
-    assert np.isnan(sweep(Machine(), PAPER_DEG_S).at(np.array([40.0]))[0, 1:]).all()
-
-
-def test_a_joint_that_never_moves_uniformly_says_so() -> None:
-    with pytest.raises(ValueError, match="at 50 deg/s the joint never moves uniformly"):
-        sweep(replace(Machine(), joint=Joint(Ms_N_m=200.0)), PAPER_DEG_S)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.common.sample import Sample
-from rig.control.safety import Check, Latch, Trip, check, check_stage_time, foreseen, remedy
+from rig.control.safety import Check, Latch, Trip, check, check_stage_time, remedy
 from rig.planning.limits import GasLimits, Limits
 from rig.wiring.runaway import SIGNS
 
@@ -494,15 +494,3 @@ def test_only_a_value_that_the_drive_does_not_report_is_left_out(name: str, flag
     for other in ("temperature", "supply_voltage", "velocity", "current", "angle"):
         if other != name:
             assert check(sample(**{name: math.nan, other: math.nan}), 0.0, 0.0, blind) is not None
-
-
-@pytest.mark.parametrize(
-    ("predicted", "limit", "above"),
-    [(26.0, 25.0, True), (26.0, -25.0, True), (24.0, -25.0, False), (None, -0.5, False)],
-)
-def test_a_predicted_peak_is_held_against_the_limit_in_either_direction(
-    predicted: float | None, limit: float, above: bool
-) -> None:
-    trip = {"predicted": predicted, "limit": limit, "unit": "A"}
-    assert foreseen(trip) is above
-    assert ("the plan predicts" in remedy(Check.CURRENT, trip)) is above

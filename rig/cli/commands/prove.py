@@ -52,7 +52,7 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     from rig.common.places import require_file, require_folder
     from rig.common.provenance import Provenance
     from rig.results.document import text, write_page, write_record, write_texts
-    from rig.results.paper.figures import data_files
+    from rig.results.paper.exhibit import data_files
     from rig.results.paper.tables import (
         PAGE_FILE,
         RESULT_FILE,

@@ -35,8 +35,8 @@ from rig.results.document import (
     provenance_section,
 )
 from rig.results.identify.identify import METHODS
-from rig.results.paper import figures as drawn
-from rig.results.paper.figures import Exhibit, Rows, columns, files_of, identified, true_machine
+from rig.results.paper import loop, ramp, uniform
+from rig.results.paper.exhibit import Exhibit, Rows, columns, files_of, identified, true_machine
 from rig.runs.recorded_inputs import true_parameters
 from rig.runs.run import bench_constants
 
@@ -543,20 +543,20 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
         progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
-        model = identified(drawn.RAMP_BENCH, scratch, seed, _silent)
+        model = identified(ramp.RAMP_BENCH, scratch, seed, _silent)
         progress("Fig. 2 and 9: slow ramps", 0.2)
-        fig_2, fig_9 = drawn.ramp_exhibits(drawn.run_ramps(scratch, model, seed))
+        fig_2, fig_9 = ramp.ramp_exhibits(ramp.run_ramps(scratch, model, seed))
         progress("compensation: identifying the bench from a separate run", 0.25)
-        model = identified(drawn.SINE_BENCH, scratch, seed, _silent)
+        model = identified(ramp.SINE_BENCH, scratch, seed, _silent)
         progress("compensation: the sine of both cases", 0.4)
-        compensation = drawn.compensation_exhibit(*drawn.run_sines(scratch, model, seed))
+        compensation = ramp.compensation_exhibit(*ramp.run_sines(scratch, model, seed))
         progress("eq. 14: uniform motion on two gain sets", 0.45)
-        eq_14 = drawn.uniform_exhibit(drawn.measure(scratch, seed))
+        eq_14 = uniform.uniform_exhibit(uniform.measure(scratch, seed))
         progress("Fig. 4: the opening valve", 0.85)
-        fig_4 = drawn.sweep_exhibit(seed)
+        fig_4 = loop.sweep_exhibit(seed)
         progress("Fig. 5 and 11: the closed loop", 0.9)
-        fig_11 = drawn.loop_exhibit(scratch, seed)
-    return [fig_2, drawn.valve_exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
+        fig_11 = loop.loop_exhibit(scratch, seed)
+    return [fig_2, loop.valve_exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
 
 
 def _silent(what: str, share: float) -> None:
