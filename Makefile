@@ -86,9 +86,6 @@ accuracy: $(VENV)/.runtime  ## errors and interval coverage of the default metho
 floor: $(VENV)/.runtime  ## errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)
 	$(BIN)/python benchmarks/floor.py --benches 200 --first 5000
 
-profile-coverage: $(VENV)/.runtime  ## how often likelihood profiles and intervals hold the truth
-	$(BIN)/python benchmarks/profile_coverage.py --benches 40
-
 literal: $(VENV)/.runtime  ## the literal bench, noise-free: the paper's constants and 20 random sets
 	$(BIN)/python benchmarks/literal_accuracy.py
 
@@ -98,7 +95,6 @@ real: $(VENV)/.runtime  ## the real recordings: friction ladder, closed loop, sc
 
 feedforward: $(VENV)/.runtime  ## tracking and energy before and after friction feed-forward, 8 seeds
 	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 200
-	$(BIN)/python benchmarks/feedforward_hidden.py
 
 prove: $(VENV)/.dev  ## the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)
 	$(BIN)/rig prove --rigs $(or $(RIGS),24) --jobs 2 --out out/proof

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from benchmarks.worlds.seal import Plant, seal_worlds
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from rig.results.prove.truth import random_salt, repeated_salt
 
 OWN, THIRD, MUJOCO = "own", "third", "mujoco"

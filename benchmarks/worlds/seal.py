@@ -15,7 +15,7 @@ from benchmarks.worlds.draw import draw_world, without_effects, worlds_assignmen
 from benchmarks.worlds.files import truth_of_world, write_world
 from benchmarks.worlds.logger import Columns, columns
 from benchmarks.worlds.world import Array, Signals, World
-from rig.results.prove.engines import Engine
+from rig.results.prove.engine import Engine
 from rig.results.prove.interchange import Made, SealedRig, Task, made, making, seal_all, write_truth
 from rig.results.prove.truth import random_salt
 

@@ -99,8 +99,10 @@ def remedy(check: Check, trip: Mapping[str, Any] = MappingProxyType({})) -> str:
 
 
 def foreseen(trip: Mapping[str, Any]) -> bool:
-    """Return whether the peak that was predicted before the run is above the limit that tripped."""
-    return bool((trip.get("predicted") or 0.0) > trip.get("limit", math.inf))
+    """Return whether the peak that was predicted before the run is above the limit that tripped,
+    which is negative in the negative direction.
+    """
+    return bool((trip.get("predicted") or 0.0) > abs(trip.get("limit", math.inf)))
 
 
 @dataclass(frozen=True, slots=True)

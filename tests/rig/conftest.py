@@ -28,7 +28,7 @@ from drivers.interfaces import (
     ServoState,
 )
 from rig.config.bench import load_bench
-from rig.config.configuration import Document, load_located
+from rig.config.configuration import load_located
 from rig.config.sequence import Sequence
 from rig.control.operator import AutomaticOperator
 from rig.control.sequencer import Outcome
@@ -239,6 +239,29 @@ class Runner:
         )
 
 
+IDENTIFIED: dict[str, Any] = {
+    "schema": "loadrig.identify/1",
+    "method": "default",
+    "parameters": {"Mc": {"value": 6.8, "low": 6.7, "high": 6.9, "unit": "N m"}},
+    "fit": {"unit": "N m", "train_rms": 0.02},
+}
+"""Content of an ``identify.json``."""
+
+
+def runner_of(sequence_file: Path, operator: str = "") -> Runner:
+    """Return the runner of a sequence, whose run is beside the sequence's file."""
+    bench, sequence = load_bench("practical"), load_located(sequence_file, Sequence)
+    inputs = Inputs(bench, sequence, 0, False, operator)
+    return Runner(sequence_file.with_name("run"), inputs, make_plan(sequence, bench))
+
+
+def run_in(folder: Path, extra: str = "", operator: str = "Ada") -> RunFolder:
+    """Return a run of the short sequence with ``extra`` lines, in a folder of its own."""
+    path = folder / "short.yaml"
+    path.write_text(SHORT + extra)
+    return runner_of(path, operator)(FakeBench())[0]
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Render no figure and no certificate, which takes half of an identification and most of an
@@ -261,7 +284,5 @@ def short_sequence(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def runner(tmp_path: Path, short_sequence: Path) -> Runner:
-    bench = load_bench("practical")
-    sequence: Document[Sequence] = load_located(short_sequence, Sequence)
-    return Runner(tmp_path / "run", Inputs(bench, sequence, 0, False), make_plan(sequence, bench))
+def runner(short_sequence: Path) -> Runner:
+    return runner_of(short_sequence)

@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 from lxml import etree
@@ -15,38 +14,24 @@ from lxml import etree
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.acceptance import Limit, parse_limit
-from rig.config.bench import load_bench
-from rig.config.configuration import load_located
-from rig.config.sequence import Sequence, load_acceptance
-from rig.control.session import Inputs
-from rig.planning.plan import make_plan
+from rig.config.sequence import load_acceptance
 from rig.results.acceptance.certificate import accept, junit
 from rig.results.acceptance.evidence import Check, Evidence, accepted, gather, judge
 from rig.runs.catalogue.entry import Constant
 from rig.runs.run_file import read_record
 
-from .conftest import SHORT, FakeBench, Runner
+from .conftest import IDENTIFIED, SHORT, run_in
 
 XSD = Path(__file__).with_name("junit.xsd")
 LINES = """\
 acceptance: [Mc: 6.5..7.1, p99 lateness < 1 ms, 'tracking error rms < 0.05 deg']
 """
-IDENTIFIED: dict[str, Any] = {
-    "schema": "loadrig.identify/1",
-    "method": "default",
-    "parameters": {"Mc": {"value": 6.8, "low": 6.7, "high": 6.9, "unit": "N m"}},
-    "fit": {"unit": "N m", "train_rms": 0.02},
-}
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the fake bench whose sequence states limits, with an identification."""
-    folder = tmp_path_factory.mktemp("made")
-    (folder / "short.yaml").write_text(SHORT + LINES)
-    sequence = load_located(folder / "short.yaml", Sequence)
-    inputs = Inputs(load_bench("practical"), sequence, 0, False, "Ada <A&B>")
-    run, _ = Runner(folder / "run", inputs, make_plan(sequence, inputs.bench))(FakeBench())
+    run = run_in(tmp_path_factory.mktemp("made"), LINES, "Ada <A&B>")
     digest = gather(run.path, (), lambda what, share: None).digests["recording.mcap"]
     inputs_used = [{"file": "elsewhere/recording.mcap", "sha256": digest}]
     (run.path / "identify.json").write_text(json.dumps({**IDENTIFIED, "inputs": inputs_used}))

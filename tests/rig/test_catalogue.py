@@ -11,34 +11,17 @@ from pathlib import Path
 import pytest
 
 from rig.cli.entry import status
-from rig.config.bench import load_bench
-from rig.config.configuration import load_located
-from rig.config.sequence import Sequence
-from rig.control.session import Inputs
-from rig.planning.plan import make_plan
 from rig.runs.catalogue.entry import Entry, Wanted, chosen, state_of, time_of, verdicts
 from rig.runs.catalogue.index import INDEX_FILE, list_runs
 from rig.runs.run_file import seal_run
 
-from .conftest import SHORT, FakeBench, Runner
-
-IDENTIFIED = {
-    "schema": "loadrig.identify/1",
-    "method": "default",
-    "parameters": {"Mc": {"value": 6.8, "low": 6.7, "high": 6.9, "unit": "N m"}},
-    "fit": {"unit": "N m", "train_rms": 0.02},
-}
+from .conftest import IDENTIFIED, run_in
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the fake bench, sealed."""
-    folder = tmp_path_factory.mktemp("made")
-    (folder / "short.yaml").write_text(SHORT)
-    sequence = load_located(folder / "short.yaml", Sequence)
-    inputs = Inputs(load_bench("practical"), sequence, 0, False, "Ada")
-    runner = Runner(folder / "run", inputs, make_plan(sequence, inputs.bench))
-    run, _ = runner(FakeBench())
+    run = run_in(tmp_path_factory.mktemp("made"))
     seal_run(run.path, run.record)
     return run.path
 
@@ -71,12 +54,8 @@ def test_what_is_known_of_a_run(root: Path) -> None:
     entries = list_runs(root).entries
     assert [entry.folder for entry in entries] == ["one", "2026/two"]
     head = entries[0].head
-    assert (head.kind, head.state, head.bench, head.sequence) == (
-        "run",
-        "done",
-        "practical",
-        "short",
-    )
+    what = (head.kind, head.state, head.bench, head.sequence)
+    assert what == ("run", "done", "practical", "short")
     assert (head.operators, head.masses_kg, head.simulated) == (("Ada",), (0.0, 10.0), True)
     details = entries[1].parsed()
     assert details.constants["Mc"].half_width == pytest.approx(0.1)
@@ -264,61 +243,40 @@ def test_no_run_folder_is_bad_input(root: Path, capsys: pytest.CaptureFixture[st
     assert "not a run folder" in capsys.readouterr().err
 
 
-def verified(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    code = status(["runs", "verify", str(folder)])
-    return code, capsys.readouterr().out
-
-
-def test_a_sealed_run_is_as_recorded(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, shown = verified(made, capsys)
-    assert code == 0
-    assert shown.count("unchanged") == 2
-
-
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
-def test_a_changed_byte_of_the_recording_is_noticed(
-    root: Path, capsys: pytest.CaptureFixture[str], share: float
-) -> None:
-    path = root / "one" / "recording.mcap"
+def flipped(path: Path, share: float) -> None:
     content = bytearray(path.read_bytes())
     content[int(share * len(content))] ^= 1
     path.write_bytes(content)
-    code, shown = verified(root / "one", capsys)
-    assert code == 1
-    assert "CHANGED" in shown
 
 
-def test_missing_and_edited_files_are_noticed(
-    root: Path, capsys: pytest.CaptureFixture[str]
+RECORDING, SEAL = "recording.mcap", "SHA256SUMS"
+HARMS: dict[str, tuple[Callable[[Path], object], int, str]] = {
+    "none": (lambda run: None, 0, "unchanged"),
+    "first byte": (lambda run: flipped(run / RECORDING, 0.0), 1, "CHANGED"),
+    "byte of the header": (lambda run: flipped(run / RECORDING, 0.01), 1, "CHANGED"),
+    "byte in the middle": (lambda run: flipped(run / RECORDING, 0.5), 1, "CHANGED"),
+    "last bytes": (lambda run: flipped(run / RECORDING, 0.999), 1, "CHANGED"),
+    "edited record": (lambda run: edit(run, lambda r: r.update(operator="Eve")), 1, "CHANGED"),
+    "no recording": (lambda run: (run / RECORDING).unlink(), 1, "MISSING"),
+    "no seal": (lambda run: (run / SEAL).unlink(), 0, "whole, not sealed"),
+    "damaged seal": (lambda run: (run / SEAL).write_text("what is this\n"), 1, "SHA256SUMS:1"),
+}
+
+
+@pytest.mark.parametrize("harm", HARMS)
+def test_a_run_is_held_against_its_seal(
+    root: Path, capsys: pytest.CaptureFixture[str], harm: str
 ) -> None:
-    edit(root / "one", lambda r: r.update(operator="Eve"))
-    assert verified(root / "one", capsys)[0] == 1
-    (root / "2026" / "two" / "recording.mcap").unlink()
-    code, shown = verified(root / "2026" / "two", capsys)
-    assert code == 1
-    assert "MISSING" in shown
+    change, code, words = HARMS[harm]
+    change(root / "one")
+    assert status(["runs", "verify", str(root / "one")]) == code
+    assert words in capsys.readouterr().out
 
 
 def test_an_unsealed_recording_is_held_against_its_checksums(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (root / "one" / "SHA256SUMS").unlink()
-    code, shown = verified(root / "one", capsys)
-    assert code == 0
-    assert "whole, not sealed" in shown
-    path = root / "one" / "recording.mcap"
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    code, shown = verified(root / "one", capsys)
-    assert code == 1
-    assert "DAMAGED" in shown
-
-
-def test_a_damaged_seal_is_a_problem_in_words(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (root / "one" / "SHA256SUMS").write_text("what is this\n")
-    code, shown = verified(root / "one", capsys)
-    assert code == 1
-    assert "SHA256SUMS:1" in shown
+    (root / "one" / SEAL).unlink()
+    flipped(root / "one" / RECORDING, 0.5)
+    assert status(["runs", "verify", str(root / "one")]) == 1
+    assert "DAMAGED" in capsys.readouterr().out

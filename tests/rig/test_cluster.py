@@ -17,9 +17,8 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.prove import run
-from rig.results.prove.engines import Processes, cluster
-from rig.results.prove.engines.engine import bundle, without_place
+from rig.results.prove import cluster, run
+from rig.results.prove.engine import Processes, bundle, without_place
 from rig.results.prove.interchange import begin_from, diagnose_all, score_all
 from tests.rig import proof_parts
 
@@ -41,6 +40,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rig.results.prove.judge.judge", proof_parts.judge)
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("quick")
 def test_the_same_bytes_from_a_cluster_of_which_a_worker_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -148,6 +148,25 @@ class Finished:
         raise self._error
 
 
+class Client:
+    """A client whose scheduler has no workers, and is gone when a task is cancelled."""
+
+    def scheduler_info(self, n_workers: int) -> dict[str, Any]:
+        return {"workers": {}}
+
+    def submit(self, call: object, task: object, pure: bool) -> str:
+        return "a task that waits"
+
+    def cancel(self, futures: object, force: bool) -> None:
+        raise distributed.comm.CommClosedError("closed")
+
+    def as_current(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+
+KEPT = "the scheduler is gone; all finished work is kept"
+
+
 @pytest.mark.parametrize(
     ("error", "message"),
     [
@@ -161,52 +180,24 @@ def test_what_a_cluster_loses_is_said_with_a_remedy(error: BaseException, messag
         cluster.DaskCluster(None, "--cluster 2")._result(Finished(error))
 
 
-class Deserted:
-    """A client whose scheduler has no workers."""
-
-    def scheduler_info(self, n_workers: int) -> dict[str, Any]:
-        return {"workers": {}}
-
-    def submit(self, call: object, task: object, pure: bool) -> str:
-        return "a task that waits"
-
-    def cancel(self, futures: object, force: bool) -> None:
-        pass
-
-    def as_current(self) -> AbstractContextManager[None]:
-        return nullcontext()
-
-
-def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing_comes(futures: object, timeout: float, return_when: str) -> None:
-        raise TimeoutError
-
-    monkeypatch.setattr(cluster.distributed, "wait", nothing_comes)
-    with pytest.raises(InputError, match="no worker for 180 s"):
-        list(cluster.DaskCluster(Deserted(), "--scheduler x").each(abs, [1]))
-
-
-class Left(Deserted):
-    """A client whose scheduler ends while its tasks are waited for."""
-
-    def cancel(self, futures: object, force: bool) -> None:
-        raise distributed.comm.CommClosedError("closed")
-
-
 @pytest.mark.parametrize(
-    "error",
-    [distributed.client.FuturesCancelledError([]), distributed.comm.CommClosedError("closed")],
-    ids=["cancelled", "closed"],
+    ("error", "message"),
+    [
+        (TimeoutError(), "no worker for 180 s"),
+        (distributed.client.FuturesCancelledError([]), KEPT),
+        (distributed.comm.CommClosedError("closed"), KEPT),
+    ],
+    ids=["no worker", "cancelled", "closed"],
 )
-def test_a_scheduler_that_ends_during_the_work_is_said_to_be_gone(
-    monkeypatch: pytest.MonkeyPatch, error: Exception
+def test_neither_workers_that_never_come_nor_a_scheduler_that_ends_is_waited_for(
+    monkeypatch: pytest.MonkeyPatch, error: Exception, message: str
 ) -> None:
-    def ended(futures: object, timeout: float, return_when: str) -> None:
+    def wait(futures: object, timeout: float, return_when: str) -> None:
         raise error
 
-    monkeypatch.setattr(cluster.distributed, "wait", ended)
-    with pytest.raises(InputError, match="the scheduler is gone; all finished work is kept"):
-        list(cluster.DaskCluster(Left(), "--scheduler x").each(abs, [1]))
+    monkeypatch.setattr(cluster.distributed, "wait", wait)
+    with pytest.raises(InputError, match=message):
+        list(cluster.DaskCluster(Client(), "--scheduler x").each(abs, [1]))
 
 
 def test_a_worker_with_other_packages_is_refused() -> None:

@@ -14,7 +14,7 @@ import pytest
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from rig.cli.entry import status
-from rig.control.safety import Check, remedy
+from rig.control.safety import Check, foreseen, remedy
 from rig.results.run.go_on import NEW_RUN, NOT_READ_BACK, go_on_words
 from rig.runs.run_file import read_record
 from rig.runs.run_record import STAGE_ENDS, RunRecord
@@ -87,6 +87,18 @@ def test_every_trip_has_a_remedy_without_a_second_command(stopped: RunRecord, ch
     assert lines[0] == f"first: {remedy(check)}"
     by_file = re.search("file|reduce|lower|raise", remedy(check)) is not None
     assert (f"note: {NEW_RUN}" in lines) is by_file
+
+
+@pytest.mark.parametrize(
+    ("predicted", "limit", "above"),
+    [(26.0, 25.0, True), (26.0, -25.0, True), (24.0, -25.0, False), (None, -0.5, False)],
+)
+def test_a_predicted_peak_is_held_against_the_limit_in_either_direction(
+    predicted: float | None, limit: float, above: bool
+) -> None:
+    trip = {"predicted": predicted, "limit": limit, "unit": "A"}
+    assert foreseen(trip) is above
+    assert ("the plan predicts" in remedy(Check.CURRENT, trip)) is above
 
 
 def test_the_words_end_the_message_and_the_command_goes_on(

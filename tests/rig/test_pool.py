@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from tests.rig.workers import parent
 
 PATIENCE_S = 60.0

@@ -19,11 +19,11 @@ from rig.common.errors import InputError
 from rig.common.provenance import sha256
 from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
 from rig.results.prove.row import row_of
 from rig.results.prove.run import FAMILIES
-from rig.results.prove.scoring.score import confusion, power, rate, score, worse
+from rig.results.prove.score import confusion, power, rate, score, worse
 from rig.results.prove.truth import unseal
 
 SEED = 3
@@ -36,37 +36,21 @@ PLACE = {"coordinate": "travel since reversal", "recordings": ["a", "d"]}
 def effect(
     name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **parameters: Any
 ) -> dict[str, Any]:
-    return {
-        "name": name,
-        "alias_group": list(group),
-        "confidence": confidence,
-        "parameters": parameters,
-        "where": PLACE,
-    }
+    rest = {"confidence": confidence, "parameters": parameters, "where": PLACE}
+    return {"name": name, "alias_group": list(group), **rest}
 
 
 def diagnosed(
     *effects: dict[str, Any], verdict: str = "named", after: float = 0.2
 ) -> dict[str, Any]:
-    fit = {
-        "equation": "transmission",
-        "validate_baseline_rms": 1.0,
-        "validate_final_rms": after,
-        "noise_floor_rms": 0.1,
-    }
+    validated = {"validate_baseline_rms": 1.0, "validate_final_rms": after}
+    fit = {"equation": "transmission", **validated, "noise_floor_rms": 0.1}
+    torque = {**fit, "equation": "torque", **dict.fromkeys(validated)}
     return {
         "verdict": verdict,
         "effects": list(effects),
         "fit": fit,
-        "fits": [
-            fit,
-            {
-                **fit,
-                "equation": "torque",
-                "validate_baseline_rms": None,
-                "validate_final_rms": None,
-            },
-        ],
+        "fits": [fit, torque],
         "location": PLACE,
         "parameter_shift": {"Mc": {"before": 7.7, "after": 7.0, "unit": "N m"}},
         "p_value": 0.001,
@@ -190,41 +174,15 @@ def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
     assert worse(rows)["n"] == 1
 
 
+def gain(oracle_rms: float, equation: str = "transmission") -> dict[str, Any]:
+    """Return what the true structures gain on recordings that were set aside."""
+    rms = {"baseline_rms": 1.0, "oracle_rms": oracle_rms, "noise_rms": 0.1}
+    return {"equation": equation, **rms, "remaining_strength": BESIDE}
+
+
 @pytest.mark.parametrize(
     ("oracle", "fraction"),
-    [
-        (
-            {
-                "equation": "transmission",
-                "baseline_rms": 1.0,
-                "oracle_rms": 0.6,
-                "noise_rms": 0.1,
-                "remaining_strength": BESIDE,
-            },
-            0.5,
-        ),
-        (
-            {
-                "equation": "transmission",
-                "baseline_rms": 1.0,
-                "oracle_rms": 0.996,
-                "noise_rms": 0.1,
-                "remaining_strength": BESIDE,
-            },
-            None,
-        ),
-        (
-            {
-                "equation": "torque",
-                "baseline_rms": 1.0,
-                "oracle_rms": 0.6,
-                "noise_rms": 0.1,
-                "remaining_strength": BESIDE,
-            },
-            None,
-        ),
-        (None, None),
-    ],
+    [(gain(0.6), 0.5), (gain(0.996), None), (gain(0.6, "torque"), None), (None, None)],
     ids=["half of it", "nothing to gain", "no such equation", "no oracle"],
 )
 def test_the_gain_is_held_against_the_true_structures(
@@ -238,12 +196,10 @@ def test_the_gain_is_held_against_the_true_structures(
 
 def test_a_pair_counts_as_one_that_shows_where_each_of_both_does() -> None:
     def row(beside: dict[str, float] | None) -> dict[str, Any]:
-        gain = asdict(HeldOut("torque", 9.0, 1.0, 1.0, beside or {}))
+        told = asdict(HeldOut("torque", 9.0, 1.0, 1.0, beside or {})) if beside else None
         said = judged(diagnosed(effect("cogging")))
         hidden = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
-        return row_of(
-            truth("two", **hidden), {"current": 5.0}, said, gain if beside else None, "digest"
-        )
+        return row_of(truth("two", **hidden), {"current": 5.0}, said, told, "digest")
 
     rows = [
         row({"backlash": 2.9, "cogging": 9.0}),
@@ -257,51 +213,31 @@ def test_a_pair_counts_as_one_that_shows_where_each_of_both_does() -> None:
 
 def test_baselines_are_scored_by_the_same_rules() -> None:
     both = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
-    four = ("cogging", "time_skew", "end_stop", "backlash")
-    rows = [
-        row_of(
-            truth(kind, **hidden),
-            {"current": 5.0},
-            judged(said, greedy_bic=greedy, sparse=sparse),
-            None,
-            "digest",
-        )
-        for kind, hidden, said, greedy, sparse in (
-            (
-                "one",
-                {"backlash": GAP},
-                diagnosed(effect("backlash")),
-                ("backlash", "compliance"),
-                ("compliance",),
-            ),
-            (
-                "two",
-                both,
-                diagnosed(effect("cogging"), effect("backlash")),
-                four,
-                ("backlash", "cogging"),
-            ),
-            ("nothing", {}, NOTHING, ("cogging",), ()),
-            ("outside", {"x_bursts": {}}, diagnosed(verdict="outside_catalogue"), (), ("cogging",)),
-        )
+    one, other = effect("backlash"), effect("cogging")
+    four, lost = ("cogging", "time_skew", "end_stop", "backlash"), "outside_catalogue"
+    cases: list[tuple[str, dict[str, Any], Any, tuple[str, ...], tuple[str, ...]]] = [
+        ("one", {"backlash": GAP}, diagnosed(one), ("backlash", "compliance"), ("compliance",)),
+        ("two", both, diagnosed(other, one), four, ("backlash", "cogging")),
+        ("nothing", {}, NOTHING, ("cogging",), ()),
+        ("outside", {"x_bursts": {}}, diagnosed(verdict=lost), (), ("cogging",)),
     ]
-    found = score(rows)["methods"]
-    hits = {m: {key: row["n"] for key, row in of.items()} for m, of in found.items()}
+    rows = []
+    for kind, hidden, found, greedy, sparse in cases:
+        said = judged(found, greedy_bic=greedy, sparse=sparse)
+        rows.append(row_of(truth(kind, **hidden), {"current": 5.0}, said, None, "digest"))
+    methods = score(rows)["methods"]
+    hits = {m: {key: row["n"] for key, row in of.items()} for m, of in methods.items()}
     right = {"top1": 1, "alias_group": 1, "top1_all": 1, "both_named": 1, "exact": 2}
+    right |= {"false_alarms": 0, "outside_named": 0}
+    missed = {"top1": 0, "alias_group": 0, "top1_all": 0, "exact": 1, "outside_named": 1}
     assert hits == {
-        "diagnosis": {**right, "false_alarms": 0, "outside_named": 0},
-        "greedy_bic": {**right, "both_named": 0, "exact": 0, "false_alarms": 1, "outside_named": 0},
-        "sparse": {
-            **right,
-            "top1": 0,
-            "alias_group": 0,
-            "top1_all": 0,
-            "exact": 1,
-            "false_alarms": 0,
-            "outside_named": 1,
-        },
+        "diagnosis": right,
+        "greedy_bic": right | {"both_named": 0, "exact": 0, "false_alarms": 1},
+        "sparse": right | missed,
     }
-    assert {row["of"] for of in found.values() for key, row in of.items() if key != "exact"} == {1}
+    assert {row["of"] for of in methods.values() for key, row in of.items() if key != "exact"} == {
+        1
+    }
 
 
 def test_the_place_is_held_against_the_catalogue() -> None:
@@ -366,15 +302,8 @@ def clairvoyant(source: Path, seed: int) -> Judgement:
     assert seed != SEED  # or the draws could be repeated
     kind, names = assignment(3, SEED)[int(source.parent.name.removeprefix("rig-")) - 1]
     verdict = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind, "named")
-    gain = {
-        "equation": "transmission",
-        "baseline_rms": 1.0,
-        "oracle_rms": 0.2,
-        "noise_rms": 0.1,
-        "remaining_strength": BESIDE,
-    }
     said = diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
-    return judged(said, gain)
+    return judged(said, gain(0.2))
 
 
 @pytest.fixture
@@ -407,23 +336,13 @@ def test_a_proof_from_the_command_line(
     )
     monkeypatch.setattr("rig.results.prove.judge.judge", judge)
     out = tmp_path / "proof"
-    arguments = [
-        "prove",
-        "--rigs",
-        "3",
-        "--seed",
-        str(SEED),
-        "--out",
-        str(out),
-        "--json",
-        str(tmp_path / "p.json"),
-    ]
+    result_file = tmp_path / "p.json"
+    arguments = ["prove", "--rigs", "3", "--seed", str(SEED), "--out", str(out)]
+    arguments += ["--json", str(result_file)]
     assert status(arguments) == 0
     seals = json.loads((out / "proof.json").read_text())["seals"]
-    assert all(
-        digest in diagnosing[0] for digest in seals.values()
-    )  # printed before the first diagnosis
-    result = json.loads((tmp_path / "p.json").read_text())
+    assert all(digest in diagnosing[0] for digest in seals.values()), "before any diagnosis"
+    result = json.loads(result_file.read_text())
     assert result["schema"] == "loadrig.prove/3"
     assert sum(result["counts"].values()) == 3
     assert result["top1"]["n"] == result["top1"]["of"] > 0
@@ -438,7 +357,7 @@ def test_a_proof_from_the_command_line(
     opened.clear()
     assert status(arguments) == 0
     assert len(diagnosing) == 1  # the others were kept
-    again = json.loads((tmp_path / "p.json").read_text())
+    again = json.loads(result_file.read_text())
     assert [r["effects"] for r in again["rigs"]] == [r["effects"] for r in result["rigs"]]
     assert status([*arguments[:2], "4", *arguments[3:]]) == 2
     assert "contains a proof with other settings" in capsys.readouterr().err

@@ -13,11 +13,11 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import interchange as judging
-from rig.results.prove.engines import Processes
+from rig.results.prove.engine import Processes
 from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import SUMS_FILE, write_sums
-from rig.results.prove.scoring.score import score
+from rig.results.prove.score import score
 from rig.results.prove.truth import Truth, load_truth, unseal
 
 ENGINE = Processes(1)
@@ -43,19 +43,10 @@ def no_progress(what: str, share: float) -> None:
 
 def found(verdict: str, *named: str, confidence: float = 0.95, **values: Any) -> dict[str, Any]:
     where = {"coordinate": "travel since reversal", "recordings": ["b"]}
-    effects = [
-        {
-            "name": name,
-            "alias_group": [],
-            "confidence": confidence,
-            "parameters": values,
-            "where": where,
-        }
-        for name in named
-    ]
+    rest = {"alias_group": [], "confidence": confidence, "parameters": values, "where": where}
     return {
         "verdict": verdict,
-        "effects": effects,
+        "effects": [{"name": name, **rest} for name in named],
         "fit": {"equation": "transmission", **FIT},
         "fits": [],
         "location": where,
@@ -85,6 +76,16 @@ def no_oracle(source: Path, names: Sequence[str]) -> None:
     return None
 
 
+def diagnosed(theirs: Path, out: Path, rigs: int = 600) -> judging.FromProof:
+    proof = judging.begin_from(out, rigs, 1, theirs)
+    judging.diagnose_all(proof, judge, ENGINE, no_progress)
+    return proof
+
+
+def rows_of(proof: judging.FromProof) -> list[dict[str, Any]]:
+    return judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
+
+
 @pytest.fixture
 def theirs(tmp_path: Path) -> Path:
     home = tmp_path / "theirs"
@@ -111,10 +112,10 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     )
     proof = judging.begin_from(tmp_path / "out", 600, 1, theirs)
     with pytest.raises(InputError, match="not diagnosed yet"):
-        judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
+        rows_of(proof)
     assert told == []
     judging.diagnose_all(proof, heard, ENGINE, no_progress)
-    rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
+    rows = rows_of(proof)
     assert told == [*TRUTHS, *["opened"] * 4]
     result = score(rows)
     assert result["counts"] == {"one": 2, "two": 0, "nothing": 1, "outside": 1, "unscored": 0}
@@ -141,13 +142,11 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
 
 def test_a_proof_without_its_times_is_gone_on_with(theirs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    judging.diagnose_all(judging.begin_from(out, 600, 1, theirs), judge, ENGINE, no_progress)
+    diagnosed(theirs, out)
     # What repeats was copied, or the proof was begun before dates and durations were apart.
     shutil.rmtree(out / "times")
     (out / "judgements" / "bench_c.json").unlink()
-    proof = judging.begin_from(out, 600, 1, theirs)
-    judging.diagnose_all(proof, judge, ENGINE, no_progress)
-    rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
+    rows = rows_of(diagnosed(theirs, out))
     assert len(rows) == len(TRUTHS)
 
 
@@ -156,9 +155,7 @@ def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(
 ) -> None:
     (theirs / "bench_d").rename(theirs / "bench_e")
     (theirs / "sealed" / "bench_d.yaml").rename(theirs / "sealed" / "bench_e.yaml")
-    proof = judging.begin_from(tmp_path / "out", 600, 1, theirs)
-    judging.diagnose_all(proof, judge, ENGINE, no_progress)
-    row = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)[-1]
+    row = rows_of(diagnosed(theirs, tmp_path / "out"))[-1]
     assert row["refused"] == "broke down: ZeroDivisionError: as a defect might"
     assert (row["verdict"], row["alarm"], row["top1"]) == ("refused", False, False)
 
@@ -171,9 +168,7 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
         "truth: 1\neffects: {backlash: {gap_rad: 0.5}}\nparameters: {Mc: 7}\n"
         "not_scored: [backlash.gap_rad, Mc]\n"
     )
-    proof = judging.begin_from(tmp_path / "out", 2, 1, theirs)
-    judging.diagnose_all(proof, judge, ENGINE, no_progress)
-    rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
+    rows = rows_of(diagnosed(theirs, tmp_path / "out", 2))
     assert (rows[0]["kind"], rows[0]["alarm"], rows[0]["named"]) == ("unscored", False, [])
     assert rows[0]["excused"] == ["compliance"]
     assert (rows[1]["top1"], rows[1]["parameters"], rows[1]["nominal"]) == (True, {}, {})

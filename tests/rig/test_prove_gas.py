@@ -110,16 +110,9 @@ def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     def blind(source: Path, seed: int) -> Judgement:
         shift = {"n": {"before": 0.5, "after": 0.51, "unit": "1"}}
         fit = {"validate_baseline_rms": 2.0, "validate_final_rms": 2.0, "noise_floor_rms": 1.0}
-        record = {
-            "verdict": "nothing_missing",
-            "effects": [],
-            "location": None,
-            "fit": fit,
-            "fits": [fit],
-        }
-        return Judgement(
-            {**record, "parameter_shift": shift, "p_value": 1.0}, {}, lambda _names: None, 0.0, 0.0
-        )
+        record = {"verdict": "nothing_missing", "effects": [], "location": None, "p_value": 1.0}
+        record |= {"fit": fit, "fits": [fit], "parameter_shift": shift}
+        return Judgement(record, {}, lambda _names: None, 0.0, 0.0)
 
     plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
     monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)

@@ -17,7 +17,7 @@ from rig.common.errors import InputError
 from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, apportion, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
 from rig.results.prove.generate import as_recorded
-from rig.results.prove.scoring.score import STRONG
+from rig.results.prove.score import STRONG
 from rig.results.prove.simulate import (
     SETTLE_S,
     campaign,
@@ -37,13 +37,12 @@ HIDES = ("backlash", "asymmetric_coulomb")
 PROBES: dict[Kind, tuple[str, ...]] = {"nothing": (), "one": ("cogging",), "outside": ("x_bursts",)}
 
 
-def short(rig: Rig) -> tuple[Rig, list[Experiment]]:
-    """Return a rig with its first and last experiments only, two seconds of each."""
-    plan = [
-        e._replace(command=e.command[:2000])
-        for e in (experiments()[0], experiments()[3], experiments()[-1])
+def short(rig: Rig, cycles: int = 2000) -> tuple[Rig, list[Experiment]]:
+    """Return a rig with two of its first and its last experiment, and so many cycles of each."""
+    chosen = (experiments()[0], experiments()[3], experiments()[-1])
+    return rig._replace(pauses_s=rig.pauses_s[:3]), [
+        e._replace(command=e.command[:cycles]) for e in chosen
     ]
-    return rig._replace(pauses_s=rig.pauses_s[:3]), plan
 
 
 def test_what_is_sealed_is_told_as_a_recording_shows_it() -> None:
@@ -168,14 +167,10 @@ def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
     assert current(2.0) > 3.0 * current(0.02)
 
 
+@pytest.mark.proof
 def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     """Both change the current; but the gear's loss is a bench with other constants."""
-    rig, _ = short(draw("one", ("asymmetric_coulomb",), (3, 1)))
-    plan = [
-        e._replace(command=e.command[:8000])
-        for e in (experiments()[0], experiments()[3], experiments()[-1])
-    ]
-    rig = rig._replace(pauses_s=rig.pauses_s[:3])
+    rig, plan = short(draw("one", ("asymmetric_coulomb",), (3, 1)), 8000)
     floor = floors(rig.machine, reference_of(rig, plan))
 
     def shown(hides: dict[str, dict[str, float]]) -> tuple[float, float]:

@@ -65,6 +65,8 @@ from rig.runs.run import RunFolder
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, RunRecord, SegmentRecord
 
+from .conftest import run_in
+
 OPENING = 3
 """Charts that a page opens with: tracking error, current and temperature."""
 INSIDE = 600
@@ -94,44 +96,33 @@ def late(bench: Any) -> None:
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 40_000_000)
 
 
+def reads(**values: Any) -> Callable[[Any], object]:
+    """Have the drive report other values."""
+    return lambda bench: bench.overrides.update(values)
+
+
+def becomes(name: str, value: Any) -> Callable[[Any], object]:
+    return lambda bench: setattr(bench, name, value)
+
+
+DRIVES_ERROR = "following error, as the drive computes it"
+ENCODERS = "drive&#x27;s encoder less joint encoder"
+LATENESS = "lateness of the control cycle, beyond a period"
+SUPPLY = "supply voltage (DC link)"
 TRIPS: dict[str, tuple[Callable[[Any], object], Check, str]] = {
-    "angle": (lambda b: setattr(b, "angle_error", 0.6), Check.ANGLE, "joint angle"),
-    "angle, the other way": (lambda b: setattr(b, "angle_error", -0.8), Check.ANGLE, "joint angle"),
-    "speed": (lambda b: b.overrides.update(velocity_rad_s=-5.0), Check.SPEED, "joint speed"),
-    "current": (lambda b: b.overrides.update(current_A=-26.0), Check.CURRENT, "motor current"),
-    "torque": (lambda b: b.overrides.update(current_A=20.0), Check.TORQUE, "joint torque Km i I"),
-    "following error": (
-        lambda b: b.overrides.update(following_error_rad=0.1),
-        Check.FOLLOWING_ERROR,
-        "following error, as the drive computes it",
-    ),
-    "disagreement": (
-        lambda b: setattr(b, "angle_error", 0.02),
-        Check.DISAGREEMENT,
-        "drive&#x27;s encoder less joint encoder",
-    ),
-    "temperature": (
-        lambda b: b.overrides.update(temperature_C=99.0),
-        Check.TEMPERATURE,
-        "motor temperature",
-    ),
-    "supply low": (
-        lambda b: b.overrides.update(supply_voltage_V=20.0),
-        Check.SUPPLY,
-        "supply voltage (DC link)",
-    ),
-    "supply high": (
-        lambda b: b.overrides.update(supply_voltage_V=90.0),
-        Check.SUPPLY,
-        "supply voltage (DC link)",
-    ),
-    "state": (
-        lambda b: setattr(b, "drive_state", ServoState.FAULT),
-        Check.DRIVE_STATE,
-        "state of the drive",
-    ),
-    "age": (lambda b: setattr(b, "fresh", False), Check.SAMPLE_AGE, "age of the last whole answer"),
-    "lateness": (late, Check.LATENESS, "lateness of the control cycle, beyond a period"),
+    "angle": (becomes("angle_error", 0.6), Check.ANGLE, "joint angle"),
+    "angle, the other way": (becomes("angle_error", -0.8), Check.ANGLE, "joint angle"),
+    "speed": (reads(velocity_rad_s=-5.0), Check.SPEED, "joint speed"),
+    "current": (reads(current_A=-26.0), Check.CURRENT, "motor current"),
+    "torque": (reads(current_A=20.0), Check.TORQUE, "joint torque Km i I"),
+    "following error": (reads(following_error_rad=0.1), Check.FOLLOWING_ERROR, DRIVES_ERROR),
+    "disagreement": (becomes("angle_error", 0.02), Check.DISAGREEMENT, ENCODERS),
+    "temperature": (reads(temperature_C=99.0), Check.TEMPERATURE, "motor temperature"),
+    "supply low": (reads(supply_voltage_V=20.0), Check.SUPPLY, SUPPLY),
+    "supply high": (reads(supply_voltage_V=90.0), Check.SUPPLY, SUPPLY),
+    "state": (becomes("drive_state", ServoState.FAULT), Check.DRIVE_STATE, "state of the drive"),
+    "age": (becomes("fresh", False), Check.SAMPLE_AGE, "age of the last whole answer"),
+    "lateness": (late, Check.LATENESS, LATENESS),
 }
 TIGHT = "limits: {torque_N_m: 50}\n"
 
@@ -186,6 +177,8 @@ def test_the_page_says_on_what_by_whom_and_how_to_go_on(runner: Any, fake_bench:
     folder, _ = runner(bench)
     html = page_of(folder)
     head = html.partition("<h2>The last seconds</h2>")[0]
+    assert headline(html) == ("bad", "TRIPPED, NOT JUDGED")
+    assert head.count("look for jamming") == 1
     for words in (
         "TRIPPED",
         "motor current 26 A is beyond its limit 25 A",
@@ -212,14 +205,6 @@ def headline(html: str) -> tuple[str, str]:
     """Return colour and words of the headline."""
     (found,) = re.findall(r'<p class="verdict (\w+)">([^<]*)</p>', html)
     return found
-
-
-def test_a_trip_says_its_remedy_once(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", INSIDE] = lambda: bench.overrides.update(current_A=26.0)
-    html = page_of(runner(bench)[0])
-    assert headline(html) == ("bad", "TRIPPED, NOT JUDGED")
-    assert html.partition("<figure")[0].count("look for jamming") == 1
 
 
 @pytest.mark.parametrize("accepted", [True, False])
@@ -249,42 +234,60 @@ def test_the_verdict_is_the_headline(accepted: bool, runner: Any, fake_bench: An
     assert headline((folder.path / REPORT_FILE).read_text()) == ("none", "DONE, NOT JUDGED")
 
 
-def test_a_page_opens_with_the_result(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    html = page_of(folder)
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run that was done, not to be changed."""
+    return run_in(tmp_path_factory.mktemp("done"))
+
+
+def page_with(folder: RunFolder, **changed: Any) -> str:
+    """Return the page of a run with another record."""
+    record = dataclasses.replace(folder.record, **changed)
+    return write_run_report(folder.path, record).read_text()
+
+
+def clocks(html: str) -> set[str]:
+    return {data_of(html, k)["frame"]["clock"] for k in range(len(titles(html)))}
+
+
+def test_a_page_opens_with_the_result_and_holds_all_it_needs(done: RunFolder) -> None:
+    html = page_with(done)
     opening = html.partition("<h2>")[0]
-    assert titles(opening) == [
-        "tracking error, command less joint encoder",
-        "motor current",
-        "motor temperature",
-    ]
+    first = ["tracking error, command less joint encoder", "motor current", "motor temperature"]
+    assert titles(opening) == first
     assert headline(html) == ("none", "DONE, NOT JUDGED")
     assert opening.index("NOT JUDGED") < opening.index("practical <span") < opening.index("<figure")
+    assert "<h2>The last seconds</h2>" not in html
+    assert not re.search(r"<[^>]*(src|href)=|url\(|@import|https?://(?!github.com/leeoniya)", html)
+    assert html.count("<script") == 2
+    assert f"<script>{inlined_script()}</script>" in html
+    assert 'name="viewport"' in html
     assert "prefers-color-scheme: dark" in html
-
-
-LATENESS = "lateness of the control cycle, beyond a period"
 
 
 @pytest.mark.parametrize("realtime", [False, True])
 def test_simulated_time_that_is_never_late_is_said_in_words(
-    realtime: bool, runner: Any, fake_bench: Any
+    realtime: bool, done: RunFolder
 ) -> None:
-    folder, _ = runner(fake_bench())
-    folder.record.realtime = realtime
-    html = page_of(folder)
+    html = page_with(done, realtime=realtime)
     assert LATENESS not in titles(html)
     assert "in which every cycle of this recording started on time" in html
     assert "Time axis: simulated time since the start of this recording" in html
-    clocks = [data_of(html, k)["frame"]["clock"] for k in range(len(titles(html)))]
-    assert set(clocks) == {"simulated time"}
-    computer = "How late cycles started, by the clock of this computer: worst"
-    assert (computer in html) == realtime
+    assert clocks(html) == {"simulated time"}
+    assert ("How late cycles started, by the clock of this computer: worst" in html) == realtime
     # Without pacing, there is no table of a lateness that is always zero.
     assert ("there is no lateness to show" in html) != realtime
 
 
-def test_lateness_of_a_simulated_bench_names_its_time(runner: Any, fake_bench: Any) -> None:
+def test_lateness_of_a_real_bench_is_by_the_clock_of_the_host(done: RunFolder) -> None:
+    html = page_with(done, simulated=False)
+    assert LATENESS in titles(html)
+    assert clocks(html) == {"host time"}
+    assert "REAL BENCH" in html
+    assert "SIMULATED" not in html
+
+
+def test_lateness_of_a_simulated_bench_is_drawn(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
     bench.faults["exchange", INSIDE] = lambda: bench.clock.sleep_until_ns(
         bench.clock.now_ns() + 5_000_000
@@ -294,28 +297,6 @@ def test_lateness_of_a_simulated_bench_names_its_time(runner: Any, fake_bench: A
     assert LATENESS in titles(html)
     assert "</span>lateness, simulated time</span>" in html
     assert "started on time" not in html
-
-
-def test_lateness_of_a_real_bench_is_by_the_clock_of_the_host(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    folder.record.simulated = False
-    html = page_of(folder)
-    assert LATENESS in titles(html)
-    assert "simulated time" not in html
-    clocks = [data_of(html, k)["frame"]["clock"] for k in range(len(titles(html)))]
-    assert set(clocks) == {"host time"}
-    assert "REAL BENCH" in html
-    assert "SIMULATED" not in html
-
-
-def test_the_page_holds_all_it_needs(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    html = page_of(folder)
-    assert "<h2>The last seconds</h2>" not in html
-    assert not re.search(r"<[^>]*(src|href)=|url\(|@import|https?://(?!github.com/leeoniya)", html)
-    assert html.count("<script") == 2
-    assert f"<script>{inlined_script()}</script>" in html
-    assert 'name="viewport"' in html
 
 
 def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
@@ -555,19 +536,6 @@ def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
     assert "ZeroDivisionError: a defect of this page" in html
     assert "rig resume" in html
     assert "<h2>Provenance</h2>" in html
-
-
-@pytest.mark.parametrize("field", ["timing", "devices"])
-def test_an_edited_record_leaves_the_rest_of_the_page(
-    whole: tuple[Path, RunRecord], tmp_path: Path, field: str
-) -> None:
-    changed: Any = {field: {"servo": 7, "answer": 1}}
-    record = dataclasses.replace(
-        whole[1], parts=[dataclasses.replace(whole[1].parts[0], **changed)]
-    )
-    html = broken((whole[0], record), tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
-    assert "This part, the " in html
-    assert titles(html)
 
 
 def test_the_limits_over_time_are_those_that_were_judged_by(
@@ -911,16 +879,3 @@ def test_a_limit_that_changes_is_drawn_in_steps_and_judged_by_the_wider() -> Non
     assert chart(panel, late, steps, None, tall=False).beyond  # type: ignore[union-attr]
     wide = late._replace(width_s=1.5e-3)
     assert not chart(panel, wide, steps, None, tall=False).beyond  # type: ignore[union-attr]
-
-
-def test_a_series_is_stored_once_with_the_channels_that_are_drawn() -> None:
-    plots, series = Plots(), current(0.0, 123456.789)
-    for _ in range(2):
-        made = chart(panel_of(Check.CURRENT), series, [], None, tall=False)
-        assert made is not None
-        plots.figure(made, Frame(TimeAxis([(0.0, 1e-3)]), ""))
-    data = plots_data(plots)
-    assert [each["series"] for each in data["charts"]] == [0, 0]
-    assert data["series"] == [
-        {"time": [0.0, 1.0], "low": {"current": [0.0, 123460.0]}, "high": None}
-    ]

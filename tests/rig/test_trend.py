@@ -105,6 +105,7 @@ def test_a_step_is_placed_and_held_against_the_devices() -> None:
     assert "runs/run-5, with another device (servo: drive, serial 1, then drive, serial 2)" in shown
 
 
+@pytest.mark.proof
 def test_the_rate_is_of_all_constants_together() -> None:
     rng = np.random.default_rng(5)
     count = 0

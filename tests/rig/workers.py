@@ -15,7 +15,7 @@ from pathlib import Path
 from subprocess import PIPE, Popen
 
 from rig.common.errors import InputError
-from rig.results.prove.engines import Engine, Processes
+from rig.results.prove.engine import Engine, Processes
 
 
 def hang(fifo: str) -> None:
@@ -57,7 +57,7 @@ def main() -> None:
     """Run what the command line names on an engine."""
     name, workers, file = sys.argv[1:]
     if int(workers):
-        from rig.results.prove.engines.cluster import local_cluster
+        from rig.results.prove.cluster import local_cluster
     with local_cluster(int(workers)) if int(workers) else nullcontext(Processes(2)) as engine:
         {"hanging": hanging, "dying": dying}[name](engine, file)
 

@@ -12,7 +12,7 @@ from rig.cli import options as shared
 from rig.common.errors import InputError
 
 if TYPE_CHECKING:
-    from rig.results.prove.engines import Engine
+    from rig.results.prove.engine import Engine
 
 
 _STUDY_SHARE = 0.4  # share of the figures' runs in the time of the command with 20 seeds
@@ -159,7 +159,7 @@ def prove(
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder
-    from rig.results.prove.engines.engine import engine
+    from rig.results.prove.engine import engine
 
     _require_one_task(home, source, gas)
     require_folder(out, "--out")
@@ -189,9 +189,9 @@ def _show(
     """Write the result and the report of a proof, and print the result."""
     from rig.common.provenance import Provenance
     from rig.results.document import PAGE_FILE, text, write_page, write_record
+    from rig.results.prove.document import prove_document
     from rig.results.prove.run import PROOF_FILE
-    from rig.results.prove.scoring.document import prove_document
-    from rig.results.prove.scoring.score import RESULT_FILE, proof_record
+    from rig.results.prove.score import RESULT_FILE, proof_record
 
     provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     result = proof_record(rows, provenance)

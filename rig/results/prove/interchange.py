@@ -17,9 +17,9 @@ from rig.common.places import is_file, read_json, write_json
 from rig.common.provenance import sha256_file
 from rig.config.campaign import load_campaign
 from rig.results.prove.draw import Assigned, assignment, draw
-from rig.results.prove.engines import Engine
-from rig.results.prove.engines.engine import (
+from rig.results.prove.engine import (
     Bundle,
+    Engine,
     Files,
     bundle,
     read_folder,

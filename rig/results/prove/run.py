@@ -16,8 +16,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_file, read_json, read_utf8, write_json, write_text
 from rig.common.provenance import sha256_file
 from rig.results.prove.draw import Assigned, assignment, draw
-from rig.results.prove.engines import Engine
-from rig.results.prove.engines.engine import Files, read_folder, without_place, write_folder
+from rig.results.prove.engine import Engine, Files, read_folder, without_place, write_folder
 from rig.results.prove.excitation import experiments
 from rig.results.prove.gas_simulate import gas_assignment, seal_gas, simulate_gas
 from rig.results.prove.generate import Sealed, place, seal_rig, simulate_rig

@@ -1,12 +1,8 @@
-"""The page in a real Chromium, on runs of the simulated bench in real time.
-
-Screenshots go to the folder that ``CONSOLE_SHOTS`` names, if it is set.
-"""
+"""The page in a real Chromium, on runs of the simulated bench in real time."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import signal
@@ -93,12 +89,6 @@ CHART_SHARE = """() => {
 """Share of the width of its place that a chart takes."""
 
 
-def shoot(page: Page, name: str) -> None:
-    folder = os.environ.get("CONSOLE_SHOTS")
-    if folder:
-        (Path(folder) / f"{name}.png").write_bytes(page.screenshot())
-
-
 def require_accessible(page: Page) -> None:
     """Check with axe that there is no violation."""
     found = Axe().run(page).response["violations"]
@@ -120,7 +110,6 @@ def start(page: Page, sequence: Path) -> None:
     words = page.locator("#dry-words").inner_text()
     assert "peak" in words
     assert "acceptance: " in words
-    shoot(page, "dry-run")
     page.click("#start")
     expect(page.locator("#outcome")).to_contain_text("started")
 
@@ -160,7 +149,6 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     expect(page.locator("#told")).to_contain_text("3 kg is not the planned 0 kg")
     expect(page.locator("#outcome")).to_contain_text("Refused: 3 kg is not the planned 0 kg")
     expect(page.locator("#limits-when")).to_have_text("Last value")
-    shoot(page, "wrong-mass")
     page.fill("#mass", "0")
     page.press("#mass", "Enter")
     expect(page.locator("#prompt")).to_be_hidden()
@@ -169,7 +157,6 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     expect(page.locator("#told")).to_contain_text("Paused after stage empty; the drive is off")
     expect(page.locator("#go-on")).to_be_visible()
     expect(page.locator("#pause")).to_have_text("Paused")
-    shoot(page, "pause")
     page.click("#repeat")
     expect(page.locator("#told")).to_contain_text("Stage empty: the drive is off")
     # The planned mass is not shown before the first answer.
@@ -193,7 +180,6 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     expect(second.locator("#holder")).to_contain_text("holds the controls; STOP works on this page")
     expect(second.locator("#pause")).to_be_hidden()
     expect(second.locator("#stop")).to_be_enabled()
-    shoot(page, "excite")
     second.keyboard.press("Space")
     for each in (page, second):
         expect(each.locator("#ending")).to_contain_text("the drive is de-energised (read back")
@@ -202,7 +188,6 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
         expect(each.locator("#stop")).to_be_enabled()
     # The masses of the torque against speed, not the numbers of the excitations.
     expect(page.locator("#friction-legend li")).to_have_text(["0 kg", "20.05 kg"])
-    shoot(second, "stopped")
     require_accessible(page)
     record = ended(where, before + 1)
     assert (record["state"], record["de_energised"]) == ("stopped", True)
@@ -259,7 +244,6 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     page.select_option("#window", "0")
     page.locator("#chart-angle").scroll_into_view_if_needed()
     wait_until(lambda: page.evaluate("window.rigConsole.continued()"))
-    shoot(page, "continued")
     # Judged at its end, as its sequence states limits.
     expect(page.locator("#headline")).to_have_text("ACCEPTED")
     expect(page.locator("#judged")).to_contain_text("Verdict: accepted")
@@ -268,7 +252,6 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     with page.context.expect_page() as made:
         page.locator("#judged a", has_text="certificate").first.click()
     expect(made.value.locator("body")).to_contain_text("ACCEPTED")
-    shoot(made.value, "certificate")
 
 
 def choose(page: Page, words: str) -> None:
@@ -290,13 +273,11 @@ def test_a_phone_in_the_dark_and_without_the_token(
             expect(button).to_be_disabled()
         fits(page, 390)
     require_accessible(page)
-    shoot(page, "phone-read-only")
     mine = opened(width=390, color_scheme="dark", is_mobile=True, has_touch=True)
     in_phase(mine, "excite")
     expect(mine.locator("#stop")).to_be_in_viewport(ratio=1)
     expect(mine.locator("#chart-angle .chart-now")).to_contain_text("% of the limit")
     require_accessible(mine)
-    shoot(mine, "phone")
     require_low_bar(mine)
     mine.set_viewport_size({"width": 390, "height": 844})
     mine.tap("#stop")
@@ -341,7 +322,6 @@ def require_low_bar(page: Page) -> None:
         assert stop["width"] >= 0.5 * width
         expect(page.locator("#stop")).to_be_in_viewport(ratio=1)
         fits(page, width)
-        shoot(page, f"phone-bar-{width}x{height}")
 
 
 def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
@@ -374,7 +354,6 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     assert alarm.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(179, 0, 30)"
     require_accessible(lost)
     lost.set_viewport_size({"width": 1280, "height": 844})
-    shoot(lost, "network-lost")
     # The console itself stands still: no page hears anything, and the run goes on.
     console.process.send_signal(signal.SIGSTOP)
     expect(lost.locator("#contact")).to_have_text("NO CONTACT")
@@ -387,7 +366,6 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     expect(lost.locator("#drive")).to_contain_text(re.compile(r"was ENERGISED .*\d+ s ago"))
     expect(lost.locator("#headline")).to_contain_text(re.compile(r"ENERGISED, .*\d+ S AGO"))
     expect(lost.locator("#stop")).to_be_enabled()
-    shoot(lost, "no-contact")
     size = growth(where)
     wait_until(lambda: growth(where) > size)
     console.process.send_signal(signal.SIGCONT)
@@ -424,9 +402,7 @@ def test_runs_are_compared_and_a_constant_is_followed(
     page.select_option("#constant", "Mc")
     page.locator("#trend").press("Enter")
     require_made(page, "Trend of Mc", "STEP at run 5")
-    for width in as_on_two_screens(page):
-        page.locator("#made").scroll_into_view_if_needed()
-        shoot(page, f"made-of-runs-{width}")
+    fits_two_screens(page)
     require_accessible(page)
     for button in reading.locator("#compare, #trend").all():
         expect(button).to_be_disabled()
@@ -439,8 +415,7 @@ def require_made(page: Page, name: str, words: str) -> None:
         link.click()
     made = opening.value
     expect(made.locator("body")).to_contain_text(words)
-    for width in as_on_two_screens(made):
-        shoot(made, f"{name.split()[0].lower()}-{width}")
+    fits_two_screens(made)
     # The sandbox of the page also holds up the checker.
     free = page.context.new_page()
     free.set_viewport_size({"width": 390, "height": 844})
@@ -451,14 +426,13 @@ def require_made(page: Page, name: str, words: str) -> None:
         each.close()
 
 
-def as_on_two_screens(page: Page) -> Iterator[int]:
+def fits_two_screens(page: Page) -> None:
     """Show a page on a desk, then on a phone in the dark, and check that it fits the width."""
     for width, scheme in ((1200, "light"), (390, "dark")):
         page.set_viewport_size({"width": width, "height": 844})
         page.emulate_media(color_scheme=scheme)
         # A chart takes the new width in the next frame.
         fits(page, width)
-        yield width
 
 
 def late_click(page: Page, button: str) -> None:

@@ -9,7 +9,7 @@ from identification.plots.mismatch import confusion_matrix, power_curve
 from rig.common.provenance import Provenance
 from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Picture, Section, Table, provenance_section
-from rig.results.prove.scoring.score import STRONG
+from rig.results.prove.score import STRONG
 
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",

@@ -1,7 +1,8 @@
-"""Worlds for any plant: what is drawn, what the logger makes of signals, what is written."""
+"""Worlds for any plant: what is drawn, what the logger makes of signals, what is judged."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,21 +11,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from benchmarks.worlds import draw as drawing
+from benchmarks.worlds.__main__ import MUJOCO, OWN, THIRD, main, plant_named
 from benchmarks.worlds.coverage import WORDS, uncovered
 from benchmarks.worlds.draw import draw_world, without_effects, worlds_assignment
-from benchmarks.worlds.files import campaign, truth_of_world
+from benchmarks.worlds.files import truth_of_world, write_world
 from benchmarks.worlds.logger import columns
 from benchmarks.worlds.motion import MOTIONS, Reach, command
 from benchmarks.worlds.mujoco_plant.plant import MujocoPlant
-from benchmarks.worlds.seal import log_of, seal_worlds
-from benchmarks.worlds.sizes import NEEDS, SIZES
+from benchmarks.worlds.own_plant.plant import OwnPlant
+from benchmarks.worlds.seal import log_of, seal_worlds, strength_of
+from benchmarks.worlds.sizes import SIZES
 from benchmarks.worlds.torque import Course
-from benchmarks.worlds.world import COMMAND_S, Planned, Signals, World
-from rig.results.prove.engines import Processes
+from benchmarks.worlds.world import COMMAND_S, LoopKind, Planned, Signals, World
+from rig.cli.entry import status
+from rig.results.prove.engine import Processes
+from rig.results.prove.interchange import sealed_rigs
+from rig.results.prove.run import SUMS_FILE
 from rig.results.prove.truth import load_truth
 from rig.sources import load_source
+from tests.worlds.test_plants import ODE, carriage, drawn
 
 IN_CATALOGUE = [name for name in SIZES if not name.startswith("x_")]
 
@@ -86,64 +94,6 @@ def test_a_world_repeats_with_its_seed_and_effects_do_not_change_the_machine() -
     plain = draw_world("nothing", (), (3, 1))
     assert (plain.constants, plain.drive, plain.axes) == (first.constants, first.drive, first.axes)
     assert draw_world("nothing", (), (3, 2)).constants != plain.constants
-
-
-@pytest.mark.usefixtures("brief")
-def test_worlds_are_wide() -> None:
-    worlds = [draw_world("nothing", (), (8, k)) for k in range(40)]
-    gains = [w.drive.position_Hz for w in worlds]
-    assert max(gains) > 8.0 * min(gains)
-    assert {w.log.rate_Hz for w in worlds} >= {100, 4000}
-    assert {w.log.voltage for w in worlds} == {"commanded", "measured", "absent"}
-    assert {w.log.current for w in worlds} == {"sampled", "averaged", "filtered"}
-    assert {r.motion for w in worlds for r in w.recordings} == set(MOTIONS)
-    assert {w.axes["load"] for w in worlds} == {
-        "none", "lever", "pendulum", "carriage", "hoisted", "force",
-    }  # fmt: skip
-    assert {w.drive.kind for w in worlds} == {"cascade", "pd", "torque", "host"}
-    assert {w.motion for w in worlds} == {"rotary", "linear"}
-    assert {w.axes["starts"] for w in worlds} == {"moving", "at rest"}
-    bits = [b for w in worlds for b in (w.sensing.motor_bits, w.sensing.joint_bits) if b]
-    assert (min(bits), max(bits)) == (12, 24)
-    counts = [len(w.recordings) for w in worlds]
-    assert min(counts) == 2
-    assert max(counts) >= 12
-    for name, low, high in (("peak_Nm", 0.5, 15.0), ("peak_N", 60.0, 900.0)):
-        peaks = [float(w.axes[name]) for w in worlds if name in w.axes]  # type: ignore[arg-type]
-        assert (min(peaks) < low, max(peaks) > high) == (True, True)
-
-
-@pytest.mark.usefixtures("brief")
-@pytest.mark.parametrize("name", NEEDS)
-def test_a_world_has_what_its_effect_needs_to_show(name: str) -> None:
-    for k in range(4):
-        world = draw_world("one", (name,), (6, k))
-        weights = {r.weight_kg for r in world.recordings if r.role == "fit"} - {0.0}
-        has = {
-            "two encoders": None not in (world.sensing.motor_bits, world.sensing.joint_bits),
-            "motor encoder": world.sensing.motor_bits is not None,
-            "voltage": world.log.voltage != "absent",
-            "commanded voltage": world.log.voltage == "commanded",
-            "two weights": len(weights) >= 2,
-            "lever": len(weights) >= 1,
-            "known torque": any(r.pendulum or r.hoisted_kg for r in world.recordings),
-            "turning joint": world.motion == "rotary",
-            "unfiltered current": world.log.current != "filtered",
-            "fall": world.constants.Ms > world.constants.Mc,
-        }
-        assert all(has[need] for need in NEEDS[name])
-
-
-@pytest.mark.usefixtures("brief")
-def test_a_stop_is_on_the_side_that_is_commanded() -> None:
-    sides = set()
-    for k in range(12):
-        world = draw_world("one", ("end_stop",), (7, k))
-        end = world.effects["end_stop"]["angle_rad"]
-        fitted = [r.command for r in world.recordings if r.role == "fit"]
-        assert max(float((np.sign(end) * c).max()) for c in fitted) > abs(end)
-        sides.add(np.sign(end))
-    assert sides == {-1.0, 1.0}
 
 
 def test_names_come_in_turn_and_pairs_share_a_load() -> None:
@@ -233,6 +183,7 @@ def test_each_way_of_logging_a_current_is_as_late_as_it_says() -> None:
     assert lag_s(filtered, exact) == pytest.approx(1.0 / (2.0 * np.pi * 100.0), rel=0.15)
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("brief")
 @pytest.mark.parametrize("name", ["time_skew", "current_loop_lag"])
 def test_a_world_with_a_late_current_does_not_filter_it(name: str) -> None:
@@ -276,17 +227,6 @@ def test_effects_of_sensing_change_their_channel_alone() -> None:
     assert np.allclose(seat - plain["angle"], expected, atol=1e-5)
 
 
-def test_angles_are_whole_counts() -> None:
-    world = world_with({})
-    world = replace(
-        world, sensing=replace(world.sensing, motor_bits=12, joint_bits=14, flicker=0.5)
-    )
-    found = logged(world)
-    for name, bits in (("motor_angle", 12), ("angle", 14)):
-        counts = found[name] * 2.0**bits / (2.0 * np.pi)
-        assert np.allclose(counts, np.round(counts), atol=1e-6)
-
-
 @pytest.mark.usefixtures("short")
 def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
     rigs = seal_worlds(tmp_path, Follower(), 8, 21, Processes(1), lambda what, share: None)
@@ -312,15 +252,6 @@ def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("short")
-def test_a_world_with_the_motors_encoder_alone_records_the_motors_angle() -> None:
-    worlds = (draw_world("nothing", (), (9, seed)) for seed in range(60))
-    world = next(w for w in worlds if w.sensing.joint_bits is None)
-    channels = campaign(world, log_of(Follower(), world)[0])["defaults"]["channels"]
-    assert channels["motor_angle"] == "motor_angle"
-    assert "angle" not in channels
-
-
-@pytest.mark.usefixtures("short")
 def test_the_reference_has_the_noise_of_the_rig() -> None:
     world = draw_world("one", ("current_offset",), (8, 4))
     a, b = log_of(Follower(), world), log_of(Follower(), without_effects(world))
@@ -329,3 +260,97 @@ def test_the_reference_has_the_noise_of_the_rig() -> None:
         rounded = world.sensing.current_quantum_A
         assert np.allclose(one["current"] - other["current"], offset, atol=1.01 * rounded)
         assert np.array_equal(one["time"], other["time"])
+
+
+@pytest.mark.parametrize("kind", ["torque", "host"])
+def test_a_log_has_a_command_only_where_an_angle_is_sent(kind: LoopKind) -> None:
+    world = drawn(kind, "rotary")
+    zero = np.zeros(4 * world.drive.rate_Hz // world.log.rate_Hz)
+    signals = Signals(*(zero for _ in range(7)), 0.0)
+    logged = columns(world, 0, signals, np.random.default_rng(1))
+    assert ("command" in logged) is (kind == "host")
+
+
+def test_a_mass_that_is_lifted_is_a_load_of_the_campaign(tmp_path: Path) -> None:
+    for load in ("carriage", "hoisted", "force"):
+        world = carriage(load)
+        logged = [
+            columns(world, k, s, np.random.default_rng(k)) for k, s in enumerate(ODE.play(world))
+        ]
+        dataset = load_source(write_world(tmp_path / load, world, logged))
+        for planned, read in zip(world.recordings, dataset.recordings, strict=True):
+            assert read.bench.motion == "linear"
+            assert read.bench.gear_ratio == world.motor.gear_ratio
+            assert read.steady_torque == pytest.approx(planned.steady_N_m(world.gravity_m_s2))
+            assert read.known_inertia == planned.hoisted_kg
+            assert read.contact_force == pytest.approx(
+                planned.weight_kg * world.lever_ratio * world.gravity_m_s2
+            )
+
+
+PLANT = OwnPlant()
+CHANNELS = ("current", "voltage", "motor_angle", "angle")
+
+
+@pytest.mark.proof
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize("name", sorted({*PLANT.effects, *PLANT.outside}))
+def test_every_effect_leaves_a_trace(name: str) -> None:
+    """Sizes begin near the noise: of three machines one at least shows the effect."""
+    found = []
+    for seed in range(3):
+        world = draw_world("outside" if name in PLANT.outside else "one", (name,), (3, seed))
+        logged, plain = log_of(PLANT, world), log_of(PLANT, without_effects(world))
+        for channels in (*logged, *plain):
+            assert all(np.isfinite(values).all() for values in channels.values())
+        strength = strength_of(world, logged, plain)
+        # A set's order would differ by process, and with it the bytes of the truth.
+        assert list(strength) == [channel for channel in CHANNELS if channel in logged[0]]
+        found.append(max(strength.values()))
+    assert max(found) > 2.0
+
+
+def test_the_plant_has_the_whole_catalogue() -> None:
+    from identification.effects import MOTION
+
+    names = {e.name for e in MOTION}
+    assert set(PLANT.effects) == {n for n in SIZES if n in names} == names
+    assert PLANT.outside
+    assert not PLANT.outside & names
+
+
+PROOF = pytest.mark.proof
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize(
+    "plant", [OWN, pytest.param(THIRD, marks=PROOF), pytest.param(MUJOCO, marks=PROOF)]
+)
+def test_the_program_seals_worlds_goes_on_and_they_are_judged(plant: str, tmp_path: Path) -> None:
+    if plant == MUJOCO:
+        pytest.importorskip("mujoco")
+    home, out = tmp_path / "sealed", tmp_path / "proof"
+    asked = [str(home), "--plant", plant, "--rigs", "2", "--seed", "6"]
+    made = CliRunner().invoke(main, asked)
+    assert made.exit_code == 0
+    rigs, machine = sealed_rigs(home), plant_named(plant)
+    assert [rig.name for rig in rigs] == ["rig-0001", "rig-0002"]
+    for rig in rigs:
+        assert rig.digest in made.stdout
+        truth = load_truth(rig.truth)
+        assert truth.effects.keys() <= {*machine.effects, *machine.outside}
+        assert load_source(rig.campaign).recordings[0].bench.motion == truth.axes["machine"]
+    rigs[1].truth.unlink()
+    kept = rigs[0].truth.stat().st_mtime_ns
+    assert CliRunner().invoke(main, asked).exit_code == 0
+    assert rigs[1].truth.is_file()
+    assert rigs[0].truth.stat().st_mtime_ns == kept
+    judging = ["prove", "--from", str(home), "--out", str(out)]
+    assert status(judging) == 0
+    first = (out / SUMS_FILE).read_text()
+    rows = json.loads((out / "prove.json").read_text())["rigs"]
+    assert [row["axes"]["machine"] for row in rows] == [
+        load_truth(r.truth).axes["machine"] for r in rigs
+    ]
+    assert status(judging) == 0
+    assert (out / SUMS_FILE).read_text() == first

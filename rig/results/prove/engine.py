@@ -1,4 +1,11 @@
-"""Interface of all engines, and the error that is raised if workers die."""
+"""Engines that divide the work of a proof among processes of this command, or among the workers of
+a dask cluster.
+
+An engine calls a function with each task of a list, and yields the results as they arrive.
+Function, tasks and results are sent between processes: the function must be importable, tasks and
+results must be plain data, and the result of a task must depend on the task alone. Only the calling
+process writes files, so that no file depends on the number or on the order of the workers.
+"""
 
 from __future__ import annotations
 
@@ -192,7 +199,7 @@ class Processes(NamedTuple):
         return True
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
-        """Yield results as they arrive; see :class:`rig.results.prove.engines.engine.Engine`."""
+        """Yield results as they arrive; see :class:`rig.results.prove.engine.Engine`."""
         if self.jobs == 1:
             yield from map(one, todo)
             return
@@ -288,7 +295,7 @@ def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[En
         yield Processes(jobs)
         return
     # Imported late: the import of dask takes a second, and only these two options need dask.
-    from rig.results.prove.engines.cluster import local_cluster, remote_cluster
+    from rig.results.prove.cluster import local_cluster, remote_cluster
 
     if workers is not None:
         with local_cluster(workers) as cluster:

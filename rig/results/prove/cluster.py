@@ -23,7 +23,7 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256
-from rig.results.prove.engines.engine import DEATHS, Result, Task, died
+from rig.results.prove.engine import DEATHS, Result, Task, died
 from rig.terminal.output import complain
 
 try:
@@ -84,7 +84,7 @@ class DaskCluster:
         return False
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
-        """Yield results as they arrive; see :class:`rig.results.prove.engines.engine.Engine`."""
+        """Yield results as they arrive; see :class:`rig.results.prove.engine.Engine`."""
         tasks, waiting = iter(todo), set[Any]()
         call = partial(_on_worker, one, _fingerprint())
         try:

@@ -1,1 +1,0 @@
-"""Computes rates, lists and pages of a proof from its rows."""
