@@ -7,7 +7,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor profile-coverage literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
+.PHONY: help demo test kernels lint structure docs docs-run reference accuracy floor literal real bench prove prove-gas growth paper feedforward weight-check fault-matrix kill process-matrix moments realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs durand
 .DEFAULT_GOAL := help
 
 help:
@@ -110,7 +110,7 @@ prove-worlds: $(VENV)/.dev  ## the blind proof in worlds on the project's machin
 	  $(BIN)/rig prove --from out/worlds-$$plant --jobs 2 --out out/proof-$$plant || exit 1; done
 
 bench: $(VENV)/.runtime  ## speed, as ratios within one run
-	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 growth: $(VENV)/.runtime  ## how a diagnosis grows with samples and with the catalogue
 	$(BIN)/python benchmarks/diagnosis_growth.py
