@@ -24,7 +24,7 @@ from .command import assert_in_words, rig
 OFF = "the drive is de-energised (read back: switch on disabled)"
 EFFECTS = """\
 from rig.cli import entry as cli
-from rig.results import effects
+from rig.results.diagnose import document as effects
 def broken(shown):
     {body}
 effects.overview = broken
