@@ -67,8 +67,8 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "List, show, compare and verify recorded runs.",
     ),
     "look": ("rig.cli.commands.look:look", "Show the content of a log made elsewhere."),
-    "export": ("rig.cli.commands.look:export", "Convert recordings for other tools."),
-    "recover": ("rig.cli.commands.look:recover", "Repair a run whose writer died."),
+    "export": ("rig.cli.commands.export:export", "Convert recordings for other tools."),
+    "recover": ("rig.cli.commands.export:recover", "Repair a run whose writer died."),
     "console": (
         "rig.cli.commands.console:console",
         "Watch, stop and start runs on a page in the browser.",

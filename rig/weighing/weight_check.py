@@ -10,15 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from identification.recording import Dataset, Recording
 from rig.common.sample import Sample
 from rig.config.sequence import Array
-from rig.planning.plan import Plan, PlannedStage
-from rig.planning.reference import Reference
 from rig.runs.run_record import Verdict, Weighing
+
+if TYPE_CHECKING:
+    # At run time these imports would load the drivers, which recordings are checked without.
+    from rig.planning.plan import Plan, PlannedStage
+    from rig.planning.reference import Reference
 
 EDGES = np.geomspace(2e-3, 4.0, 67)
 """Edges of the speed bins, rad/s; all motions have these bins, so that levels can be compared bin
