@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from identification.effects.effect import Dimension, Effect, Quantity, Shape, rows
+from identification.effects.effect import EXACT, Dimension, Effect, Quantity, Shape, rows
 from identification.model import gas_generator as kernel
 from identification.recording import Array
 
@@ -33,6 +33,7 @@ class GasGeneratorEffect(Effect):
     varies = ("pressure",)
     one_sided = True
     simulated = True
+    shape_error = EXACT
     slots: tuple[int, ...]
 
     def pressure(self, view: Any, nominal: Any, shape: Shape) -> Array:
