@@ -255,10 +255,13 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
     outside = (found.low > 0.0) | (found.high < 0.0)
     if found.periodic:
         return ((0.0, 2.0 * np.pi),) if np.any(outside) else ()
-    half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
+    # Bins meet half way between their centres, which are unevenly spaced; beyond the first and the
+    # last centre there may be no value at all, as for a direction of -1 or 1.
+    centre = found.centre
+    edges = [*centre[:1], *(0.5 * (centre[1:] + centre[:-1])), *centre[-1:]]
     stretches: list[tuple[float, float]] = []
     for k in np.flatnonzero(outside):
-        low, high = float(found.centre[k] - half[k]), float(found.centre[k] + half[k])
+        low, high = float(edges[k]), float(edges[k + 1])
         if stretches and k > 0 and outside[k - 1]:
             stretches[-1] = (stretches[-1][0], high)
         else:

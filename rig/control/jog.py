@@ -26,6 +26,8 @@ from rig.wiring.teardown import attempt_all, give_back, make_safe
 
 SPEED_MARGIN = 2.0
 """Ratio of the speed limit to the requested speed; the margin is for the breakaway."""
+LEAST_LIMIT_DEG_S = 10.0
+"""Least speed limit of a jog, deg/s: a joint that breaks away is faster than a slow command."""
 TORQUE_SHARE = 0.6
 """Limits of torque and current in a jog, as a share of the bench's limits."""
 GREATEST_SPEED_SHARE = 0.25
@@ -73,7 +75,7 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
     speed = math.radians(speed_deg_s)
     low = dataclasses.replace(
         limits,
-        speed=SPEED_MARGIN * speed,
+        speed=min(limits.speed, max(SPEED_MARGIN * speed, math.radians(LEAST_LIMIT_DEG_S))),
         torque=TORQUE_SHARE * limits.torque,
         current=TORQUE_SHARE * limits.current,
     )

@@ -65,6 +65,11 @@ def test_the_limits_are_low_in_host_and_drive(
     assert written[-1] == own
 
 
+@pytest.mark.parametrize(("speed", "limit"), [(2.0, 10.0), (5.0, 10.0), (10.0, 20.0)])
+def test_a_slow_jog_leaves_room_for_the_breakaway(speed: float, limit: float) -> None:
+    assert plan_jog(BENCH, (1.0,), speed).limits.speed == pytest.approx(math.radians(limit))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

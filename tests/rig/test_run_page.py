@@ -643,9 +643,10 @@ def test_ages_go_on_from_block_to_block(split: int) -> None:
     np.testing.assert_allclose(1e3 * ages, [0, 0, 1, 2, 0, 1, 2, 3, 0, 0], atol=1e-9)
 
 
-def test_a_step_of_time_is_lateness_but_for_a_pause() -> None:
+@pytest.mark.parametrize(("event", "at_s"), [("stage start", 0.050), ("stage end", 0.040)])
+def test_a_step_of_time_is_lateness_but_for_a_pause(event: str, at_s: float) -> None:
     time = np.array([0.0, 1.0, 31.0, 32.0, 60.0, 61.0]) * 1e-3
-    derived = Deriver(BENCH, 1e-3)(taken(6, time=time), [{"event": "stage start", "time": 0.050}])
+    derived = Deriver(BENCH, 1e-3)(taken(6, time=time), [{"event": event, "time": at_s}])
     np.testing.assert_allclose(1e3 * column(derived.values, "late"), [0, 0, 29, 0, 0, 0], atol=1e-9)
     assert derived.broken.tolist() == [True, False, True, False, True, False]
 

@@ -83,9 +83,9 @@ start of the stage.
 STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""
 ENABLED = float(STATES.index("enabled"))
-PAUSES = frozenset({"stage start", "units", "weight check"})
-"""Events after which the control cycle restarts, so that a time step before them does not count as
-lateness.
+PAUSES = frozenset({"stage end", "stage start", "units", "weight check"})
+"""Events after which the control cycle rests or restarts, so that the time step to the next sample
+does not count as lateness.
 """
 _GAP_CYCLES = 10.0
 """Number of consecutive missing cycles from which on the curve is interrupted."""

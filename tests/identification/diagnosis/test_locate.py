@@ -22,6 +22,7 @@ from identification.diagnosis.locate import (
     parts,
     ranges,
 )
+from identification.diagnosis.result import Map
 from identification.diagnosis.rows import (
     DIRECTION,
     FROM_TORQUE,
@@ -229,3 +230,21 @@ def test_an_effect_is_located_beside_the_other_effects() -> None:
         # A projection removes only what the nominal parameters and the other effect can take up.
         assert stack.residual @ stack.residual > 10.0 * joint.cost
         assert np.allclose(stack.effect_basis.T @ stack.residual, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("centre", "outside", "found"),
+    [
+        ([-1.0, 1.0], [True, True], ((-1.0, 1.0),)),
+        ([-1.0, 1.0], [False, True], ((0.0, 1.0),)),
+        ([0.0, 1.0, 10.0, 11.0], [False, True, False, True], ((0.5, 5.5), (10.5, 11.0))),
+    ],
+)
+def test_ranges_meet_between_bins_and_end_with_the_data(
+    centre: list[float], outside: list[bool], found: tuple[tuple[float, float], ...]
+) -> None:
+    at, high = np.array(centre), np.where(outside, 2.0, 1.0)
+    low = np.where(outside, 1.0, -1.0)
+    zero = np.zeros(len(at))
+    drawn = Map("torque", "direction", "1", "N m", at, zero, low, high, zero, 1.0)
+    assert ranges(drawn) == found
