@@ -1,4 +1,5 @@
-"""A simulated bench behind pseudo-terminals, in real time: ``python pty_bench.py serial|slcan``.
+"""A simulated bench behind pseudo-terminals, in real time: ``python -m tests.rig.pty_bench
+serial|slcan``.
 
 It lives in a process of its own, writes its paths as JSON in one line, then answers each line of
 its input with how many bytes it has been sent.
@@ -65,9 +66,10 @@ class PtyBench:
 @contextmanager
 def pty_bench(kind: str, folder: Path) -> Iterator[PtyBench]:
     """Start a bench, and end it."""
-    words = [sys.executable, __file__, kind]
+    words = [sys.executable, "-m", "tests.rig.pty_bench", kind]
+    root = Path(__file__).parents[2]
     with subprocess.Popen(
-        words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root
     ) as process:
         assert process.stdin is not None
         try:

@@ -519,10 +519,15 @@ def test_a_page_that_shows_an_ended_run_stops_the_run_of_a_terminal(
     where.started[-1].wait(WAIT_S)
     newest = max(where.records(), key=lambda record: record["parts"][0]["created"])
     assert (newest["state"], newest["de_energised"]) == ("stopped", True)
-    # The console may still list a run that has just ended; its end is then told again.
     expect(page.locator("#stop-what")).to_have_text("nothing is in progress")
-    page.click("#stop")
-    expect(page.locator("#outcome")).to_contain_text("Nothing was in progress")
+
+    def nothing_more() -> bool:
+        # The console may still list a run that has just ended; its end is then told again.
+        page.click("#stop")
+        page.wait_for_timeout(500)
+        return "Nothing was in progress" in page.locator("#outcome").inner_text()
+
+    wait_until(nothing_more)
 
 
 def require_extremes(page: Page) -> None:
