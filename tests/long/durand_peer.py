@@ -420,6 +420,11 @@ def serve(case: Case, folder: Path, wire: UdpWire | SlcanWire) -> None:
             log.write(json.dumps([time.time(), following]) + "\n")
         state = following
         objects.write(0x6041, 0, STATUS[state] | 0x200)
+        if state not in ("run", "quick stop"):
+            # The power stage is off at once, also if no further SYNC comes.
+            plant.current = plant.integral = 0.0
+            for index in (0x6077, 0x6078):
+                objects.write(index, 0, 0)
 
     def command(value: int) -> None:
         nonlocal word
