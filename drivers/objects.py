@@ -212,6 +212,12 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
+    def forget_faults(self) -> None:
+        """Drop the emergency messages of the device: its fault was cleared, and its state shows it.
+        Not every device sends "error reset" then.
+        """
+        ...
+
     def map_process_data(
         self,
         outputs: Sequence[PdoLayout],

@@ -539,6 +539,7 @@ class Cia402Servo(SpeedUnit, Homes, SteppedServo):
             self._channel.write(*cia402.CONTROLWORD, cia402.DISABLE_VOLTAGE)
         off = ServoState.SWITCH_ON_DISABLED
         self._await(self.state, lambda state: state is off, off.value)
+        self._channel.forget_faults()
 
     def set_target(self, angle_rad: float) -> None:
         counts = self._scales.counts(angle_rad)

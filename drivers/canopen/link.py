@@ -264,6 +264,9 @@ class CanopenNode:
         finally:
             self.guarding = usual
 
+    def forget_faults(self) -> None:
+        self._wire.forget(self.node_id, faults=True)
+
     def map_process_data(
         self,
         outputs: Sequence[PdoLayout],
@@ -777,14 +780,14 @@ class CanopenLink(Link):
         if now < self.alive_until_ns and now - self._heartbeat_ns >= _SIGN_NS:
             self._signs()
 
-    def forget(self, node_id: int) -> None:
-        """Drop the losses of a device that no exchange has raised yet. An emergency message stays
-        until the device clears it.
+    def forget(self, node_id: int, faults: bool = False) -> None:
+        """Drop the losses of a device that no exchange has raised yet, and with ``faults`` its
+        emergency messages, which otherwise stay until the device clears them.
         """
         self._troubles = [
             (origin, trouble)
             for origin, trouble in self._troubles
-            if origin != node_id or isinstance(trouble, DriveFault)
+            if origin != node_id or (isinstance(trouble, DriveFault) and not faults)
         ]
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:

@@ -357,6 +357,9 @@ class EposSerialNode:
         """Yield nothing: the protocol has no remote frames."""
         yield from ()
 
+    def forget_faults(self) -> None:
+        """Do nothing: the serial protocol has no emergency messages."""
+
     def map_process_data(
         self,
         outputs: Sequence[PdoLayout],

@@ -91,6 +91,20 @@ def test_an_error_reset_takes_the_emergency_back(host: Host) -> None:
     host.link.exchange()
 
 
+@pytest.mark.parametrize("forgotten", [True, False])
+def test_the_emergency_of_a_cleared_fault_is_forgotten(host: Host, forgotten: bool) -> None:
+    prepared(host)
+    host.bench.drive.emergency(0x4310, 0x08)
+    host.link.pump(lambda: False, 0.001)
+    if forgotten:
+        host.link._nodes[1].forget_faults()
+        host.link.exchange()
+    else:
+        host.link.forget(1)
+        with pytest.raises(DriveFault):
+            host.link.exchange()
+
+
 def test_an_unknown_emergency_names_its_class(host: Host) -> None:
     prepared(host)
     host.bench.encoder.emergency(0x5123, 0)
