@@ -187,10 +187,12 @@ class Plant:
     def __init__(self) -> None:
         self.angle = self.speed = self.integral = self.current = 0.0
 
-    def advance(self, powered: bool, start: float, end: float, most_A: float) -> None:
-        """Let one control cycle pass, in which the demand moves from start to end, rad."""
-        steps = round(CYCLE_S / STEP_S)
-        rate, mean, most = (end - start) / CYCLE_S, 0.0, most_A * KT * GEAR
+    def advance(
+        self, powered: bool, start: float, end: float, most_A: float, passed_s: float
+    ) -> None:
+        """Let ``passed_s`` pass, in which the demand moves from start to end, rad."""
+        steps = max(1, round(passed_s / STEP_S))
+        rate, mean, most = (end - start) / (steps * STEP_S), 0.0, most_A * KT * GEAR
         for step in range(1, steps + 1):
             torque = 0.0
             if powered:
@@ -409,6 +411,7 @@ def serve(case: Case, folder: Path, wire: UdpWire | SlcanWire) -> None:
     servo, joint = drive(servo_net, case.lacks | case.hides), encoder(encoder_net)
     objects, plant = servo.object_dictionary, Plant()
     state, word, demand, toggle = "off", 0, 0.0, 0
+    synced_s = time.monotonic()
     alive: threading.Timer | None = None
 
     def read(index: int, subindex: int = 0, default: int = 0) -> int:
@@ -463,11 +466,15 @@ def serve(case: Case, folder: Path, wire: UdpWire | SlcanWire) -> None:
             watch(0.0)
 
     def sync() -> None:
-        nonlocal demand
+        nonlocal demand, synced_s
+        # Not each SYNC is one cycle after the last: the first one of a braking is sent at once.
+        now_s = time.monotonic()
+        passed_s, synced_s = min(now_s - synced_s, 2.0 * CYCLE_S), now_s
         start = demand if state in ("run", "quick stop") else plant.angle
         target = read(0x607A) * math.tau / (GEAR * COUNTS)
         demand = target if state == "run" else start
-        plant.advance(state in ("run", "quick stop"), start, demand, read(0x6073, 0, 1670) * 0.015)
+        powered, most_A = state in ("run", "quick stop"), read(0x6073, 0, 1670) * 0.015
+        plant.advance(powered, start, demand, most_A, passed_s)
         if state == "quick stop" and abs(plant.speed) < 1e-3:
             enter("off")
         counts = plant.angle / math.tau * GEAR * COUNTS
