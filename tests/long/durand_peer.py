@@ -549,7 +549,7 @@ def peer(case: Case, folder: Path, wire: str) -> Iterator[str]:
 ANSWERS = ((r"yes, no or abort \[no\]: $", "yes"), (r"Mass on the lever, kg: $", "0"))
 
 
-def at_terminal(words: list[str], folder: Path, limit_s: float = 240.0) -> tuple[int, str]:
+def at_terminal(words: list[str], folder: Path, limit_s: float = 900.0) -> tuple[int, str]:
     """Run a command at a terminal of its own, answer its questions; return status and output."""
     pid, terminal = pty.fork()
     if not pid:
