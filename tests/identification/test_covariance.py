@@ -9,11 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate import covariance
 from identification.estimate.covariance import (
-    _REPLICATE_PRIOR,
     _scatter,
-    _spread,
     covariances,
     not_below,
 )
@@ -62,24 +59,6 @@ def test_strokes_that_pull_apart_scatter_more() -> None:
     assert found[0] == pytest.approx(1e-6 * float(np.var(pulls, ddof=1)) * told, rel=1e-9)
 
 
-def test_an_estimate_beside_the_likeliest_is_no_scatter() -> None:
-    jacobian = strokes()
-    residual = pulled(jacobian, np.random.default_rng(2).normal(size=STRETCHES))
-    beside = residual + jacobian.along(np.concatenate([[3e-3, -2e-3], np.zeros(STRETCHES)]))
-    assert _scatter(jacobian, beside)[0] == pytest.approx(_scatter(jacobian, residual)[0], rel=1e-9)
-
-
-def test_scatter_is_drawn_toward_that_of_replicates() -> None:
-    jacobian = strokes()
-    calm = np.zeros(STRETCHES * ROWS)
-    pulls = np.random.default_rng(3).normal(size=(2, STRETCHES))
-    played = [(jacobian, pulled(jacobian, p)) for p in 1e3 * pulls / np.sqrt(ROWS)]
-    foretold = np.mean([_scatter(*r)[0] for r in played], axis=0)
-    share = _REPLICATE_PRIOR / (_REPLICATE_PRIOR + STRETCHES)
-    assert _spread(jacobian, calm, played) == pytest.approx(np.sqrt(share * foretold))
-    assert _spread(jacobian, calm, []) == pytest.approx(np.sqrt(1.0 / (1.0 + STRETCHES)))
-
-
 def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     m = motion(from_the_model(1, 5.0))
     assert m is not None
@@ -96,37 +75,6 @@ def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     assert np.all(
         ratio[: SYSTEM.index("J")] > 1.3
     )  # half of them all but lost; J has an equation of its own
-
-
-def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Stribeck speed that no sample resolved was taken 400 times up by a straight line in its
-    logarithm.
-    """
-    m = motion(from_the_model(1, 5.0))
-    assert m is not None
-    point = Point.of(
-        [m],
-        pack({**VALUES, "J": 1.05 * VALUES["J"]}, 2.0),
-        tuple(INDEX[n] for n in SYSTEM),
-        Model(),
-        NOISE,
-    )
-    plain = covariances(point).step
-    loose = np.ones(len(SYSTEM))
-    loose[SYSTEM.index("omega_sf")] = 1e6
-    bound = covariance.bound
-
-    def untold(alike: BlockArrow) -> Array:
-        found = bound(alike)
-        found[: len(loose), : len(loose)] *= np.outer(loose, loose)
-        return found
-
-    monkeypatch.setattr(covariance, "bound", untold)
-    step = covariances(point).step
-    assert abs(plain[SYSTEM.index("omega_sf")]) > 1e-5
-    assert step[SYSTEM.index("omega_sf")] == 0.0
-    others = [k for k, name in enumerate(SYSTEM) if name != "omega_sf"]
-    assert step[others] == pytest.approx(plain[others])
 
 
 def test_no_stated_variance_is_below_its_bound() -> None:

@@ -10,15 +10,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from identification.estimate import searches
 from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.paper_method import identify_paper
-from identification.estimate.parameter_table import typical_error
 from identification.estimate.refinement import refine_recordings, refusal
-from identification.estimate.searches import innovation_statistics, refine_stages
-from identification.filter.likelihood import Point
+from identification.estimate.searches import refine_stages
 from identification.filter.segments import motion
-from identification.numerics.compiled import both
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import AcceptanceLimits, Identification
@@ -51,47 +47,15 @@ def test_practical_bench_within_tenths_of_a_percent(practical_result: Identifica
         p = result.parameters[name]
         limit = {"omega_sL": 0.03, "J": 0.008}.get(name, 0.004)
         assert p.value == pytest.approx(value, rel=limit), name
-        assert p.low is not None
-        assert p.high is not None
         half = 0.5 * (p.high - p.low)
         assert half < 0.05 * value, name
         assert abs(p.value - value) < 3.0 * half, name
-
-
-def test_the_result_has_searches_tradeoffs_and_signals(practical_result: Identification) -> None:
-    result = practical_result
-    unloaded, loaded = result.starts
-    assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
-    assert unloaded.ends[-1] <= unloaded.reached
-    assert len(loaded.ends) == 3 + 4 + 2  # of the grid, then far and near neighbours of the best
-    assert 1 <= loaded.best <= 9
-    assert ("Mc", "sigma_2") in {t.names for t in result.tradeoffs}
-    assert "omega_sL alone" in result.least_pinned
-    assert [t.recording for t in result.traces] == ["unloaded", "loaded"]
-    assert result.evaluations == sum(s.evaluations for s in result.stages)
-    errors = [(t.torque - t.torque_model)[t.used] for t in result.traces]
-    assert result.fit.train_rms == pytest.approx(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    assert result.fit.validate_rms is None
-
-
-def test_one_thread_finds_what_two_find(
-    practical_pair: tuple[Recording, Recording], practical_result: Identification
-) -> None:
-    # Inside a call the second thread is taken.
-    alone, _ = both(lambda: identify(Dataset(practical_pair)), lambda: None)
-    assert alone.values() == practical_result.values()
-    assert alone.evaluations == practical_result.evaluations
-    for name, parameter in alone.parameters.items():
-        assert parameter == practical_result.parameters[name]
 
 
 @pytest.mark.proof
 def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breakaways(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
-    """As over a serial line at 500 cycles/s, where the equation error at 20 Hz ends with mu_s at
-    mu_c.
-    """
     prepared = [prepare(r, 40.0) for r in practical_pair]
     values, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
     flat = {**values, "mu_s": values["mu_c"], "omega_sL": 1.0}
@@ -99,63 +63,6 @@ def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breaka
     assert not isinstance(refined, str)
     assert refined.values["mu_s"] == pytest.approx(TRUTH["mu_s"], rel=0.004)
     assert refined.values["omega_sL"] == pytest.approx(TRUTH["omega_sL"], rel=0.03)
-
-
-@pytest.mark.proof
-def test_strong_hidden_ripple_does_not_break_the_search(
-    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solved_from, begun = searches._solved_from, []
-
-    def tried(start: Point, *given: object) -> object:
-        begun.append((start.filter.evaluations, start.vector[searches.INERTIA]))
-        return solved_from(start, *given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(searches, "_solved_from", tried)
-    recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
-    result = identify(Dataset((recording,)))
-    assert "physics that the model lacks" in result.warnings[0]
-    # The search tries other inertias than the equation error's, and ends although none solves the
-    # equations.
-    passes, inertias = zip(*begun, strict=True)
-    assert len(set(inertias)) > 3
-    assert max(passes) < searches.MOST_PASSES
-    plain = equation_error(result, recording)
-    assert result.values() == {name: plain[name] for name in result.values()}
-
-
-def test_a_fit_whose_passes_are_used_up_starts_no_further_search(
-    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun = []
-
-    def unsolved(start: Point, *_given: object) -> searches.Solved:
-        begun.append(start)
-        return searches.Solved(2.0 * searches.SOLVED, start)
-
-    monkeypatch.setattr(searches, "_solved_from", unsolved)
-    monkeypatch.setattr(searches, "MOST_PASSES", 1)
-    identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
-    assert len(begun) == 1
-
-
-def test_a_slip_that_is_lost_is_no_missing_physics(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all
-    samples they do.
-    """
-    moving = motion(beginning(practical_pair[0], FEW_S))
-    assert moving is not None
-    joint = refine_stages([moving], [], TRUTH_SYSTEM, Model()).joint
-    residual = joint.weighted().residuals(joint.origin())
-    k = np.arange(len(residual))
-    slip = np.where((k >= 3000) & (k < 3020), 62.0, 0.0)
-    rms, whiteness = innovation_statistics(residual + slip, joint.breakaways)
-    assert abs(whiteness) < 0.1
-    assert rms == pytest.approx(1.0, abs=0.1)
-    wave = 2.0 * np.sin(k / 30.0)
-    assert innovation_statistics(residual + wave, joint.breakaways)[1] > 0.4
 
 
 @pytest.mark.parametrize(
@@ -169,13 +76,6 @@ def test_fixed_values_are_held_through_the_refinement(
     assert result.stages[-1].method == "prediction error"
     for name, found in result.values().items():
         assert found == pytest.approx(TRUTH[name], rel=1e-12 if name in names else 0.008), name
-
-
-def test_everything_fixed_is_only_scored(practical_pair: tuple[Recording, Recording]) -> None:
-    result = identify(Dataset(practical_pair[:1], Model(fixed=TRUTH_SYSTEM)))
-    assert result.values() == pytest.approx(TRUTH_SYSTEM)
-    assert len(result.warnings) == 1
-    assert result.fit.train_relative < 0.01
 
 
 def test_hidden_ripple_leaves_the_values_of_the_equation_error(
@@ -212,19 +112,6 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
         ({"values": {**right.values, "J": math.nan}}, 1.0, "not finite"),
     ):
         assert key in refusal(replace(right, **change), 1.0, after)  # type: ignore[arg-type]
-
-
-def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    prepared = [prepare(r, 40.0) for r in practical_pair]
-    wrong = {**TRUTH, "mu_c": 1.1 * TRUTH["mu_c"]}
-    grown, alone = (
-        typical_error(some, wrong, 2.0) / typical_error(some, TRUTH, 2.0)
-        for some in (prepared, prepared[1:])
-    )
-    assert grown == pytest.approx(math.sqrt(alone))
-    assert alone > 1.3
 
 
 def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, Recording]) -> None:
@@ -273,12 +160,6 @@ def test_without_inertia_to_start_from_nothing_is_refined(
     result = identify(Dataset((replace(recording, channels=channels),)))
     assert "inertia" in result.warnings[0]
     assert result.parameters["J"].at_bound
-
-
-def test_loaded_alone_with_the_system_fixed() -> None:
-    result = identify(Dataset((sine(weight=30.6),), Model(fixed=TRUTH_SYSTEM)), bandwidth_Hz=500.0)
-    for name in ("mu_c", "mu_s", "omega_sL", "mu_2"):
-        assert result.values()[name] == pytest.approx(TRUTH[name], rel=1e-6)
 
 
 def changed(**channels: np.ndarray | None) -> Recording:

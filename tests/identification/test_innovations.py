@@ -9,8 +9,7 @@ import pytest
 from scipy import linalg
 
 from identification.filter import kalman as kernel
-from identification.filter.kalman import LANES, slip_variance
-from identification.filter.likelihood import Point, deviance, likeliest_noise
+from identification.filter.likelihood import Point, likeliest_noise
 from identification.filter.segments import Motion, Noise, motion
 from identification.model.parameters import INDEX, pack
 from identification.recording import Model, Recording
@@ -134,43 +133,9 @@ def test_where_a_shaft_rests_is_known_to_a_step_however_often_it_is_read(side: f
     assert squares[0.0] > 1.6  # as if a dozen readings of one count were a dozen measurements
 
 
-def test_noise_that_is_another_at_every_reading_is_averaged_at_rest() -> None:
-    rng = np.random.default_rng(5)
-    rest = 30
-    angle = ANGLE_NOISE * rng.normal(size=rest)
-    found = run_kernel(angle, np.zeros(rest), 1.0, 1.0, begin=STEP_S * rest)
-    before = np.cumsum(angle)[:-1] / np.arange(1, rest)
-    spread = ANGLE_NOISE * np.sqrt(1.0 + 1.0 / np.arange(1, rest))
-    assert found == pytest.approx((angle[1:] - before) / spread)
-
-
-def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero() -> None:
-    rng = np.random.default_rng(3)
-    speed, step, last = np.zeros(20000), 0.005, 3.0
-    for now in np.arange(-last, last, step):
-        speed = np.maximum(
-            speed + (now + 0.5 * step) * step + np.sqrt(step) * rng.normal(size=len(speed)), 0.0
-        )
-    excess = (np.mean(speed) - 0.5 * last**2) ** 2 + np.var(speed) - last
-    # Coarse steps miss part of what the walk meets at zero.
-    assert slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
-    assert slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
-
-
-def test_inside_steps_converge() -> None:
-    """The first sample aside, whose covariance starts from a known state and is of first order."""
-    time = STEP_S * np.arange(400)
-    torque = 6.0 + np.sin(12.0 * time)
-    angle = 0.1 * time
-    coarse, medium, fine = (run_kernel(angle, torque, 1.0, steps)[1:] for steps in (1.0, 2.0, 4.0))
-    first, second = np.max(np.abs(coarse - medium)), np.max(np.abs(medium - fine))
-    assert 0.0 < second < first / 1.5
-
-
 @pytest.fixture(scope="module")
 def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion]:
     unloaded, loaded = (motion(r) for r in practical_pair)
-    assert unloaded is not None
     assert loaded is not None
     return unloaded, loaded
 
@@ -194,34 +159,6 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(
     assert abs(np.mean(found[1:] * found[:-1]) / np.mean(found**2)) < 0.1
 
 
-def test_the_last_run_is_not_repeated(motions: tuple[Motion, Motion]) -> None:
-    point = at_truth(*motions)
-    held, x = point.weighted(), point.origin()
-    near = held.near_breakaways(x, held.residuals(x))
-    errors, deviations = point.run()
-    before = point.filter.evaluations
-    near.residuals(x)  # filters the first samples only
-    assert point.run()[0] is errors
-    assert point.filter.evaluations == before
-    other = point.run(point.noise.louder(2.0))
-    assert point.filter.evaluations == before + 1
-    assert not np.allclose(other[1], deviations)
-    with pytest.raises(ValueError, match="read-only"):
-        errors[0] = 0.0
-
-
-def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    """Three copies of the recordings have more segments than one thread has lanes."""
-    alone, many = at_truth(*motions), at_truth(*3 * motions)
-    assert alone.breakaways <= LANES
-    one, other = many.experiment.lineup.halves
-    assert many.breakaways > LANES
-    assert sorted([*one.order, *other.order]) == list(range(many.breakaways))
-    noise = Noise(0.06, 1e-6)
-    for found, expected in zip(many.run(noise), alone.run(noise), strict=True):
-        assert np.array_equal(found, np.tile(expected, 3))
-
-
 @pytest.mark.parametrize("noise", [Noise(0.06, 1e-6), Noise(0.05, 2e-6, 0.04, 0.01)], ids=str)
 def test_a_lane_does_not_depend_on_the_others(motions: tuple[Motion, Motion], noise: Noise) -> None:
     free = tuple(INDEX.values())
@@ -236,30 +173,6 @@ def test_a_lane_does_not_depend_on_the_others(motions: tuple[Motion, Motion], no
             for p in (together, *alone)
         ]
         assert np.array_equal(slopes[0], np.concatenate(slopes[1:]))
-
-
-def test_an_error_in_the_second_thread_is_raised(
-    motions: tuple[Motion, Motion], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    many = at_truth(*3 * motions)
-    second = many.experiment.lineup.halves[1]
-
-    def broken(table: np.ndarray, *_: object) -> None:
-        if table is second.table:
-            raise FloatingPointError("half of the segments were not filtered")
-
-    monkeypatch.setattr("identification.filter.experiment.innovations", broken)
-    with pytest.raises(FloatingPointError, match="were not filtered"):
-        many.run()
-
-
-def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
-    point = at_truth(motions[1])
-    right = deviance(*point.run())
-    for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
-        wrong = point.vector.copy()
-        wrong[INDEX[name]] *= 1.1
-        assert deviance(*replace(point, vector=wrong).run()) > right, name
 
 
 @pytest.mark.parametrize(
@@ -297,33 +210,12 @@ def test_sensitivities_are_the_slopes_of_the_predictions(
             assert np.linalg.norm(found - column) <= 1e-4 * np.linalg.norm(column) + 1e-12, k
 
 
-def test_a_wide_step_is_a_difference_of_residuals(motions: tuple[Motion, Motion]) -> None:
-    point = at_truth(first_segments(motions[0], 2), free=(INDEX["Mc"],))
-    held, x = point.weighted(0.01), point.origin()
-    here = held.residuals(x)
-    away = x.copy()
-    away[0] *= 1.01
-    column = (held.residuals(away) - here) / (0.01 * x[0])
-    assert held.jacobian(x, here).dense()[:, 0] == pytest.approx(column)
-
-
 def first_segments(m: Motion, count: int) -> Motion:
     """Return a recording with its first segments only."""
     table, inside = m.table[:count].copy(), np.zeros(len(m.time), dtype=bool)
     for first, last in table[:, :2].astype(int):
         inside[first:last] = True
     return replace(m, table=table, seen=m.seen[:count], inside=inside)
-
-
-def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    point = at_truth(motions[0], free=tuple(INDEX[n] for n in names))
-    held = point.weighted()
-    for shift in (-1e3, 1e3):
-        x = point.origin()
-        x[[2, 4]] += shift
-        assert np.all(point.parameters(x) >= 0.0)
-        assert np.all(np.isfinite(held.residuals(x)))
 
 
 @pytest.mark.parametrize("shift_ms", [-3.0, 0.5, 3.5])

@@ -15,7 +15,6 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from numba.core.caching import IndexDataCacheFile
 
 import drivers.mock.plant.parts.compiled
 import identification.numerics.compiled
@@ -69,32 +68,6 @@ def test_a_kernel_is_loaded_until_a_shared_source_changes(
     assert load().shifted.stats.cache_hits
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_a_person_who_waits_is_told_of_the_first_compilation(
-    load: Load,
-    terminal: bool,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
-    for _ in range(2):
-        load()
-    assert len(caplog.records) == terminal
-
-
-def test_a_full_disk_costs_a_compilation(
-    load: Load, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(*arguments: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
-    for _ in range(2):
-        load()
-    (record,) = caplog.records
-    assert "No space left on device" in record.getMessage()
-
-
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 @pytest.mark.parametrize("content", [b"", b"not a pickle"])
 def test_a_damaged_file_costs_a_compilation(
@@ -146,7 +119,6 @@ def test_kernels_of_the_estimator_contain_only_their_own_file_and_shared_folders
     kernels = 0
     for found in pkgutil.walk_packages(identification.__path__, "identification."):
         module = importlib.import_module(found.name)
-        assert module.__file__ is not None
         imported = {
             alias.asname or alias.name: node.module or ""
             for node in ast.parse(Path(module.__file__).read_text(encoding="utf-8")).body

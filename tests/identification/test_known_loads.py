@@ -16,24 +16,14 @@ from identification.export.model import CorrectedModel, predictions
 from identification.filter.segments import motion
 from identification.prepare import prepare
 from identification.recording import (
-    Array,
     Bench,
-    Controller,
     Dataset,
     Hoist,
     Model,
     Pendulum,
     Recording,
 )
-from identification.simulate.closed_loop import (
-    OPEN_LOOP,
-    Inputs,
-    body_of,
-    inputs_of,
-    loop_of,
-    simulate,
-)
-from identification.views.view import one_clock, run_starts, views
+from identification.views.view import views
 
 from .synthetic import TRUTH, sine
 
@@ -82,62 +72,10 @@ def test_the_likelihood_takes_the_hoisted_mass(
 ) -> None:
     bare = motion(practical_pair[0])
     hung = motion(replace(practical_pair[0], hoist=Hoist(2.0, 0.3), constant_torque=0.5))
-    assert bare is not None
-    assert hung is not None
     assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
     assert bare.torque - hung.torque == pytest.approx(
         np.full(len(bare.torque), 2.0 * G * 0.3 - 0.5)
     )
-
-
-def test_a_free_joint_falls_as_the_mass_pulls() -> None:
-    time = np.linspace(0.0, 0.5, 501)
-    none = np.zeros(501)
-    r = Recording("falls", {"time": time, "angle": none}, Bench(), hoist=Hoist(2.0, 0.1))
-    body = body_of({"J": 0.03}, r, 2.0)
-    out = simulate(body, OPEN_LOOP, Inputs(time, none, none + 1.0, none, none), 0.0, 0.0)
-    assert out.velocity == pytest.approx(-2.0 * G * 0.1 / (0.03 + 0.02) * time, abs=1e-9)
-
-
-def test_the_gear_bears_the_hoisted_mass() -> None:
-    """At rest the joint holds as much as friction that grows with the load allows."""
-    time = np.linspace(0.0, 1.0, 1001)
-    none = np.zeros(1001)
-    r = Recording(
-        "held",
-        {"time": time, "angle": none, "command": none},
-        Bench(),
-        hoist=Hoist(2.0, 0.1),
-        controller=Controller("torque", 1e-6),
-    )
-    assert r.controller is not None
-    held, slips = (
-        simulate(
-            body_of({"J": 0.1, "mu_gc": mu, "mu_gs": mu}, r, 2.0),
-            loop_of(r.controller, r),
-            inputs_of(r),
-            0.0,
-            0.0,
-        )
-        for mu in (1.01, 0.9)
-    )
-    assert np.all(held.velocity == 0.0)
-    assert slips.velocity[-1] < -0.1
-
-
-def stamped(first: float, start: float | None) -> Recording:
-    time: Array = first + np.arange(1000) * 0.01
-    return Recording("r", {"time": time, "angle": time, "torque": time}, Bench(), start=start)
-
-
-def test_a_declared_start_sets_the_clock_whatever_the_stamps_say() -> None:
-    late, early = stamped(0.0, 600.0), stamped(0.0, 0.0)
-    assert one_clock([late, early])
-    assert run_starts([late, early]) == [600.0, 0.0]
-    unknown = [stamped(0.0, None), stamped(0.0, None)]
-    assert not one_clock(unknown)
-    assert run_starts(unknown) == [0.0, 0.0]
-    assert views([late, early], 10.0)[0].run_time[0] == pytest.approx(600.0)
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,6 @@ def test_friction_that_grows_with_a_pendulums_torque_is_recovered() -> None:
     for name in ("Mc", "Ms", "omega_sf", "sigma_2", "mu_gc", "mu_gs"):
         parameter = found.parameters[name]
         assert parameter.value == pytest.approx(GEAR[name], rel=0.05), name
-        assert parameter.low is not None
         assert parameter.high is not None
         assert parameter.low < parameter.high
     assert found.fit.train_rms == pytest.approx(0.05, rel=0.2)
@@ -67,7 +66,6 @@ def test_the_ladder_ranks_the_rung_that_made_the_data_first_on_another_mass() ->
     }
     best = rungs["stribeck_load_dependent"]
     assert best.best == 1.0
-    assert best.scored is not None
     assert best.scored.value == pytest.approx(0.05, rel=0.2)
     assert best.scored.low <= best.scored.value <= best.scored.high
     assert sum(r.best for r in rungs.values()) == pytest.approx(1.0)
@@ -77,18 +75,6 @@ def test_the_ladder_ranks_the_rung_that_made_the_data_first_on_another_mass() ->
         for n, r in rungs.items()
         if r is not best
     )
-
-
-def test_recordings_with_and_without_a_pendulum_go_together() -> None:
-    """Only the ones with it show mu_gc and mu_gs."""
-    mixed = Dataset((loaded_gear(12.0), sine(name="free", rate=200.0)))
-    (best,) = [
-        rung
-        for rung in climb(mixed, bandwidth_Hz=100.0, rng=np.random.default_rng(2), replicates=2)
-        if rung.friction == "stribeck_load_dependent"
-    ]
-    assert best.scored is None
-    assert best.result.fitted["mu_gc"] == pytest.approx(GEAR["mu_gc"], rel=0.05)
 
 
 def test_rungs_that_bear_a_load_need_one() -> None:

@@ -98,31 +98,6 @@ def test_without_friction_it_agrees_with_a_library_on_a_driven_pendulum() -> Non
     assert np.max(np.abs(finer.angle - truth.y[0])) < 0.2 * np.max(np.abs(out.angle - truth.y[0]))
 
 
-def test_friction_under_a_load_is_felt_and_energy_only_falls() -> None:
-    """A free pendulum with load-dependent friction: it comes to rest sooner than without, and never
-    gains energy.
-    """
-    time = np.linspace(0.0, 4.0, 4001)
-    r = recording(Pendulum(0.4, 0.1), time=time)
-    energies = []
-    for mu in (0.0, 0.1):
-        values = {"J": 0.002, "mu_gc": mu, "mu_gs": 2.0 * mu, "omega_sf": 0.5, "Mc": 1e-3}
-        out = simulate(body_of(values, r, 2.0), OPEN_LOOP, inputs(time), 1.5, 0.0)
-        energy = 0.5 * (0.002 + 0.004) * out.velocity**2 - 0.4 * 9.80665 * 0.1 * np.cos(out.angle)
-        energies.append(energy)
-    assert energies[1][-1] < energies[0][-1]
-    assert np.max(np.diff(energies[1])) < 1e-4 * np.ptp(energies[1])
-
-
-def test_stick_slip_of_a_soft_loop_hardly_depends_on_the_step() -> None:
-    time = np.linspace(0.0, 5.0, 5001)
-    command = 0.35 * np.sin(0.4 * math.pi * time)
-    r = recording(controller=Controller("torque", 400.0, 10.0), time=time, command=command)
-    coarse, fine = (replay(r, TRUTH, 2.0, step) for step in (2.5e-4, 2.5e-5))
-    assert np.sum(np.diff((coarse.velocity != 0.0).astype(int)) > 0) >= 2
-    assert np.sqrt(np.mean((coarse.angle - fine.angle) ** 2)) < 1e-4
-
-
 def test_the_controller_saturates_and_the_motor_brakes_itself() -> None:
     time = np.linspace(0.0, 5.0, 501)
     bench = Bench(torque_constant=0.5, back_emf_constant=0.5, resistance=4.0)

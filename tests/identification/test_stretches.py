@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.filter.kalman import TORQUE_RATE
-from identification.filter.segments import RISING, Motion, motion
+from identification.filter.segments import Motion, motion
 from identification.recording import Recording
 
 from .practical import simulated
@@ -45,22 +44,6 @@ def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, R
         assert truth["velocity"][int(first) - 1] == 0.0
         assert rise > 0.0
         assert first <= seen < last
-
-
-def test_the_rise_is_that_of_the_torque_before_the_breakaway(free: Motion) -> None:
-    half = RISING // 2
-    for (_, _, side, rise), seen in zip(free.table, free.seen.astype(int), strict=True):
-        halves = free.torque[seen - 2 * half : seen - half], free.torque[seen - half : seen]
-        chord = (
-            side * float(np.mean(halves[1]) - np.mean(halves[0])) / (half * free.recording.period)
-        )
-        assert rise == pytest.approx(chord, rel=0.35)
-
-
-def test_stretches_do_not_overlap_and_mark_what_is_inside(free: Motion) -> None:
-    edges = free.table[:, :2].astype(int)
-    assert np.all(edges[1:, 0] >= edges[:-1, 1])
-    assert np.sum(free.inside) == np.sum(edges[:, 1] - edges[:, 0])
 
 
 @pytest.mark.parametrize(("case", "weight"), [(0, 0.0), (1, 30.6)])
@@ -113,42 +96,6 @@ def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
     assert motion(swap(recording, time=jitter)) is None
 
 
-def test_a_single_breakaway_is_not_enough(practical_pair: tuple[Recording, Recording]) -> None:
-    recording = practical_pair[0]
-    assert motion(swap_all(recording, slice(0, 1200))) is None
-
-
-def swap_all(recording: Recording, part: slice) -> Recording:
-    return replace(recording, channels={k: v[part] for k, v in recording.channels.items()})
-
-
 def test_strokes_alike_are_those_of_one_motion_either_way(free: Motion) -> None:
-    """The sine eases in and out: its first and its last stroke are like each other, and no other
-    like these.
-    """
     ends = np.isin(np.arange(len(free.table)), [0, len(free.table) - 1])
     assert np.array_equal(free.matching, ends[:, None] == ends)
-
-
-def test_a_stroke_unlike_all_others_has_all_of_them(free: Motion) -> None:
-    alike = replace(free, table=free.table[:-1]).matching
-    assert np.all(alike[0])
-    assert not np.any(alike[1:, 0])
-
-
-def test_strokes_of_two_amplitudes_are_not_alike(free: Motion) -> None:
-    first = free.table[1:-1, 0].astype(int)
-    angle = free.angle.copy()
-    half = first[len(first) // 2]
-    angle[half:] = angle[half] + 0.8 * (angle[half:] - angle[half])
-    alike = replace(free, angle=angle, table=free.table[1:-1]).matching
-    fewer = first >= half
-    assert np.array_equal(alike, fewer[:, None] == fewer)
-
-
-def test_a_torque_that_falls_before_every_breakaway_has_no_rate_of_rise(
-    practical_pair: tuple[Recording, Recording],
-) -> None:
-    recording = practical_pair[1]
-    found = motion_of(swap(recording, current=-recording.channels["current"]))
-    assert np.all(np.isinf(found.table[:, TORQUE_RATE]))

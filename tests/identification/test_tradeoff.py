@@ -66,16 +66,3 @@ def test_what_does_not_trade_off_is_not_told() -> None:
     assert tradeoffs(independent, TRUTH, UNITS_ROTARY) == ()
     line = least_pinned(independent, TRUTH)
     assert line.startswith("least determined is J alone: relative standard deviation 4.9 %")
-
-
-def test_least_pinned_names_what_moves_together() -> None:
-    moves = np.array([[0.1 * TRUTH["mu_s"]], [-0.2 * TRUTH["omega_sL"]]])
-    found = Spread(("mu_s", "omega_sL"), moves @ moves.T + np.diag([1e-12, 1e-12]), math.inf)
-    assert "a joint change of omega_sL by +1 % and mu_s by -0.5 %:" in least_pinned(found, TRUTH)
-
-
-def test_unknown_and_exact_parameters_take_no_part() -> None:
-    found = Spread(("Mc", "J"), np.diag([math.inf, 0.0]), 5.0)
-    assert tradeoffs(found, TRUTH, UNITS_ROTARY) == ()
-    assert least_pinned(found, TRUTH) == ""
-    assert least_pinned(Spread((), np.zeros((0, 0)), math.inf), TRUTH) == ""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ VISCOUS = {"coefficient_Nms_rad": 0.4}
 
 @pytest.fixture(scope="module")
 def lopsided() -> tuple[Recording, ...]:
-    return campaign({"asymmetric_viscous": VISCOUS}, 2)
+    return campaign({"asymmetric_viscous": VISCOUS}, 2, 6.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +62,6 @@ def test_on_white_noise_they_name_what_is_there_and_nothing_else(method: Method)
     assert method(made({"effect 3": 12.0, "effect 7": -30.0})) == ("effect 7", "effect 3")
 
 
-@pytest.mark.parametrize("method", [greedy_bic, sparse])
-def test_what_has_an_unphysical_sign_is_not_named(method: Method) -> None:
-    assert method(made({"effect 3": 12.0, "effect 7": -30.0}, positive=(0,))) == ("effect 3",)
-
-
 def test_on_a_rig_they_see_what_the_search_sees(first: Joint) -> None:
     given = library(first, [e for e in MOTION if e.group in ("friction", "device")])
     assert np.allclose(np.einsum("fpp->p", given.gram), 1.0)
@@ -77,12 +71,10 @@ def test_on_a_rig_they_see_what_the_search_sees(first: Joint) -> None:
 
 def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: Joint) -> None:
     found = oracle(Dataset(lopsided), first, ["asymmetric_viscous"], 25.0)
-    assert found is not None
     assert found.equation == "torque"
     assert found.oracle_rms < 1.3 * found.noise_rms < 0.3 * found.baseline_rms
     assert found.remaining_strength["asymmetric_viscous"] > 3.0
     both = oracle(Dataset(lopsided), first, ["asymmetric_viscous", "torque_ripple"], 25.0)
-    assert both is not None
     assert both.remaining_strength["torque_ripple"] < 0.3  # which is not there
     assert both.remaining_strength["asymmetric_viscous"] == pytest.approx(
         found.remaining_strength["asymmetric_viscous"], rel=0.05
@@ -98,20 +90,3 @@ def test_without_recordings_set_aside_there_is_no_oracle(
 ) -> None:
     fitted = tuple(r for r in lopsided if r.role == "fit")
     assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None
-
-
-def test_without_a_row_of_a_recording_set_aside_there_is_no_oracle(
-    lopsided: tuple[Recording, ...],
-) -> None:
-    """The joint rests, and neither a joint encoder nor a voltage is recorded."""
-    kept = ("time", "motor_angle", "current")
-    bare = tuple(replace(r, channels={k: r.channels[k] for k in kept}) for r in lopsided)
-    still = tuple(
-        replace(r, channels={**r.channels, "motor_angle": np.zeros(len(r.channels["time"]))})
-        if r.role == "validate"
-        else r
-        for r in bare
-    )
-    first = nominal_fit(bare)
-    assert oracle(Dataset(bare), first, ["asymmetric_viscous"], 25.0) is not None
-    assert oracle(Dataset(still), first, ["asymmetric_viscous"], 25.0) is None

@@ -1,4 +1,4 @@
-"""How two fits are compared: by what they leave, and by their numbers of parameters."""
+"""How two fits are compared, and effects that these recordings do not distinguish."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.comparison import advantage, preference, simplest
+from identification.diagnosis.comparison import Contender, Round, advantage, preference, simplest
+from identification.diagnosis.held_out import with_indistinct_effects
 from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.search import Search
 from identification.effects import MOTION
+from identification.effects.motor import change_at_zero
 
 from .benches import honest, nominal_fit
 
@@ -53,18 +56,40 @@ def test_a_parameter_more_must_explain_more_than_chance(gain: float, sure: bool)
     assert simplest([richer, simple], [3, 2]) == (0 if sure else 1)
 
 
-def test_a_simpler_fit_is_not_surer_than_what_it_leaves() -> None:
-    """The price of the other fit's parameter is no evidence against it."""
-    simple, richer = left(DEAD_TIME, 0.0), left(STOP, 5.0)
-    assert preference(simple, richer) == advantage(simple, richer)
+@pytest.mark.parametrize(
+    ("name", "kept", "alias"),
+    [
+        ("presliding", "motor_angle", ("compliance", "coupling_hysteresis")),
+        ("presliding", "angle", ()),
+        ("asymmetric_coulomb", "motor_angle", ()),
+    ],
+)
+def test_a_spring_in_the_friction_and_a_twisted_shaft_are_alike_to_the_motors_encoder(
+    name: str, kept: str, alias: tuple[str, ...]
+) -> None:
+    dropped = {"motor_angle", "angle"} - {kept}
+    recordings = [
+        replace(r, channels={k: v for k, v in r.channels.items() if k not in dropped})
+        for r in honest()
+    ]
+    joint = nominal_fit(recordings)
+    shape = (5e3,) if name == "presliding" else ()
+    final = replace(joint, effects=(Added(TERM[name], shape, (1.0,)),))
+    tested = Contender("stribeck_shape", joint, 4.0, "")
+    found = Search(joint, final, (Round(name, (tested,)),), 1e-3, 1.0, "", ())
+    (taken,) = with_indistinct_effects(found, ()).rounds
+    assert tuple(r.name for r in taken.rivals) == ("stribeck_shape", *alias)
+    assert all(r.preference == 0.0 for r in taken.rivals if r.name in alias)
 
 
-def test_the_best_of_three_fits_is_the_one_with_the_best_corrected_criterion() -> None:
-    """The worst of three is not taken because it has the fewest parameters and the best fit, to
-    which it is compared, has the most.
-    """
-    two = Added(TERM["cogging"], (7.0,), (1.0, 1.0))
-    most = replace(left(STOP, 0.0), effects=(STOP, DEAD_TIME))
-    middle = left(two, 1.9 * log_rows())
-    fewest = left(Added(TERM["asymmetric_coulomb"], (), (1.0,)), 8.0 * log_rows())
-    assert simplest([most, middle, fewest], [5, 3, 1]) == 1
+@pytest.mark.parametrize(("samples", "alike"), [(2.0, False), (0.5, True)])
+def test_a_brush_drop_within_one_sample_may_be_a_dead_time(samples: float, alike: bool) -> None:
+    """Reached over as much current as changes within this number of samples."""
+    joint = nominal_fit(honest())
+    views = joint.equations[0].views
+    greatest_A = float(np.max(np.abs(views[0].recording.channels["current"])))
+    shape = (samples * change_at_zero(views) / greatest_A, 0.0, greatest_A)
+    final = replace(joint, effects=(Added(TERM["brush_drop"], shape, (0.5,)),))
+    found = Search(joint, final, (Round("brush_drop", ()),), 1e-3, 1.0, "", ())
+    (taken,) = with_indistinct_effects(found, ()).rounds
+    assert [r.name for r in taken.rivals] == ["inverter_dead_time"] * alike

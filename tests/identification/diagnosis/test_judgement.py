@@ -13,8 +13,7 @@ from identification.diagnosis import unexplained as unexplained_module
 from identification.diagnosis.comparison import Round
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.judgement import Judged, effects_of, verdict_of
-from identification.diagnosis.reasons import Kind, Reason
-from identification.diagnosis.result import Step, Verdict
+from identification.diagnosis.result import Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import Search
 from identification.diagnosis.unexplained import unexplained, unexplained_equations
@@ -111,24 +110,6 @@ def test_a_pattern_within_the_noise_without_a_name_is_nothing_missing(
     assert verdict(replace(search, baseline=alone, final=alone, rounds=())) is expected
 
 
-def test_effects_are_listed_as_the_search_came_upon_them() -> None:
-    """What takes another's place later, as a loop a gap's, stands last in the fit and is no less
-    important for that.
-    """
-    search = found(1.0)
-    second = next(t for t in MOTION if t.name == "asymmetric_viscous")
-    first = search.final.effects[0]
-    views = search.final.equations[0].views
-    both = fit(
-        views, "N m", search.final.nominal, (Added(second, (), (0.0,)), first), search.baseline
-    )
-    listed = replace(search, final=both, rounds=(Round(NAME, ()), Round(second.name, ())))
-    assert [e.term.name for e in both.effects] == [second.name, NAME]
-    effects = effects_of(listed, np.random.default_rng(0))
-    assert [e.name for e in effects] == [NAME, second.name]
-    assert effects[0].parameters["torque_Nm"].value == pytest.approx(1.0, rel=0.05)
-
-
 def test_an_effect_that_took_anothers_place_must_explain_the_mismatch_too() -> None:
     search = found(1.0)
     term = next(t for t in MOTION if t.name == "cogging")
@@ -167,58 +148,13 @@ def test_effects_that_explain_enough_are_outside_the_catalogue_with_the_right_re
     assert all("since the last reversal" in t and "are needed" not in t for t in texts)
 
 
-def test_a_dropped_effect_that_was_not_allowed_gives_the_reason() -> None:
-    """The remaining effect explains enough, but those before it did not."""
-    search = found(1.0)
-    term = next(t for t in MOTION if t.name == "cogging")
-    views = search.final.equations[0].views
-    little = fit(views, "N m", search.final.nominal, (Added(term, (7.0,), ()),), search.baseline)
-    before = replace(search, final=little, rounds=(Round("cogging", ()),))
-    judged = verdict_of(search, np.random.default_rng(0), before)
-    assert judged.verdict is Verdict.OUTSIDE_CATALOGUE
-    (text,) = texts_of(judged)
-    assert text.startswith("effects of the catalogue explain only")
-    assert "cogging" in text
-    assert "needs at least 70 %" in text
-
-
-def test_a_search_without_effects_says_why_its_best_candidate_was_not_accepted() -> None:
-    search = found(1.0)
-    stop = Step("stop", "deadband", 1e-3, 5.0, "fits only with nominal parameters outside limits")
-    alone = replace(search, final=replace(search.baseline, effects=()), rounds=(), steps=(stop,))
-    texts = texts_of(verdict_of(alone, np.random.default_rng(0)))
-    assert texts == (
-        "the best candidate of the catalogue, deadband, fits only with nominal parameters outside "
-        "limits",
-    )
-
-
-@pytest.mark.parametrize(
-    ("kind", "names", "expected"),
-    [
-        (Kind.ONE_DIRECTION, (NAME,), "a different size in each direction of motion"),
-        (Kind.CANCELLING, (NAME, "cogging"), "asymmetric Coulomb and cogging would explain"),
-        (Kind.INFEASIBLE, (NAME,), "asymmetric Coulomb would explain the mismatch only with"),
-        (Kind.TOO_LITTLE, (NAME,), "needs at least 70 %"),
-        (Kind.REVERSALS, (NAME,), "since the last reversal"),
-    ],
-)
-def test_every_reason_is_told(kind: Kind, names: tuple[str, ...], expected: str) -> None:
-    reason = Reason(kind, found(1.0), names)
-    judged = Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason)
-    (text,) = texts_of(judged)
-    assert expected in text
-
-
 @pytest.mark.parametrize(
     ("times_noise", "between", "counts"), [(2.5, 0.5, True), (2.5, 2.0, False), (3.5, 9.0, True)]
 )
 def test_a_voltage_mismatch_that_unlogged_voltages_may_cause_does_not_count(
     monkeypatch: pytest.MonkeyPatch, times_noise: float, between: float, counts: bool
 ) -> None:
-    """Voltages between the samples may cause so many times the mismatch; but never three times the
-    noise.
-    """
+    """Voltages between the samples may cause so many times the mismatch."""
     joint = replace(found(1.0).final, effects=())
     (voltage,) = (e for e in joint.equations if e.name == "voltage")
     part = joint.stack.part("voltage")
@@ -236,36 +172,3 @@ def test_a_voltage_mismatch_that_unlogged_voltages_may_cause_does_not_count(
     assert settled.verdict is (Verdict.OUTSIDE_CATALOGUE if counts else Verdict.NOTHING_MISSING)
     said = [t for t in texts_of(settled) if f"may cause about {bound_V:.3g} V rms" in t]
     assert bool(said) is not counts
-
-
-def test_values_between_the_samples_excuse_no_mismatch_of_the_torque(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    joint = replace(found(1.0).final, effects=())
-    (torque,) = (e for e in joint.equations if e.name == "torque")
-    residual = np.sign(np.sin(np.arange(len(joint.residual))))
-    residual[joint.stack.part("torque")] *= 2.5 * np.sqrt(torque.allowed())
-    alone = replace(joint, residual=residual)
-    search = replace(found(1.0), baseline=alone, final=alone, rounds=())
-    monkeypatch.setattr(judgement, "between_samples", lambda _views: 10.0 * torque.sigma)
-    judged = verdict_of(search, np.random.default_rng(0))
-    assert judgement.without_unlogged(judged, search).verdict is Verdict.OUTSIDE_CATALOGUE
-
-
-@pytest.mark.parametrize(
-    ("action", "expected"),
-    [
-        ("stop", "the best candidate of the catalogue, deadband, fits"),
-        ("remove", "the last effect that was removed again, deadband, fits"),
-        ("drop", None),
-        (None, "no effect of the catalogue resembles the mismatch"),
-    ],
-)
-def test_a_search_without_effects_says_how_it_ended(
-    action: str | None, expected: str | None
-) -> None:
-    steps = () if action is None else (Step(action, "deadband", None, 0.0, "fits"),)
-    search = replace(found(1.0), rounds=(), steps=steps)
-    reason = Reason(Kind.NO_EFFECT, search)
-    texts = texts_of(Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason))
-    assert texts == (() if expected is None else (expected,))

@@ -63,42 +63,12 @@ def reason(effect: Added, change: Callable[[View], View]) -> str:
     return implausible(replace(joint, effects=(effect,), equations=equations))
 
 
-def slow(view: View, supply_V: float | None, current: float = 1.0) -> View:
-    """Return a view with a tenth of the voltage, and a supply voltage."""
-    return replace(
-        view,
-        voltage=None if view.voltage is None else 0.1 * view.voltage,
-        current=None if view.current is None else current * view.current,
-        supply=None if supply_V is None else np.full(len(view.time), supply_V),
-    )
-
-
 def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> None:
     """On a travel of a tenth, ten times the slope changes the friction by as much."""
     effect = Added(TERM["load_position_dependence"], (), (4.0,))
     wide = reason(effect, lambda v: v)
     assert wide.startswith("slope_per_rad = 4, outside the plausible range")
     assert reason(effect, lambda v: scaled(v, travel=0.1)) == ""
-
-
-@pytest.mark.parametrize(("scale", "plausible"), [(1.0, False), (10.0, True)])
-def test_the_plausible_mass_grows_with_the_weights_of_the_bench(
-    scale: float, plausible: bool
-) -> None:
-    term = TERM["wrong_weight"].modified(read=lambda *_: {"mass_kg": 300.0})
-
-    def heavy(view: View) -> View:
-        mass = scale * view.recording.weight_mass
-        return replace(view, recording=replace(view.recording, weight_mass=mass))
-
-    assert (reason(Added(term, (2.0,), (0.5,)), heavy) == "") == plausible
-
-
-@pytest.mark.parametrize("recorded", [True, False])
-def test_the_plausible_sag_grows_with_the_recorded_supply(recorded: bool) -> None:
-    """A motion that needs a tenth of the supply voltage has the same supply as a fast motion."""
-    effect = Added(TERM["supply_sag"], (), (20.0,))
-    assert (reason(effect, lambda v: slow(v, 480.0 if recorded else None)) == "") is recorded
 
 
 @pytest.mark.parametrize(
@@ -118,11 +88,3 @@ def test_friction_of_half_the_greatest_torque_is_plausible(
 
     effect = Added(TERM[name], (), (share * 40.0 / 0.5**power,))
     assert (reason(effect, fast) == "") is plausible
-
-
-@pytest.mark.parametrize("supply_V", [None, 480.0])
-def test_the_plausible_heating_does_not_follow_the_supply(supply_V: float | None) -> None:
-    """A supply far above the voltage of a slow motion heats the winding no more."""
-    starts = (0.0,) * (len(nominal_fit(honest()).views) - 1)
-    effect = Added(TERM["winding_heating"], (60.0, 4.0, 0.0), (100.0, *starts))
-    assert reason(effect, lambda v: slow(v, supply_V, 0.1)) == ""

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from identification.diagnosis import diagnose
 from identification.diagnosis.held_out import DROPPED
 from identification.diagnosis.result import Step, Verdict
-from identification.diagnosis.rules import RULES
 from identification.effects import EFFECTS, MOTION
 from identification.recording import RecordingError
 
@@ -60,38 +58,27 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Any:
     return searched
 
 
-@pytest.mark.parametrize("verdict", [NAMED, Verdict.AMBIGUOUS, Verdict.NOTHING_MISSING])
-def test_another_verdict_ends_the_searches(run: Any, verdict: Verdict) -> None:
-    assert run([(verdict, "a")]) == (("abcd", False), [("abcd", False)])
-
-
-def test_dropped_effects_take_no_part_in_the_next_search(run: Any) -> None:
-    counted, asked = run([(OUTSIDE, "b"), (NAMED, "")])
-    assert asked == [("abcd", False), ("acd", False)]
-    assert counted == ("acd", False)
-
-
-def test_the_number_of_further_searches_is_limited(run: Any) -> None:
-    drops = [(OUTSIDE, name) for name in "abcd"]
-    counted, asked = run(drops[: 1 + RULES.further_searches])
-    plain = [names for names, thorough in asked if not thorough]
-    assert plain == ["abcd", "bcd", "cd"][: 1 + RULES.further_searches]
-    assert counted == ("abcd", False)
-
-
-def test_without_a_dropped_effect_effects_without_a_score_are_fitted(run: Any) -> None:
-    counted, asked = run([(OUTSIDE, "")], final=NAMED)
-    assert asked == [("abcd", False), ("abcd", True)]
-    assert counted == ("abcd", True)
-
-
-def test_effects_without_a_score_must_explain_nearly_all(run: Any) -> None:
-    assert run([(OUTSIDE, "")], final=NAMED, nearly_all=False)[0] == ("abcd", False)
-
-
-def test_a_search_that_ends_with_nothing_missing_does_not_count_after_one_outside(run: Any) -> None:
-    assert run([(OUTSIDE, "b"), (Verdict.NOTHING_MISSING, "")])[0] == ("abcd", False)
-    assert run([(OUTSIDE, "")], final=Verdict.NOTHING_MISSING)[0] == ("abcd", False)
+@pytest.mark.parametrize(
+    ("script", "options", "counted", "asked"),
+    [
+        *(
+            ([(verdict, "a")], {}, ("abcd", False), ["abcd"])
+            for verdict in (NAMED, Verdict.AMBIGUOUS, Verdict.NOTHING_MISSING)
+        ),
+        ([(OUTSIDE, "b"), (NAMED, "")], {}, ("acd", False), ["abcd", "acd"]),
+        ([(OUTSIDE, "b"), (Verdict.NOTHING_MISSING, "")], {}, ("abcd", False), ["abcd", "acd"]),
+        ([(OUTSIDE, n) for n in "abc"], {}, ("abcd", False), ["abcd", "bcd", "cd"]),
+        ([(OUTSIDE, "")], {"final": NAMED}, ("abcd", True), ["abcd"]),
+        ([(OUTSIDE, "")], {"final": NAMED, "nearly_all": False}, ("abcd", False), ["abcd"]),
+        ([(OUTSIDE, "")], {"final": Verdict.NOTHING_MISSING}, ("abcd", False), ["abcd"]),
+    ],
+)
+def test_dropped_effects_take_no_part_in_the_next_search_and_only_a_name_replaces_the_first(
+    run: Any, script: Any, options: Any, counted: Any, asked: list[str]
+) -> None:
+    found, searches = run(script, **options)
+    assert found == counted
+    assert [names for names, thorough in searches if not thorough] == asked
 
 
 @pytest.mark.parametrize("moves", [True, False])
@@ -122,17 +109,3 @@ def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
     side = "valve" if moves else "motor"
     assert (here, found.side, flexible) == (side, side, moves)
     assert sides == [("motor", True), (side, False)]
-
-
-@pytest.mark.parametrize(
-    ("name", "twist", "stated"),
-    [("backlash", 0.0, True), ("backlash", 0.1, False), ("cogging", 0.0, False)],
-)
-def test_friction_fitted_to_the_motor_behind_a_still_valve_is_stated(
-    name: str, twist: float, stated: bool
-) -> None:
-    final = SimpleNamespace(effects=[SimpleNamespace(term=EFFECTS[name])])
-    found: Any = SimpleNamespace(final=final)
-    views: Any = [SimpleNamespace(twist=np.full(3, twist))]
-    texts = diagnose._still_valve(found, views)
-    assert [t.startswith("the valve moves too little") for t in texts] == [True] * stated

@@ -9,11 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.result import ResidualTrace
 from identification.diagnosis.significance import (
-    crowded_recordings,
     rests_under_torque,
-    shortest,
 )
 from identification.recording import Recording
 from identification.views.view import View, views
@@ -59,23 +56,3 @@ def test_what_friction_holds_is_not_told(recordings: tuple[Recording, ...]) -> N
     heaviest = max(range(len(recordings)), key=lambda k: recordings[k].contact_force)
     changed = tuple(held(r, 150.0) if k == heaviest else r for k, r in enumerate(recordings))
     assert rests_under_torque(seen(changed), "N m") == ()
-
-
-def trace(name: str, after: np.ndarray) -> ResidualTrace:
-    time = 0.1 * np.arange(len(after))
-    return ResidualTrace(name, "fit", "torque", "N m", time, after, after)
-
-
-def test_most_of_what_is_left_lies_in_one_recording_and_a_second_of_it() -> None:
-    rng = np.random.default_rng(2)
-    plain = [trace(f"r{k}", rng.standard_normal(100)) for k in range(5)]
-    assert crowded_recordings(plain) == ()
-    loud = rng.standard_normal(100) + np.where(
-        (np.arange(100) >= 40) & (np.arange(100) < 50), 10.0, 0.0
-    )
-    (line,) = crowded_recordings([*plain, trace("loud", loud)])
-    assert line.startswith("loud: ")
-    assert "of the remaining torque mismatch" in line
-    first, last = shortest(0.1 * np.arange(100), loud**2)
-    assert first == pytest.approx(4.0, abs=0.25)
-    assert last == pytest.approx(4.9, abs=0.25)

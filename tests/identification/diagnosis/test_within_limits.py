@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.rows import equations
-from identification.diagnosis.within_limits import cross_validation_residual, within_limits
+from identification.diagnosis.within_limits import within_limits
 from identification.effects import MOTION
 from identification.recording import Array, Recording
 from identification.views.nominal import Nominal
@@ -19,7 +19,6 @@ from identification.views.view import View, views
 
 from .benches import campaign, nominal_fit
 
-DRAG = {"quadratic_drag": {"coefficient_Nms2_rad2": 6.0}}
 TERM = {t.name: t for t in MOTION}
 
 
@@ -96,34 +95,6 @@ def test_of_constants_that_cannot_be_told_apart_the_least_are_taken() -> None:
     assert found.get("Mc") < 20.0
     assert abs(found.get("offset")) < 20.0
     assert found.get("Mc") + found.get("offset") == pytest.approx(start.get("Mc"), rel=0.1)
-
-
-def test_an_effect_keeps_its_size_within_limits() -> None:
-    there = views(campaign(DRAG, 12, 6.0)[:2], 25.0)
-    effect = Added(TERM["quadratic_drag"], (), (0.0,))
-    start = nominal_fit(recordings()[:2]).nominal
-    found = within_limits(fit(there, "N m", start, (effect,)))
-    assert found.effects[0].coefficients[0] == pytest.approx(6.0, rel=0.1)
-    torque = found.stack.part("torque")
-    assert float(np.mean(found.residual[torque] ** 2)) < 1.3
-    # What is sought next starts from what neither constants nor effects can take up.
-    again = found.stack.projected(found.stack.residual[:, None])[:, 0]
-    np.testing.assert_allclose(again, found.stack.residual, atol=1e-9)
-    assert found.stack.term(TERM["quadratic_drag"], ()) is None
-
-
-def test_each_part_is_predicted_from_the_others() -> None:
-    joint = nominal_fit(recordings()[:2])
-    bounded = within_limits(joint)
-    owner = np.concatenate([e.owner for e in bounded.stack.equations])
-    left = cross_validation_residual(bounded, owner)
-    # As good as on the rows fitted, up to what a fit of half of them costs; never better in all.
-    assert float(left @ left) > bounded.cost
-    assert float(left @ left) < 1.2 * bounded.cost
-    # In a part that is all there is nothing is fitted: all of its torque is left.
-    alone = cross_validation_residual(bounded, np.zeros(len(owner)))
-    torque = bounded.stack.part("torque")
-    assert float(np.mean(alone[torque] ** 2)) > 100.0
 
 
 @pytest.mark.parametrize("averaged", [False, True])

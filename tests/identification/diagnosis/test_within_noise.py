@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.joint import Joint
-from identification.diagnosis.rows import between_samples, least_noise
+from identification.diagnosis.rows import between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.search import missing_test
 from identification.diagnosis.significance import beyond_noise, size_p_value
@@ -19,8 +19,6 @@ from identification.effects import MOTION
 from identification.effects.effect import Context
 from identification.estimate.equation_error import LEAST_MOTION, common_bandwidth, samples_in_motion
 from identification.prepare import default_bandwidth, prepare
-from identification.signals import quantum
-from identification.views.view import View
 from tests.identification.synthetic import sine
 
 from .benches import honest, nominal_fit
@@ -80,17 +78,6 @@ def test_a_recording_is_judged_by_its_own_noise(joint: Joint) -> None:
     assert size_p_value(told) > 0.5
 
 
-def test_the_noise_of_each_recording_is_estimated() -> None:
-    first, *others = (r for r in honest() if r.role == "fit")
-    rng = np.random.default_rng(0)
-    current = first.channels["current"] + 0.3 * rng.standard_normal(len(first.channels["current"]))
-    noisy = replace(first, channels={**first.channels, "current": current})
-    torque = nominal_fit([noisy, *others]).equations[0]
-    own = [torque.own[v.index] for v in torque.views]
-    assert own[0] > 4.0
-    assert max(own[1:]) < 1.5
-
-
 @pytest.mark.parametrize(("power", "missing"), [(0.9, False), (1.3, True)])
 def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     joint: Joint, power: float, missing: bool
@@ -105,21 +92,6 @@ def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     rows = rows + pattern * math.sqrt(0.5 * power / float(np.mean(pattern**2)))
     found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
     assert (missing_test(found, [term], np.random.default_rng(0)).p_value <= RULES.level) is missing
-
-
-def test_the_transmissions_noise_has_the_rounding_of_both_encoders(joint: Joint) -> None:
-    def rounded(view: View) -> View:
-        channels = view.recording.channels
-        motor = np.floor(channels["motor_angle"] / COUNT_RAD) * COUNT_RAD
-        return replace(
-            view, recording=replace(view.recording, channels={**channels, "motor_angle": motor})
-        )
-
-    transmission = next(e for e in joint.equations if e.name == "transmission")
-    found = least_noise(replace(transmission, views=tuple(map(rounded, transmission.views))))
-    step = quantum(transmission.views[0].recording.channels["angle"])
-    assert found == pytest.approx(math.hypot(step, COUNT_RAD / 100.0) / math.sqrt(12.0), rel=0.01)
-    assert found > 1.3 * least_noise(transmission)
 
 
 @pytest.mark.parametrize("frequency_Hz", [2.0, 4.0, 6.0])
@@ -163,9 +135,7 @@ def test_what_the_best_sensor_may_read_wrong_is_within_the_noise(
 def test_values_between_the_samples_are_unknown_unless_means_are_logged(
     channel: str, averaged: bool
 ) -> None:
-    """A voltage that changes by 2 V from sample to sample is unknown by 2 V / sqrt(12); a current,
-    by as much times the resistance.
-    """
+    """A voltage that changes by 2 V from sample to sample is unknown by 2 V / sqrt(12)."""
     voltage = next(e for e in nominal_fit(honest()).equations if e.name == "voltage")
     declared = {"voltage", "current"} - (set() if averaged else {channel})
     swung = [
@@ -177,7 +147,6 @@ def test_values_between_the_samples_are_unknown_unless_means_are_logged(
         for v in voltage.views
     ]
     ohm = swung[0].recording.bench.resistance
-    assert ohm is not None
     change_V = 2.0 * (ohm if channel == "current" else 1.0)
     expected = 0.0 if averaged else change_V / math.sqrt(12.0)
     assert between_samples(swung) == pytest.approx(expected, rel=1e-3)
