@@ -310,7 +310,7 @@ def _state(file: Path) -> str:
 def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tuple[Cell, bool]:
     """Do a cell."""
     at_start = column in STARTS
-    must = STARTS[column][2] if at_start else COLUMNS[column].must(bench.transport, phase)
+    must = STARTS[column][2] if at_start else COLUMNS[column].required(bench.transport, phase)
     scene = started(column, phase, bench, folder, disk)
     try:
         reach(scene)
