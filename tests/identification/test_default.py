@@ -1,4 +1,4 @@
-"""The default method from end to end: recovery, refusals, bookkeeping."""
+"""The default method from end to end: recovery, refusals, lost samples, pieces."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from functools import partial
 import numpy as np
 import pytest
 
+from identification.estimate import default
 from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.paper_method import identify_paper
 from identification.estimate.refinement import refine_recordings, refusal
 from identification.estimate.searches import refine_stages
 from identification.filter.segments import motion
-from identification.prepare import prepare
-from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.prepare import evened, prepare, resting
+from identification.recording import Array, Bench, Dataset, Model, Recording, RecordingError
 from identification.result import AcceptanceLimits, Identification
+from identification.signals import quantum
 
 from .practical import beginning, logged, simulated, with_ripple
-from .synthetic import TRUTH, sine
+from .synthetic import SYSTEM, TRUTH, sine
 
-SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
 TRUTH_SYSTEM = {name: TRUTH[name] for name in SYSTEM}
 
 
@@ -191,3 +192,135 @@ def test_what_cannot_be_fitted_is_refused_with_what_is_missing(
 ) -> None:
     with pytest.raises(RecordingError, match=key):
         method(Dataset((recording,)), rng=np.random.default_rng(0))
+
+
+@pytest.fixture
+def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(default, "PIECE_SAMPLES", 7000)
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Recording]) -> None:
+    for recording in practical_pair:
+        parts = default.pieces(recording)
+        assert len(parts) > 1
+        for name, values in recording.channels.items():
+            assert np.array_equal(np.concatenate([p.channels[name] for p in parts]), values)
+            assert all(np.shares_memory(p.channels[name], values) for p in parts)
+        still = resting(recording.channels["motor_angle"])
+        cuts = np.cumsum([len(p.time) for p in parts])[:-1]
+        assert np.all(still[cuts])
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_pieces_give_what_the_whole_gives(
+    practical_pair: tuple[Recording, Recording], practical_result: Identification
+) -> None:
+    whole, parts = practical_result, default.identify_long(Dataset(practical_pair))
+    assert parts.warnings == ()
+    assert [s.method for s in parts.stages] == [s.method for s in whole.stages]
+    for name, p in whole.parameters.items():
+        q = parts.parameters[name]
+        assert p.value is not None
+        assert p.low is not None
+        assert p.high is not None
+        if name == "J":  # found on the first pieces alone
+            assert abs(q.value - p.value) < 0.5 * (q.high - q.low)
+            continue
+        # Two estimates of one value: least squares beside the inertia on the whole, instruments on
+        # the pieces.
+        assert abs(q.value - p.value) < 0.5 * (p.high - p.low), name
+        assert 0.6 < (q.high - q.low) / (p.high - p.low) < 1.7, name
+    assert list(parts.fits_by_recording) == ["unloaded", "loaded"]
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
+    parts = default.identify_long(Dataset((sine(duration=20.0),)), bandwidth_Hz=500.0)
+    assert "a quantised encoder" in parts.warnings[0]
+    assert parts.values() == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
+
+
+def test_the_path_follows_the_length(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[str] = []
+    monkeypatch.setattr(default, "identify", lambda *_a, **_k: taken.append("memory"))
+    monkeypatch.setattr(default, "identify_long", lambda *_a, **_k: taken.append("pieces"))
+    dataset = Dataset(practical_pair[:1])
+    default.identify_any_length(dataset)
+    monkeypatch.setattr(default, "LONG_SAMPLES", 1000)
+    default.identify_any_length(dataset)
+    aside = Dataset((replace(practical_pair[0], role="validate"),))
+    default.identify_any_length(aside)
+    assert taken == ["memory", "pieces", "memory"]
+
+
+STEP = 1e-4
+
+
+def recording(time: Array) -> Recording:
+    angle = np.floor(0.3 * np.sin(3.0 * time) / STEP) * STEP
+    return Recording("r", {"time": time, "angle": angle, "torque": np.cos(3.0 * time)}, Bench())
+
+
+def lost(whole: Recording, share: float, seed: int, hole: slice | None = None) -> Recording:
+    keep = np.random.default_rng(seed).uniform(size=len(whole.time)) > share
+    keep[0] = True
+    if hole is not None:
+        keep[hole] = False
+    return replace(whole, channels={name: values[keep] for name, values in whole.channels.items()})
+
+
+def test_even_recordings_are_left_alone() -> None:
+    whole = recording(1e-3 * np.arange(5000))
+    found = evened(whole)
+    assert found[0] is whole
+    assert not found[1].any()
+
+
+@pytest.mark.parametrize("ppm", [0.0, 37.0, -80.0])
+def test_lost_samples_are_filled_and_the_others_kept(ppm: float) -> None:
+    true = 1e-3 * (1.0 + 1e-6 * ppm) * np.arange(30_000)
+    whole = recording(np.round(true, 6))
+    found = evened(lost(whole, 0.02, 1))
+    assert found is not None
+    even, holes = found
+    assert not holes.any()
+    assert even.time == pytest.approx(true, abs=2e-6)
+    here = np.isin(np.arange(30_000), np.searchsorted(whole.time, lost(whole, 0.02, 1).time))
+    assert np.array_equal(even.channels["torque"][here], whole.channels["torque"][here])
+    assert np.max(np.abs(even.channels["angle"] - whole.channels["angle"])) < 1.5 * STEP
+    assert quantum(even.channels["angle"]) == pytest.approx(STEP)
+
+
+def test_long_holes_are_marked_and_their_stretch_is_left_out(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    whole = practical_pair[0]
+    holed = lost(whole, 0.0, 0, slice(7000, 7060))
+    found = evened(holed)
+    assert np.array_equal(np.flatnonzero(found[1]), np.arange(7000, 7060))
+    before, after = motion(whole), motion(holed)
+    assert len(after.table) == len(before.table) - 1
+
+
+def test_what_is_uneven_throughout_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    assert evened(recording(np.cumsum(1e-3 * rng.uniform(0.5, 1.5, 3000)))) is None
+    assert evened(lost(recording(1e-3 * np.arange(5000)), 0.3, 2)) is None
+
+
+@pytest.mark.proof
+def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    pair = [lost(r, 0.01, k) for k, r in enumerate(practical_pair)]
+    prepared = [prepare(r, 40.0) for r in pair]
+    before, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
+    assert abs(before["mu_s"] / TRUTH["mu_s"] - 1.0) > 0.5
+    result = identify(Dataset(tuple(pair)))
+    assert result.warnings == ()
+    for name, value in TRUTH.items():
+        limit = {"omega_sL": 0.03, "J": 0.01}.get(name, 0.004)
+        assert result.values()[name] == pytest.approx(value, rel=limit), name

@@ -1,6 +1,4 @@
-"""What a joint fit makes of starts far off, of falling friction, and of rows that are no
-equations.
-"""
+"""What a joint fit makes of starts far off, falling friction, and a second effect beside one."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.joint import Added, Joint, fit, with_lower_noise
 from identification.diagnosis.rows import noise, without_tones
 from identification.diagnosis.significance import size_p_value, trial_candidates
 from identification.diagnosis.stack import Candidate
@@ -208,3 +206,55 @@ def test_friction_of_the_rotor_does_not_twist_the_shaft() -> None:
     found = joint.stack.term(term, ())
     assert 1.0 / found.coefficients[0] == pytest.approx(stiffness, rel=0.01)
     assert found.coefficients[3] * stiffness == pytest.approx(friction, rel=0.02)
+
+
+def after(joint: Joint, *names: str) -> Joint:
+    """Fit effects one after another, the noise measured again after each."""
+    views, base, found = joint.equations[0].views, joint, joint
+    for name in names:
+        added = begun_with(found, name).effects[-1]
+        found = fit(views, "N m", found.nominal, (*found.effects, added), base)
+        base, found = with_lower_noise(base, found)
+    return found
+
+
+def test_what_swings_as_noise_does_is_no_noise_once_it_is_named() -> None:
+    cogs = {"torque_Nm": 2.3, "per_motor_turn": 7.0, "phase_rad": 1.0}
+    joint = nominal_fit(campaign({"cogging": cogs}, 31, 8.0))
+    named = after(joint, "cogging")
+    assert named.equations[0].sigma < 0.5 * joint.equations[0].sigma
+    assert named.equations[0].sigma == pytest.approx(
+        nominal_fit(honest()).equations[0].sigma, rel=0.2
+    )
+    assert power(named, "torque") < 1.2
+    own, before = named.equations[0].own, joint.equations[0].own
+    assert set(own) == set(before)
+    loudest = max(before, key=lambda index: before[index])
+    assert own[loudest] < 1.1 < 1.5 < before[loudest]
+
+
+def test_a_long_delay_leaves_nothing_that_another_effect_could_take_up() -> None:
+    joint = nominal_fit(campaign({"transport_delay": {"time_s": 0.012}}, 32, 8.0))
+    late = after(joint, "transport_delay")
+    assert late.effects[0].shape[0] == pytest.approx(0.012, rel=0.005)
+    assert power(late, "transmission") < 1.2
+    assert "torque" in TERM["transport_delay"].on_the_joint().columns
+
+
+def test_a_dead_time_steps_where_the_current_is_none_and_not_where_it_reads_none() -> None:
+    hidden = {"inverter_dead_time": {"voltage_V": 1.0}, "current_offset": {"current_A": 0.3}}
+    joint = nominal_fit(campaign(hidden, 33, 8.0))
+    sharp, rounded = (
+        after(joint, name, "current_offset") for name in ("inverter_dead_time", "brush_drop")
+    )
+    assert sharp.nominal.zero_A == pytest.approx(0.3, rel=0.02)
+    assert sharp.effects[0].shape[1] == pytest.approx(0.3, rel=0.02)
+    noise = [j.stack.equations[-1].sigma * math.sqrt(power(j, "voltage")) for j in (sharp, rounded)]
+    assert noise[0] < noise[1]
+
+
+def test_a_strong_ripple_leaves_nothing_of_its_own() -> None:
+    ripple = {"fraction": 0.14, "per_motor_turn": 2.0, "phase_rad": 1.0}
+    named = after(nominal_fit(campaign({"torque_ripple": ripple}, 34, 8.0)), "torque_ripple")
+    assert math.hypot(*named.effects[0].coefficients) == pytest.approx(0.14, rel=0.005)
+    assert power(named, "torque") < 1.2
