@@ -121,7 +121,7 @@ def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
 def test_a_belief_that_is_far_off_is_told() -> None:
     raised = tuple(
         replace(r, channels={**r.channels, "pressure": r.channels["pressure"] + 5e4})
-        for r in honest().recordings
+        for r in honest().recordings[:2]
     )
     found = diagnose_gas(Dataset(raised))
     assert found.verdict is not Verdict.NOTHING_MISSING
