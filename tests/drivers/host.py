@@ -47,13 +47,14 @@ def drive_eds(
     lacks: Sequence[int] = (),
     defaults: Mapping[tuple[int, int], int] | None = None,
     axis: Axis = ONE_AXIS,
+    source: Path = DRIVE_EDS,
 ) -> Path:
-    """Write the EDS of the simulated drive without some objects, with other default values, and
+    """Write the EDS of a simulated device without some objects, with other default values, and
     with the objects of an axis of a device with several; with subindices, 6040h, 6060h and 6061h
     stay common, and 6041h has the states of two axes.
     """
     kept, keep, at = [], True, (0, 0)
-    for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
+    for line in source.read_text(encoding="ascii").splitlines():
         if head := re.match(r"\[([0-9A-F]{4})(?:sub([0-9A-F]+))?\]", line):
             at = int(head[1], 16), int(head[2] or "0", 16)
         if line.startswith("["):

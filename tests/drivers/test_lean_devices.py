@@ -13,10 +13,8 @@ import pytest
 from drivers.canopen import motion
 from drivers.canopen.cia402_objects import cyclic, inputs
 from drivers.canopen.cia402_servo import Cia402Servo
-from drivers.canopen.link import CanopenLink
 from drivers.canopen.motion import RPM
 from drivers.canopen.sensors import Cia406Encoder
-from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import SdoAbortError, key
@@ -66,15 +64,6 @@ def test_only_absence_makes_an_object_optional() -> None:
 
     with pytest.raises(ConfigurationError):
         optional(wrong, 0x1018, 4)
-
-
-@pytest.mark.parametrize("before", [0, NO_REMOTE])
-def test_the_flags_of_a_cob_id_stay_as_the_device_has_them(host: Host, before: int) -> None:
-    drive = host.bench.drive
-    for index in range(0x1800, 0x1804):
-        drive.objects.values[key(index, 1)] |= before
-    enabled(host)
-    assert drive.objects.integer(0x1800, 1) == 0x181 | before
 
 
 def test_a_device_without_remote_frames_keeps_that_flag(host: Host) -> None:
@@ -139,7 +128,7 @@ def test_a_limit_that_is_held_already_is_not_written(host: Host) -> None:
         host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=other))
 
 
-@pytest.mark.parametrize(("wanted_ms", "silence_s"), [(250, 1.0), (50, 0.2), (2000, 8.0)])
+@pytest.mark.parametrize(("wanted_ms", "silence_s"), [(250, 1.0), (50, 0.2)])
 def test_a_heartbeat_is_timed_by_the_period_that_the_device_holds(
     host: Host, wanted_ms: int, silence_s: float
 ) -> None:
@@ -250,8 +239,7 @@ def test_a_drive_of_this_make_runs_and_is_left_without_power(make: str, tmp_path
 
 def test_without_606c_the_speed_follows_from_the_position(tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
-    text = description("Elmo").replace("[606C]", "[506C]")
-    eds.write_text(text)
+    eds.write_text(description("Elmo").replace("[606C]", "[506C]"))
     host = enabled(make_host(eds=eds))
     speeds = []
     for step in range(30):
@@ -273,12 +261,7 @@ def test_a_drive_without_a_reaction_to_a_lost_master_has_no_watchdog(
     assert told.watch_s == 0.1
 
 
-def test_values_that_do_not_fit_beside_each_other_travel_in_the_next_frame() -> None:
-    def never() -> None:
-        raise AssertionError
-
-    link = CanopenLink(SimulatedClock(), never)  # type: ignore[arg-type]
-    host = make_host()
+def test_values_that_do_not_fit_beside_each_other_travel_in_the_next_frame(host: Host) -> None:
     wide = dataclasses.replace(SCALES, current_object=(0x60F4, 0), voltage_object=(0x6064, 0))
     layouts = inputs(cyclic(host.drive, wide), host.drive)
     assert [layout.objects for layout in layouts] == [
@@ -288,7 +271,6 @@ def test_values_that_do_not_fit_beside_each_other_travel_in_the_next_frame() -> 
         ((0x6079, 0), (0x2101, 0), (0x6077, 0)),
     ]
     assert [layout.mean for layout in layouts] == [None, (0x60F4, 0), None, None]
-    assert link.cycle == 0
 
 
 @pytest.mark.parametrize("span", [0, 0xFFFFFFFF])
@@ -301,14 +283,16 @@ def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
     assert host.encoder.sample().angle_rad == pytest.approx(-0.05, abs=2e-3)
 
 
+def lacking(host: Host) -> list[str]:
+    """Return the objects that the encoder is said to lack."""
+    return [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words]
+
+
 def test_an_encoder_of_class_1(host: Host) -> None:
     assert list(host.encoder.lacks(host.cycle_s).words) == []
     remove(host.bench.encoder, (0x6001, 0), (0x6002, 0), (0x6503, 0), (0x1013, 0))
     assert list(host.encoder.problems(host.cycle_s)) == []
-    assert [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words] == [
-        "6503h",
-        "1013h",
-    ]
+    assert lacking(host) == ["6503h", "1013h"]
     enabled(host)
     host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
     sample = host.encoder.sample()
@@ -318,12 +302,7 @@ def test_an_encoder_of_class_1(host: Host) -> None:
     with pytest.raises(ConfigurationError, match="6501h reads 262144 counts per turn"):
         wrong.prepare(host.cycle_s)
     remove(host.bench.encoder, (0x6501, 0), (0x6502, 0))
-    assert [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words] == [
-        "6001h",
-        "6002h",
-        "6503h",
-        "1013h",
-    ]
+    assert lacking(host) == ["6001h", "6002h", "6503h", "1013h"]
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -344,7 +323,7 @@ def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(
 
 
 @pytest.mark.parametrize("unit", [2 * math.pi / 60, 2 * math.pi / 4096])
-@pytest.mark.parametrize("factor", [0.01, 0.2, 3.0, 6.0, 20.0, 300.0])
+@pytest.mark.parametrize("factor", [0.01, 3.0, 300.0])
 def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
     host: Host, unit: float, factor: float
 ) -> None:
@@ -385,16 +364,10 @@ class Stating:
     ("index", "word", "unit", "setting"),
     [
         (0x60A9, 0x00B44700, RPM, "velocity_unit: rpm"),
-        (0x60A9, 0xFDB44700, 1e-3 * RPM, "velocity_unit_rad_s: 0.0001047"),
         (0x60A9, 0xFFB44700, 0.1 * RPM, "velocity_unit_rad_s: 0.01047"),
-        (0x60A9, 0x00B40300, 2 * math.pi, "velocity_unit_rad_s: 6.283"),
-        (0x60A9, 0x00100300, 1.0, "velocity_unit_rad_s: 1"),
         (0x60A9, 0x00410300, math.pi / 180, "velocity_unit_rad_s: 0.01745"),
         (0x60A9, 0x00B50300, None, ""),
-        (0x60A9, 0, None, ""),
         (0x60AA, 0x00C00300, RPM, "acceleration_unit_rad_s2: 0.10472"),
-        (0x60AA, 0x00C04700, RPM / 60, "acceleration_unit_rad_s2: 0.00174533"),
-        (0x60AA, 0x00B45700, 2 * math.pi, "acceleration_unit_rad_s2: 6.28319"),
         (0x60AA, 0x01105700, 10.0, "acceleration_unit_rad_s2: 10"),
         (0x60AA, 0x00B44700, None, ""),
     ],
@@ -418,12 +391,8 @@ def test_a_unit_that_a_drive_states_is_that_of_the_bench_file(
     ("factor", "key", "value"),
     [
         (0.0146, "velocity_unit", "rpm"),
-        (0.0104, "velocity_unit", "rpm"),
-        (0.03, "velocity_unit", "rpm"),
         (0.1, "velocity_unit_rad_s", 0.01534),
         (9.3, "velocity_unit_rad_s", 0.0001534),
-        (4.0, "velocity_unit_rad_s", 0.0003835),
-        (0.0, None, None),
         (-1.0, None, None),
     ],
 )

@@ -32,31 +32,10 @@ from .serial_host import (
 )
 
 
-class TestEposSerialInMemory(ServoContract):
-    @pytest.fixture
-    def rig(self) -> Iterator[Rig]:
-        with in_memory() as rig:
-            yield rig
-
-
-class TestEposSerialOverPty(ServoContract):
-    @pytest.fixture
-    def rig(self) -> Iterator[Rig]:
-        with serial_over_pty() as rig:
-            yield rig
-
-
-class TestCanopenOverSlcan(ServoContract):
-    @pytest.fixture
-    def rig(self) -> Iterator[Rig]:
-        with slcan_over_pty() as rig:
-            yield rig
-
-
-class TestCanopenOverSocketcand(ServoContract):
-    @pytest.fixture
-    def rig(self) -> Iterator[Rig]:
-        with socketcand_on_loopback() as rig:
+class TestTransports(ServoContract):
+    @pytest.fixture(params=[in_memory, serial_over_pty, slcan_over_pty, socketcand_on_loopback])
+    def rig(self, request: pytest.FixtureRequest) -> Iterator[Rig]:
+        with request.param() as rig:
             yield rig
 
 
