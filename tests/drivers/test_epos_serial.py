@@ -81,14 +81,6 @@ def test_a_broken_frame_is_dropped_and_the_next_is_read() -> None:
     assert decoder.bad >= 2
 
 
-def test_clearing_forgets_half_a_frame() -> None:
-    decoder = FrameDecoder()
-    decoder.feed(READ[:6])
-    decoder.clear()
-    assert decoder.feed(READ[6:]) == []
-    assert decoder.feed(READ) == [Frame(0x60, bytes.fromhex("01 B0 30 00"))]
-
-
 def test_a_megabaud_line_carries_five_objects_in_two_milliseconds() -> None:
     worst = bytes([DLE]) * 4
     write = len(encode(Opcode.WRITE_OBJECT, b"\x01\x7a\x60\x00" + worst)) + len(
