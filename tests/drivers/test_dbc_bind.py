@@ -1,11 +1,8 @@
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from typing import Any
 
 import pytest
-from pydantic import TypeAdapter, ValidationError
 
 from drivers.dbc.bind import bind
 from drivers.dbc.file import DbcMapError, read_dbc
@@ -54,53 +51,31 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
     [
         (inputs(position=Quantity("DRV_Moton.Position")), "inputs.position.signal",
          "did you mean 'DRV_Motion'"),
-        (inputs(position=Quantity("DRV_Motion.Postion")), "inputs.position.signal",
-         "did you mean 'Position'?"),
         (inputs(position=Quantity("Position")), "inputs.position.signal",
          "must have the form Message.Signal"),
         (inputs(current=None), "inputs", "either current or torque"),
-        (inputs(torque=MAP.inputs.current), "inputs", "either current or torque"),
-        (inputs(voltage=Quantity("DRV_Command.Order")), "inputs", "'DRV_Command' has two uses"),
         (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": ("REDY",)})),
          "status.states.ready.0", "no value 'REDY'; did you mean 'READY'?"),
-        (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": (16,)})),
-         "status.states.ready.0", "16 is outside 0 to 15"),
         (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": ("RUN",)})),
          "status.states.running.0", "is stated for two states"),
         (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "fault": (5,)})),
          "status.states", "no value is stated for 'disabled'"),
-        (replace(MAP, messages={"DRV_Command": Protection(counter="Life", counter_last=16)}),
-         "messages.DRV_Command.counter_last", "16 is outside 1 to 15"),
         (replace(MAP, messages={"DRV_Command": Protection(counter_last=14)}),
          "messages.DRV_Command.counter_last", "of a counter, but the message has no counter"),
         (replace(MAP, torque_offset=MAP.target), "torque_offset.signal",
          "bits in common with the target"),
-        (inputs(position=Quantity("DRV_Motion.Position", 1e-323)), "inputs.position.scale",
-         "one raw unit would be 0 SI units"),
         (inputs(velocity=Quantity("DRV_Power.Velocity", wraps_after=6.3)),
          "inputs.velocity.wraps_after", "is allowed for position and target only"),
-        (replace(MAP, messages={"DRV_Command": Protection(prefix=(1,))}),
-         "messages.DRV_Command", "how a checksum is computed, but the message has no checksum"),
         (replace(MAP, messages={"DRV_Command": Protection(remote=True)}),
          "messages.DRV_Command.remote", "is allowed for messages that the drive sends only"),
-        (replace(MAP, messages={"DRV_Command": Protection(counter="TargetPosition")}),
-         "messages.DRV_Command.counter", "'TargetPosition' is the target of this map"),
         (replace(MAP, stop_frame=StopFrame("DRV_Motion", {"State": 1})), "inputs",
          "'DRV_Motion' has two uses"),
-        (replace(MAP, orders=replace(MAP.orders, stop={ORDER: "HALT"})),
-         f"orders.stop.{ORDER}", "no value 'HALT'"),
         (replace(MAP, orders=replace(MAP.orders, stop={"DRV_Command.Ordr": 1})),
          "orders.stop.DRV_Command.Ordr", "did you mean 'Order'?"),
         (replace(MAP, orders=replace(MAP.orders, enable={"disabled": {ORDER: "READY"}})),
          "orders.enable", "for the state 'running', with which the drive continues to run"),
-        (replace(MAP, stop_frame=StopFrame("DRV_Stp")),
-         "stop_frame.message", "did you mean 'DRV_Stop'"),
         (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Cod": 1})),
          "stop_frame.signals.Cod", "did you mean 'Code'?"),
-        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Code": 300})),
-         "stop_frame.signals.Code", "0 to 255"),
-        (replace(MAP, messages={"DRV_Motion": Protection(counter="Live")}),
-         "messages.DRV_Motion.counter", "did you mean 'Life'?"),
         (replace(MAP, messages={"DRV_Motion": Protection(checksum="Life")}),
          "messages.DRV_Motion.checksum", "has 4 bits; a checksum must have 8"),
         (replace(inputs(serial_number=None, revision=None), messages={"DRV_Info": Protection()}),
@@ -112,24 +87,6 @@ def test_a_wrong_map_names_the_place_and_the_remedy(spec: DbcMap, place: str, wo
     assert words in problems(spec)[place]
 
 
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        (Quantity, {"signal": "A.B", "scale": 0.0}),
-        (Quantity, {"signal": "A.B", "scale": math.inf}),
-        (Quantity, {"signal": "A.B", "wraps_after": 0.0}),
-        (Protection, {"prefix": (1, 256)}),
-        (Protection, {"period_ms": -1}),
-    ],
-)
-def test_numbers_out_of_range_are_refused_where_the_bench_file_is_read(
-    kind: type, values: dict[str, Any]
-) -> None:
-    with pytest.raises(ValidationError) as caught:
-        TypeAdapter(kind).validate_python(values)
-    assert [error["loc"][0] for error in caught.value.errors()] == [list(values)[-1]]
-
-
 def test_every_problem_is_told_at_once() -> None:
     wrong = inputs(position=Quantity("DRV_Motion.Postion"), velocity=Quantity("DRV_Powr.Velocity"))
     assert set(problems(replace(wrong, stop_frame=StopFrame("Stop")))) == {
@@ -139,27 +96,12 @@ def test_every_problem_is_told_at_once() -> None:
     }
 
 
-def test_states_and_codes_are_whole_numbers() -> None:
-    motion, status = LAYOUTS["DRV_Motion"], LAYOUTS["DRV_Status"]
-    layouts = {
-        **LAYOUTS,
-        "DRV_Motion": replace(
-            motion, signals={**motion.signals, "State": replace(motion.signals["State"], real=True)}
-        ),
-        "DRV_Status": replace(
-            status,
-            signals={
-                **status.signals,
-                "FaultCode": replace(status.signals["FaultCode"], real=True),
-            },
-        ),
-    }
+def test_states_are_whole_numbers() -> None:
+    motion = LAYOUTS["DRV_Motion"]
+    real = {**motion.signals, "State": replace(motion.signals["State"], real=True)}
     with pytest.raises(DbcMapError) as caught:
-        bind(MAP, layouts)
-    assert [place for place, _ in caught.value.problems] == [
-        ("inputs", "fault_code", "signal"),
-        ("status", "signal"),
-    ]
+        bind(MAP, {**LAYOUTS, "DRV_Motion": replace(motion, signals=real)})
+    assert [place for place, _ in caught.value.problems] == [("status", "signal")]
 
 
 def test_two_messages_of_one_identifier_are_refused() -> None:

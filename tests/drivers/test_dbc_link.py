@@ -111,17 +111,6 @@ def test_identifiers_may_not_collide(
         link.open()
 
 
-def test_two_drives_need_two_sets_of_identifiers(host: DbcHost) -> None:
-    link = DbcLink(host.clock, lambda: host.bench.bus, "simulated bus")
-    wiring = bind(MAP, read_dbc(DRIVE_DBC))
-    link.add_channel(wiring, "one")
-    link.add_channel(wiring, "two")
-    with pytest.raises(
-        ConfigurationError, match="two and another drive both use the CAN identifier"
-    ):
-        link.open()
-
-
 def test_a_command_may_go_less_often_than_the_cycle() -> None:
     messages = {**MAP.messages, "DRV_Command": replace(MAP.messages["DRV_Command"], period_ms=4)}
     # Then the drive answers as seldom, and the map says so.
