@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.errors import DeviceError, DriveFault, ObjectAccessError
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoState
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
@@ -67,16 +67,6 @@ def test_no_verb_but_enable_leads_to_power(host: Host, state: State, verb: str) 
         assert host.bench.drive.power_state not in POWERED
     if verb == "disable":
         assert host.bench.drive.power_state not in POWERED
-
-
-def test_the_power_stage_follows_the_state(host: Host) -> None:
-    moving(host)
-    assert host.powered[-1]
-    host.servo.quick_stop()
-    assert host.powered[-1]
-    host.wait(1.0)
-    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
-    assert not host.powered[-1]
 
 
 @pytest.mark.parametrize(
@@ -163,20 +153,16 @@ def test_abort_connection_options(host: Host, option: int, state: State) -> None
     assert host.bench.drive.power_state is state
 
 
-def test_an_nmt_stop_ends_power(host: Host) -> None:
+@pytest.mark.parametrize(
+    ("command", "state"),
+    [(2, State.FAULT), (129, State.SWITCH_ON_DISABLED), (130, State.SWITCH_ON_DISABLED)],
+)
+def test_an_nmt_stop_or_reset_ends_power(host: Host, command: int, state: State) -> None:
     enabled(host)
-    host.link.send(0x000, bytes([2, 1]))
-    host.wait(0.1)
-    assert host.bench.drive.power_state is State.FAULT
-    assert not host.powered[-1]
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_an_nmt_reset_ends_power(host: Host, command: int) -> None:
-    enabled(host)
+    assert host.powered[-1]
     host.link.send(0x000, bytes([command, 1]))
-    host.wait(0.001)
-    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    host.wait(0.1)
+    assert host.bench.drive.power_state is state
     assert not host.powered[-1]
 
 
@@ -252,21 +238,6 @@ def test_max_current_and_torque_hold_the_motor_back(host: Host, limit: dict[str,
     host.servo.write_limits(replace(host.servo.read_limits(), current_A=20.0, torque_N_m=60.0))
     host.cycles(200, lambda _: 0.02)
     assert host.bench.machine.truth().angle_rad == pytest.approx(0.02, abs=1e-3)
-
-
-def test_settings_that_must_not_change_under_power(host: Host) -> None:
-    enabled(host)
-    with pytest.raises(ObjectAccessError, match="08000022"):
-        host.drive.write(0x60C2, 1, 2)
-
-
-def test_without_a_mode_the_drive_holds(host: Host) -> None:
-    bring(host, State.OPERATION_ENABLED)
-    host.drive.write(0x6060, 0, 0)
-    host.drive.write(0x607A, 0, 40000)
-    host.drive.write(0x6040, 0, 0x1F)
-    host.wait(0.05)
-    assert abs(host.bench.machine.truth().angle_rad) < 1e-3
 
 
 def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:

@@ -132,15 +132,6 @@ def test_pressure_and_area_load_the_valve() -> None:
     assert truth.contact_force_N == pytest.approx(0.0, abs=1e-9)
 
 
-def test_whatever_else_presses_puts_the_gas_generator_out() -> None:
-    for other, force in ((lambda m: m.hang(1.0), 98.0665), (lambda m: m.press(500.0), 500.0)):
-        rig = hot_rig()
-        other(rig)
-        rig.advance(1_000_000)
-        assert rig.truth().pressure_Pa == P_C0
-        assert rig.truth().contact_force_N == pytest.approx(force)
-
-
 def test_a_machine_that_hides_nothing_burns_as_the_nominal_one() -> None:
     command = swing(2.0, 1e-3)
     plain = record(hot_rig(), command)

@@ -24,7 +24,7 @@ from drivers.objects import optional
 from drivers.servo_limits import NO_OPTION
 from drivers.units import EncoderScales, ServoScales
 
-from .host import SCALES, Host, enabled, make_host, prepared
+from .host import SCALES, Host, enabled, make_host
 from .test_servo import LIMITS
 
 TURN = 262144
@@ -283,6 +283,17 @@ def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
     assert host.encoder.sample().angle_rad == pytest.approx(-0.05, abs=2e-3)
 
 
+def test_coarser_units_per_turn(host: Host) -> None:
+    node = host.encoder._channel
+    node.write(0x6001, 0, 3600)
+    encoder = Cia406Encoder(node, EncoderScales(3600, sign=-1, offset_rad=0.5))
+    host.servo.prepare(host.cycle_s)
+    encoder.prepare(host.cycle_s)
+    host.servo.enable()
+    host.cycles(400, lambda t: 0.05 * math.sin(math.pi / 0.8 * t))
+    assert encoder.sample().angle_rad == pytest.approx(0.45, abs=3e-3)
+
+
 def lacking(host: Host) -> list[str]:
     """Return the objects that the encoder is said to lack."""
     return [words.split("(")[1][:5] for words in host.encoder.lacks(host.cycle_s).words]
@@ -320,29 +331,6 @@ def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(
     mounted.prepare(host.cycle_s)
     host.cycles(3)
     assert mounted.sample().angle_rad == pytest.approx(math.radians(start_deg), abs=1e-4)
-
-
-@pytest.mark.parametrize("unit", [2 * math.pi / 60, 2 * math.pi / 4096])
-@pytest.mark.parametrize("factor", [0.01, 3.0, 300.0])
-def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
-    host: Host, unit: float, factor: float
-) -> None:
-    scales = dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
-    near = motion.SpeedUnit(scales).nearest_speed_factor(factor, 15.0)
-    assert not 0.5 < near < 2.0
-    assert 1 / 15 <= near / factor <= 15.0
-
-
-def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:
-    prepared(host)
-    host.link.take_frames()
-    prepared(host)
-    written = [
-        frame
-        for frame in host.link.take_frames()
-        if frame.identifier == 0x601 and frame.data[0] >> 5 == 1
-    ]
-    assert all(frame.data[2] << 8 | frame.data[1] not in (0x60C2, 0x6007) for frame in written)
 
 
 class Stating:

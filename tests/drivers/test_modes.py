@@ -205,11 +205,3 @@ def test_a_profile_ends_at_the_last_set_point_though_the_host_is_silent() -> Non
     host.wait(0.05)
     assert host.bench.machine.truth().angle_rad == pytest.approx(0.01, abs=1e-3)
     assert host.bench.drive.objects.values[key(0x6041)] & 0x6F == 0x27
-
-
-def test_the_profile_s_ramps_are_set_with_the_limits() -> None:
-    host = host_in("pp")
-    host.servo.write_limits(dataclasses.replace(LIMITS, speed_rad_s=1.0))
-    objects, counts = host.bench.drive.objects, 4096 * 100 / math.tau
-    assert objects.integer(0x6081) == math.floor(counts)
-    assert objects.integer(0x6083) == round(math.radians(2000) * counts)

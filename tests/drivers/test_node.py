@@ -27,11 +27,6 @@ def listen(host: Host, seconds: float) -> list[tuple[int, bytes]]:
     return heard
 
 
-def test_boots_into_pre_operational(host: Host) -> None:
-    assert listen(host, 0.01) == [(0x701, b"\0"), (0x702, b"\0")]
-    assert host.bench.drive.state is Nmt.PRE_OPERATIONAL
-
-
 def test_heartbeat_watch_starts_with_the_first_heartbeat(host: Host) -> None:
     host.drive.write(0x1016, 1, 0x7F << 16 | 100)
     listen(host, 1.0)
@@ -120,12 +115,3 @@ def test_bad_mappings_are_refused(
     with pytest.raises(ObjectAccessError) as caught:
         host.drive.write(index, subindex, value)
     assert caught.value.code == code
-
-
-def test_a_mapping_in_use_cannot_change(host: Host) -> None:
-    host.drive.write(0x1A01, 1, 0x60640020)
-    host.drive.write(0x1A01, 0, 1)
-    with pytest.raises(ObjectAccessError, match="08000022"):
-        host.drive.write(0x1A01, 1, 0x606C0020)
-    with pytest.raises(ObjectAccessError, match="08000022"):
-        host.drive.write(0x1800, 1, 0x191)

@@ -38,18 +38,6 @@ def test_magnitude_is_eq_9_plus_13(speed: float, force: float) -> None:
     assert found == pytest.approx(magnitude(speed, force), rel=1e-13)
 
 
-@given(
-    speed=st.floats(1e-3, 3.0),
-    force=st.floats(0.0, 5000.0),
-    alpha=st.sampled_from([0.5, 1.0, 2.0, 3.0]),
-)
-def test_slope_is_the_derivative_of_the_magnitude(speed: float, force: float, alpha: float) -> None:
-    p = friction_vector(Joint(alpha=alpha), force)
-    h = 1e-5 * speed
-    difference = (friction(speed + h, p)[0] - friction(speed - h, p)[0]) / (2.0 * h)
-    assert friction(speed, p)[1] == pytest.approx(difference, rel=1e-4, abs=1e-4)
-
-
 @given(share=st.floats(-1.0, 1.0), force=st.floats(0.0, 5000.0))
 def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(
     share: float, force: float

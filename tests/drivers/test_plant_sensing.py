@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.mock.plant.machine import SimulatedMachine, simulate
+from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
 
 CYCLE_NS = 1_000_000
@@ -49,17 +49,6 @@ def test_noise_of_the_logged_mean_is_white_and_has_the_stated_rms() -> None:
     assert abs(float(np.mean(noise[1:] * noise[:-1]) / np.mean(noise**2))) < 0.06
 
 
-def test_latch_starts_new_means() -> None:
-    machine = free_machine(0.0)
-    machine.follow(np.full(20, 0.01))
-    first = machine.latch()
-    assert first.current_A != 0.0
-    assert first.voltage_V != 0.0
-    again = machine.latch()
-    assert (again.current_A, again.voltage_V) == (0.0, 0.0)
-    assert again.motor_counts == first.motor_counts
-
-
 def test_means_over_parts_make_the_mean_over_the_whole() -> None:
     path = 0.1 * np.sin(2.0 * np.pi * np.arange(1, 401) / 20000.0)
     whole, parts = free_machine(0.0), free_machine(0.0)
@@ -93,33 +82,3 @@ def test_following_error_is_in_motor_counts() -> None:
     assert machine.latch().following_error_counts == pytest.approx(200.0)
     machine.advance(8 * CYCLE_NS)
     assert machine.latch().following_error_counts == pytest.approx(500.0)
-
-
-def test_advance_refuses_a_part_of_a_loop_period() -> None:
-    machine = SimulatedMachine(Machine(), np.random.default_rng(1))
-    with pytest.raises(
-        ValueError, match="75000 ns is not a whole number of loop periods of 50000 ns"
-    ):
-        machine.advance(75_000)
-
-
-def test_same_seed_same_run_and_another_seed_another() -> None:
-    def run(seed: int) -> np.ndarray:
-        return simulate(Machine(), np.sin, 0.3, 1000.0, rng=np.random.default_rng(seed))[
-            "mean_current"
-        ]
-
-    assert np.array_equal(run(1), run(1))
-    assert not np.array_equal(run(1), run(2))
-
-
-def test_noise_goes_on_past_one_block() -> None:
-    """Noise is drawn in blocks of 65 536; a long advance equals the same time in short ones."""
-    long, short = (SimulatedMachine(Machine(), np.random.default_rng(3)) for _ in range(2))
-    for machine in (long, short):
-        machine.power(True)
-    long.advance(5000 * CYCLE_NS)
-    for _ in range(5000):
-        short.advance(CYCLE_NS)
-    assert long.latch() == pytest.approx(short.latch(), rel=1e-9)
-    assert long.truth() == short.truth()

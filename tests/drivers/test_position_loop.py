@@ -63,12 +63,6 @@ def test_one_step_in_figures() -> None:
     assert AT_REST.integral_N_m == 0.0
 
 
-def test_without_a_speed_gain_there_is_neither_torque_nor_integral() -> None:
-    state, _, torque = step(LoopState(0.2, 3.0), LoopGains(10.0), LIMITS, CYCLE_S, 0.2, 0.1, 0.3)
-    assert (state.integral_N_m, torque) == (0.0, 0.0)
-    assert LoopGains(10.0).reset_1_s == 0.0
-
-
 @pytest.mark.parametrize(
     ("integral", "speed", "grows"), [(74.0, 0.5, False), (-74.0, 1.5, False), (90.0, 1.1, True)]
 )
@@ -137,9 +131,3 @@ def test_gains_that_are_derived_hold_a_bare_inertia(cycle_s: float) -> None:
         angle += speed * cycle_s
     assert angle == pytest.approx(0.3, abs=1e-3)
     assert speed == pytest.approx(0.0, abs=1e-3)
-
-
-def test_stated_gains_are_kept() -> None:
-    assert derived(CYCLE_S, 0.2, LoopGains(7.0, 8.0, 9.0)) == LoopGains(7.0, 8.0, 9.0)
-    assert derived(CYCLE_S, None, LoopGains(7.0, 8.0, 9.0)) == LoopGains(7.0)
-    assert derived(CYCLE_S, 0.0, LoopGains(0.0, 8.0)).position_1_s == 60.0

@@ -103,15 +103,6 @@ def test_the_mean_current_is_that_of_the_winding() -> None:
     assert np.abs(line - expected[:-1]).max() > 0.01 * np.abs(final).max()
 
 
-def test_a_count_and_an_error_of_the_encoder_reach_the_loops() -> None:
-    path = np.zeros(4000)
-    coarse = built(QUIET, 0.01).sample(sent(path + 0.008))
-    assert np.abs(coarse.joint_rad).max() < 0.03
-    assert not np.array_equal(coarse.voltage_V, built(QUIET).sample(sent(path + 0.008)).voltage_V)
-    wrong = sent(path)._replace(encoder_error_rad=path + 0.05)
-    assert built(QUIET).sample(wrong).joint_rad[-1] == pytest.approx(-0.05, abs=5e-3)
-
-
 def test_terminal_voltage_has_sag_and_dead_time() -> None:
     effects = {"supply_sag": {"resistance_ohm": 1.0}, "inverter_dead_time": {"voltage_V": 2.0}}
     found = built(replace(QUIET, effects=effects)).sample(sent(sine(np.arange(8000) / RATE_HZ)))

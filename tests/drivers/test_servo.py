@@ -90,15 +90,6 @@ def test_the_watch_runs_before_power_comes(host: Host) -> None:
     assert host.drive.read(0x1016, 1) == 0
 
 
-def test_a_pause_without_power_is_no_fault(host: Host) -> None:
-    enabled(host)
-    host.servo.disable()
-    host.wait(10.0)
-    host.cycles(10)
-    host.servo.enable()
-    assert host.servo.state() is ServoState.OPERATION_ENABLED
-
-
 def change_controlword(host: Host, word: int) -> None:
     """Let every controlword written by SDO arrive as ``word``."""
 
@@ -110,15 +101,6 @@ def change_controlword(host: Host, word: int) -> None:
     host.bench.bus.frame_filters.append(change)
 
 
-def test_disable_believes_only_the_statusword(host: Host) -> None:
-    enabled(host)
-    change_controlword(host, 0x0F)
-    # The drive would notice the silent master first; this one watches nothing.
-    host.drive.write(0x1016, 1, 0)
-    with pytest.raises(StateError, match=r"reports the state 'operation enabled'.*by hand"):
-        host.servo.disable()
-
-
 @pytest.mark.parametrize("at_once", [True, False])
 def test_a_quick_stop_that_gets_lost_goes_with_the_next_exchange(host: Host, at_once: bool) -> None:
     enabled(host)
@@ -127,15 +109,6 @@ def test_a_quick_stop_that_gets_lost_goes_with_the_next_exchange(host: Host, at_
     assert host.servo.state() is ServoState.OPERATION_ENABLED
     host.cycles(2)
     assert host.servo.state() is ServoState.QUICK_STOP_ACTIVE
-
-
-def test_enabling_that_fails_leaves_no_power(host: Host) -> None:
-    prepared(host)
-    host.lose(0x181)
-    with pytest.raises(StateError, match="still in state"):
-        host.servo.enable()
-    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
-    assert True not in host.powered
 
 
 def test_power_that_came_unseen_is_taken_back(host: Host) -> None:

@@ -130,14 +130,3 @@ def test_it_resets_a_fault(pair: tuple[BaseNode402, SimulatedBench]) -> None:
     assert node.state == "OPERATION ENABLED"
     node.state = "SWITCH ON DISABLED"
     assert bench.drive.power_state not in POWERED
-
-
-def test_its_homing_sets_the_zero(pair: tuple[BaseNode402, SimulatedBench]) -> None:
-    node, _ = pair
-    if 0x607C not in node.object_dictionary:
-        return  # a make with other objects for the offset
-    node.sdo[0x607C].raw = 1234
-    node.sdo[0x6098].raw = 35
-    assert node.homing(timeout=5)
-    assert node.sdo[0x6064].raw == 1234
-    assert node.is_homed()

@@ -52,22 +52,6 @@ def test_it_does_not_pass_the_limit_of_the_current(host: Host) -> None:
     assert current(host) == pytest.approx(3.0, abs=0.02)
 
 
-@pytest.mark.parametrize("stop", ["quick_stop", "disable"])
-def test_it_is_gone_with_the_stop(host: Host, stop: str) -> None:
-    enabled(host)
-    host.servo.set_torque_offset(8.0)
-    host.cycles(20)
-    assert held(host) == 178
-    getattr(host.servo, stop)()
-    host.cycles(1)
-    assert held(host) == 0
-    # Asked for again while it stops, it is not sent.
-    host.servo.set_torque_offset(8.0)
-    host.cycles(30)
-    assert held(host) == 0
-    assert abs(host.bench.machine.truth().current_A) < 0.1
-
-
 def test_the_drive_adds_nothing_to_a_ramp_of_its_own(host: Host) -> None:
     """A fault stops the drive by itself, with 60B2h still as it was: the offset must not push the
     joint on.

@@ -15,24 +15,7 @@ Array = NDArray[np.float64]
 
 MACHINE = Machine()
 HOLE, OPENING, WIDTH, ARM = 0.025, 0.040, 0.054, 0.095
-ANGLES_DEG = (
-    0.0,
-    2.0,
-    4.3,
-    4.5,
-    5.0,
-    8.0,
-    12.0,
-    16.0,
-    19.5,
-    19.8,
-    24.0,
-    27.0,
-    29.0,
-    29.6,
-    29.7,
-    30.0,
-)
+ANGLES_DEG = (0.0, 4.3, 4.5, 12.0, 19.5, 19.8, 27.0, 29.6, 29.7)
 
 
 def turned(points: Array, angle: float) -> Array:
@@ -41,7 +24,7 @@ def turned(points: Array, angle: float) -> Array:
     return points @ np.array([[c, s], [-s, c]])
 
 
-def circle(diameter: float, sides: int = 2500) -> Array:
+def circle(diameter: float, sides: int = 1500) -> Array:
     """Return a regular polygon of the circle's area, its centre at (L1, 0)."""
     turn = 2.0 * np.pi * np.arange(sides) / sides
     radius = 0.5 * diameter * np.sqrt(2.0 * np.pi / sides / np.sin(2.0 * np.pi / sides))
@@ -77,13 +60,8 @@ def clipped(polygon: Array, by: Array) -> Array:
 def by_polygons(angle: float) -> float:
     """Return the impacted area of a plate cut from polygons and turned about its pivot, m^2."""
     opening = circle(OPENING)
-    corners = [
-        (-0.03, -0.5 * WIDTH),
-        (0.15, -0.5 * WIDTH),
-        (0.15, 0.5 * WIDTH),
-        (-0.03, 0.5 * WIDTH),
-    ]
-    plate = clipped(opening, turned(np.array(corners), angle))
+    corners = np.array([(-0.03, -0.5), (0.15, -0.5), (0.15, 0.5), (-0.03, 0.5)]) * (1.0, WIDTH)
+    plate = clipped(opening, turned(corners, angle))
     return area(plate) - area(clipped(opening, turned(circle(HOLE), angle)))
 
 
