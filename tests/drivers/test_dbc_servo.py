@@ -271,7 +271,6 @@ def test_a_wrong_checksum_in_the_map_is_told_apart_from_silence() -> None:
         LinkError, match=r"\d+ had a wrong length, checksum or counter: check these in the map"
     ):
         host.servo.state()
-    host.link.close()
 
 
 def test_a_status_that_the_map_does_not_name_is_an_error() -> None:
@@ -284,7 +283,6 @@ def test_a_status_that_the_map_does_not_name_is_an_error() -> None:
     assert host.servo.sample().statusword & 0x6F == 0
     with pytest.raises(StateError, match="reports the status 1, which the map does not contain"):
         host.servo.state()
-    host.link.close()
 
 
 def test_enabling_does_not_jump_to_an_old_target(host: DbcHost) -> None:
@@ -313,18 +311,12 @@ def test_a_torque_signal_gives_the_current() -> None:
     assert math.isnan(first.voltage_V)
     # Without a time signal the host's time of arrival stands in.
     assert first.device_time_s == pytest.approx(host.clock.now_ns() * 1e-9, abs=1e-3)
-    for each in (host, plain):
-        each.link.close()
 
 
 def test_a_cycle_too_slow_for_the_watchdog_is_refused(host: DbcHost) -> None:
     with pytest.raises(ConfigurationError, match="every 60 ms, but the drive stops after 100 ms"):
         host.servo.prepare(0.06)
-
-
-def test_a_drive_without_a_watchdog_says_so(host: DbcHost) -> None:
     assert host.link.has_watchdog
     without = make_dbc_host(drive=replace(DRIVE, watchdog_s=None))
     assert not without.link.has_watchdog
     without.servo.prepare(0.06)
-    without.link.close()

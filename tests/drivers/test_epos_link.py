@@ -8,7 +8,6 @@ import pytest
 from drivers.canopen.cia402 import CONTROLWORD
 from drivers.epos.frames import Frame, FrameDecoder, Opcode, encode
 from drivers.errors import LinkError, StateError
-from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import State
@@ -174,18 +173,6 @@ def test_one_lost_answer_outside_the_cycle_is_asked_for_again(host: SerialHost) 
     assert host.epos.lost == 1
 
 
-def test_the_drive_watches_its_following_error_without_sync(host: SerialHost) -> None:
-    enabled(host)
-    host.drive.write(0x6065, 0, 100)
-    host.bench.machine.press(1e6)
-    host.servo.set_target(0.3)
-    host.link.exchange()
-    clock = host.bench.clock
-    clock.sleep_until_ns(clock.now_ns() + 500_000_000)
-    assert host.servo.state() is ServoState.FAULT
-    assert host.drive.read(0x603F) == 0x8611
-
-
 def test_angle_position_current_and_stamp_are_of_one_instant(host: SerialHost) -> None:
     """Position and current that rise evenly are known at any time: as read, the position would be
     off by 6 counts, and the mean of the current by 6 per mille.
@@ -218,19 +205,6 @@ def test_angle_position_current_and_stamp_are_of_one_instant(host: SerialHost) -
     assert host.encoder.sample().device_time_s * 1e3 == pytest.approx(
         stamp_ms + began / 1e6, abs=0.02
     )
-
-
-def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
-    """No time between two readings, or less than none: there is nothing to interpolate by."""
-    drive = enabled(host).drive
-    host.cycles(2)
-    current = drive._values[0x6078, 0]
-    for step_ns in (0, -1_000_000):
-        current.value = 123
-        assert current.before is not None
-        current.taken_ns = current.before[1] + step_ns
-        current.bring_to(current.taken_ns + 500_000)
-        assert current.value == 123
 
 
 def test_the_time_stamp_begins_without_a_jump(host: SerialHost) -> None:

@@ -143,23 +143,6 @@ def test_a_life_guarding_that_an_earlier_program_left_is_ended(tmp_path: Path) -
     host.cycles(10)
 
 
-# What was noted of a device before it is prepared again is over.
-
-
-@pytest.mark.parametrize("behaviour", [0, 1, 2])
-def test_preparing_drops_what_the_device_reported_before(tmp_path: Path, behaviour: int) -> None:
-    host = enabled(make_host(eds=drive_eds(tmp_path, (), {(0x1029, 1): behaviour})))
-    host.cycles(10)
-    host.wait(0.3)
-    assert host.servo.state() is ServoState.FAULT
-    host.servo.reset_fault()
-    prepared(host)
-    host.cycles(1)
-    host.servo.enable()
-    host.cycles(100)
-    host.servo.disable()
-
-
 # Signs of the control loop between slow SDO answers.
 
 

@@ -25,14 +25,15 @@ def rests(velocity: np.ndarray) -> np.ndarray:
     return edges[1::2] - edges[::2]
 
 
-@pytest.mark.parametrize("machine", [STIFF, SOFT], ids=["stiff", "soft"])
-@pytest.mark.parametrize("weight", [0.0, 30.6])
+@pytest.mark.parametrize(
+    ("machine", "weight"), [(STIFF, 30.6), (SOFT, 0.0)], ids=["stiff, loaded", "soft"]
+)
 def test_halving_the_step_changes_less_than_an_encoder_step(
     machine: Machine, weight: float
 ) -> None:
     """Second order: each halving leaves a quarter of the change."""
     coarse, medium, fine = (
-        simulate(replace(machine, steps_per_loop=n), sine, 10.0, 1000.0, weight)["angle"]
+        simulate(replace(machine, steps_per_loop=n), sine, 6.0, 1000.0, weight)["angle"]
         for n in (2, 4, 8)
     )
     first, second = np.max(np.abs(coarse - medium)), np.max(np.abs(medium - fine))

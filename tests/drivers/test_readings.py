@@ -284,7 +284,6 @@ def test_the_step_of_a_limit_is_one_unit_of_its_object(address: tuple[int, int])
     before, after = (decode({**values, address: values[address] + k}, SCALES) for k in (0, 1))
     host = make_host()
     steps = host.servo.limit_steps()
-    host.link.close()
     assert steps is not None
     changed = [
         (field.name, abs(getattr(after, field.name) - getattr(before, field.name)))
