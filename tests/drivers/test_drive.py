@@ -10,11 +10,12 @@ import pytest
 
 from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoState
+from drivers.mock.drive import FOLLOWING_ERROR
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
 from drivers.mock.sampler import encoder_resolution
 
-from .host import Host, enabled, prepared
+from .host import Host, enabled, make_host, prepared
 
 MOVING_S = 0.2
 
@@ -249,3 +250,59 @@ def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
     assert increments / turns / math.tau == pytest.approx(1e6, rel=1e-8)
     assert increments < 1 << 32
     assert encoder_resolution(Machine()) == (4096, 1)
+
+
+@pytest.fixture
+def pushed() -> Host:
+    return make_host(torque_offset=True)
+
+
+def held(pushed: Host) -> int:
+    """What the drive itself has in 60B2h."""
+    return pushed.bench.drive.objects.integer(0x60B2)
+
+
+def current(pushed: Host, cycles: int = 40) -> float:
+    """Mean motor current over the last cycles, A."""
+    values = []
+    for _ in range(cycles):
+        pushed.cycles(1)
+        values.append(pushed.servo.sample().current_A)
+    return sum(values) / len(values)
+
+
+def test_a_resting_joint_takes_the_torque_as_current(pushed: Host) -> None:
+    """Position P and velocity PI see no error, so that the current is the offset's: 6 N m over 3 N
+    m/A.
+    """
+    enabled(pushed)
+    before = current(pushed)
+    pushed.servo.set_torque_offset(6.0)
+    pushed.cycles(20)
+    assert current(pushed) - before == pytest.approx(2.0, abs=0.02)
+    assert pushed.bench.machine.truth().angle_rad == 0.0
+
+
+def test_it_does_not_pass_the_limit_of_the_current(pushed: Host) -> None:
+    prepared(pushed)
+    pushed.servo.write_limits(replace(pushed.servo.read_limits(), current_A=3.0))
+    pushed.servo.enable()
+    pushed.servo.set_torque_offset(11.9)
+    pushed.cycles(30)
+    assert current(pushed) == pytest.approx(3.0, abs=0.02)
+
+
+def test_the_drive_adds_nothing_to_a_ramp_of_its_own(pushed: Host) -> None:
+    """A fault stops the drive by itself, with 60B2h still as it was: the offset must not push the
+    joint on.
+    """
+    enabled(pushed)
+    pushed.servo.set_torque_offset(8.0)
+    pushed.cycles(20)
+    pushed.bench.drive.fail(FOLLOWING_ERROR)
+    pushed.wait(0.01)
+    assert held(pushed) == 178
+    pushed.wait(0.05)
+    assert pushed.servo.state() is ServoState.FAULT
+    assert pushed.bench.machine.truth().current_A == 0.0
+    assert pushed.bench.machine.truth().angle_rad == 0.0

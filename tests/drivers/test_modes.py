@@ -64,16 +64,6 @@ def test_the_joint_follows(mode: str, within_deg: float) -> None:
     assert not host.powered[-1]
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_a_drive_that_does_not_offer_the_mode_is_refused(mode: str) -> None:
-    host = make_host(motion=motion(mode), traits=Traits(modes=1 << 7))
-    host.servo.write_limits(LIMITS)
-    prepared(host)
-    with pytest.raises(StateError, match=r"does not support mode .* set servo.mode"):
-        host.servo.enable()
-    assert True not in host.powered
-
-
 @pytest.mark.parametrize("mode", TARGETS)
 def test_without_limits_there_is_no_power(mode: str) -> None:
     host = prepared(host_in(mode, limited=False))

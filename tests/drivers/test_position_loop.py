@@ -93,19 +93,6 @@ def test_the_speed_in_front_of_an_end(angle: float, target: float, speed: float)
     assert found == pytest.approx(speed)
 
 
-@pytest.mark.parametrize(
-    ("speed", "integral", "torque"),
-    [(2.5, 20.0, 0.0), (-2.5, -20.0, 0.0), (2.0, 20.0, 15.0), (2.5, 5.0, -2.5), (2.5, 8.0, 0.0)],
-)
-def test_a_torque_that_would_raise_a_speed_beyond_its_limit(
-    speed: float, integral: float, torque: float
-) -> None:
-    wanted = math.copysign(1.0, speed)
-    gains = LoopGains(10.0, 5.0, 1e-9)
-    _, _, found = step(LoopState(0.0, integral), gains, LIMITS, CYCLE_S, 0.0, -0.1 * wanted, speed)
-    assert found == pytest.approx(torque, abs=1e-6)
-
-
 def test_the_gains_that_follow_from_cycle_and_inertia() -> None:
     assert derived(0.001, None) == LoopGains(60.0)
     assert derived(0.0005, None) == LoopGains(60.0)
