@@ -7,7 +7,6 @@ import struct
 import pytest
 
 from drivers.errors import ObjectAccessError
-from drivers.mock.canopen.node import Nmt
 
 from .host import Host, frame
 
@@ -38,18 +37,6 @@ def test_heartbeat_watch_starts_with_the_first_heartbeat(host: Host) -> None:
     assert listen(host, 0.01) == [(0x081, struct.pack("<HB5x", 0x8130, 0x11))]
     # One loss, one message; the watch then waits for the next first heartbeat.
     assert listen(host, 1.0) == []
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "state"), [(0, Nmt.PRE_OPERATIONAL), (1, Nmt.OPERATIONAL), (2, Nmt.STOPPED)]
-)
-def test_error_behaviour_after_heartbeat_loss(host: Host, behaviour: int, state: Nmt) -> None:
-    host.drive.write(0x1029, 1, behaviour)
-    host.drive.write(0x1016, 1, 0x7F << 16 | 50)
-    nmt(host, 1)
-    host.bench.bus.send(frame(0x77F, b"\x05"))
-    listen(host, 0.2)
-    assert host.bench.drive.state is state
 
 
 def remap(host: Host, index: int, entries: list[int], kind: int, identifier: int) -> None:

@@ -141,13 +141,6 @@ def test_the_channel_is_closed_set_up_and_opened() -> None:
     assert line.closed == 1
 
 
-def test_a_rate_that_adapters_do_not_have_is_refused() -> None:
-    line = Script(SimulatedClock())
-    with pytest.raises(OSError, match=r"does not support 300000 bit/s; choose one of 10000, 20000"):
-        SlcanPort(line, SimulatedClock(), 300_000)
-    assert not line.written
-
-
 def test_a_frame_in_pieces_is_waited_for_and_stamped_when_it_is_whole() -> None:
     clock = SimulatedClock()
     line = Script(clock)
