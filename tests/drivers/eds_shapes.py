@@ -24,16 +24,6 @@ from drivers.units import ServoScales
 
 NODE = 5
 SCALES = ServoScales(4096, 100.0, 15.0, 0.45)
-KEYS = (
-    "ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit",
-    "HighLimit", "PDOMapping", "CompactSubObj", "SubNumber", "NrOfEntries", "Lines", "VendorNumber",
-)  # fmt: skip
-VALUES = ("", "0x7", "7", "8", "9", "-1", "x", "0x", "$NODEID+0x180", "1 ; note", "0xFFFFFFFFFF")
-NAMES = (
-    "1000", "1018", "1018sub1", "6041", "6041sub0", "6064", "607A", "1A00", "1A00sub1", "1800",
-    "FileInfo", "A0", "DummyUsage", "1018Name", "Comments", "1018subFF", "DeviceInfo",
-)  # fmt: skip
-ODD = "[]=;\t \x00\ufeff\u00e4\u2028x1"
 ENDS = ("\n", "\r\n")
 SIGNED = {
     datatypes.INTEGER8: 8, datatypes.INTEGER16: 16, datatypes.INTEGER24: 24,
@@ -101,26 +91,6 @@ def read(path: Path) -> Described | None:
     list(servo.description_problems())
     match(found)
     return found
-
-
-# --- texts of lines that EDS files have, and of others
-
-
-def any_lines(rng: Random, path: Path) -> bool:
-    """Read a text of such lines; whether it was read."""
-
-    def line() -> str:
-        kind = rng.randrange(5)
-        if kind < 2:
-            return f"[{rng.choice(NAMES)}]"
-        if kind < 4:
-            return f"{rng.choice(KEYS)}={rng.choice(VALUES)}"
-        return "".join(rng.choice(ODD) for _ in range(rng.randrange(12)))
-
-    end = rng.choice((*ENDS, "\r"))
-    text = end.join(line() for _ in range(rng.randrange(40)))
-    path.write_bytes(text.encode(rng.choice(("utf-8", "utf-16", "latin-1")), "replace"))
-    return read(path) is not None
 
 
 # --- the file of a make, with lines lost, moved, doubled and bytes changed
@@ -271,7 +241,6 @@ def _differences(have: Mapping[Any, Any], truth: Mapping[Any, Any]) -> str:
 
 
 TEXTS: Mapping[str, Callable[[Random, Path], bool]] = {
-    "EDS lines": any_lines,
     "EDS damaged": damaged_file,
     "EDS sound": sound_file,
 }

@@ -5,7 +5,6 @@ import pytest
 
 from drivers.can.port import MAX_COLLECTED, PythonCanPort
 from drivers.clock import SimulatedClock
-from drivers.interfaces import RawFrame
 from drivers.mock.wires.bus import SimulatedBus
 
 from .host import frame
@@ -30,15 +29,6 @@ def test_a_frame_takes_its_time_on_the_wire(bitrate: int) -> None:
     bus.shutdown()
 
 
-def test_lowest_identifier_wins_but_a_controller_keeps_its_order(bus: SimulatedBus) -> None:
-    first, second = bus.attach(), bus.attach()
-    first.send(0x300, b"")
-    first.send(0x100, b"")
-    second.send(0x200, b"")
-    received = [bus.recv(1.0).arbitration_id for _ in range(3)]
-    assert received == [0x300, 0x100, 0x200]
-
-
 def test_answers_to_one_frame_compete_in_one_arbitration(bus: SimulatedBus) -> None:
     for identifier in (0x182, 0x181):
         port = bus.attach()
@@ -47,16 +37,6 @@ def test_answers_to_one_frame_compete_in_one_arbitration(bus: SimulatedBus) -> N
         )
     bus.send(frame(0x80))
     assert [bus.recv(1.0).arbitration_id for _ in range(2)] == [0x181, 0x182]
-
-
-def test_frames_without_a_gap_come_in_together_each_with_its_own_time(bus: SimulatedBus) -> None:
-    port = bus.attach()
-    port.send(0x181, bytes(8))
-    port.send(0x281, b"")
-    assert bus.collect(1.0) == [
-        RawFrame(135_000, 0x181, bytes(8), False),
-        RawFrame(190_000, 0x281, b"", False),
-    ]
 
 
 def test_collecting_stops_at_its_time_out_in_the_middle_of_a_burst() -> None:

@@ -117,17 +117,6 @@ def test_without_remote_frames_a_drive_runs_only_as_one_without_a_watchdog(
     assert not host.servo.state().energised
 
 
-@pytest.mark.parametrize("lacks", [(0x1016, 0x100D), (0x6007,), (0x1016, 0x100C, 0x6007)])
-def test_what_makes_a_drive_one_without_a_watchdog(tmp_path: Path, lacks: tuple[int, ...]) -> None:
-    host = make_host(eds=drive_eds(tmp_path, lacks))
-    assert not host.link.has_watchdog
-    assert [str(error) for error in host.servo.description_problems()] == []
-    assert any("stops_alone" in words for words in host.servo.lacks(host.cycle_s).words)
-    enabled(host).cycles(100)
-    assert host.servo.state() is ServoState.OPERATION_ENABLED
-    host.servo.disable()
-
-
 def test_a_device_that_nothing_shows_to_be_lost_is_refused(tmp_path: Path) -> None:
     host = make_host(eds=drive_eds(tmp_path, (0x1016, 0x1017, 0x100C)))
     (error,) = host.servo.description_problems()
