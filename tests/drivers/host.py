@@ -20,7 +20,7 @@ from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
-from drivers.mock.makes import described_drive
+from drivers.mock.makes import described_drive, description
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.traits import Traits
@@ -73,6 +73,13 @@ def drive_eds(
             kept.append(line)
     path = folder / "drive.eds"
     path.write_text("\n".join(kept) + "\n", encoding="ascii")
+    return path
+
+
+def make_eds(folder: Path, make: str) -> Path:
+    """Write the EDS of a make's drive."""
+    path = folder / "drive.eds"
+    path.write_text(description(make))
     return path
 
 

@@ -196,10 +196,14 @@ def enabled(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia40
     return servo
 
 
+@pytest.fixture
+def drive() -> Drive:
+    return Drive()
+
+
 class TestSteps(StepsContract):
     @pytest.fixture
-    def case(self) -> Case:
-        drive = Drive()
+    def case(self, drive: Drive) -> Case:
 
         def servo(prepare: bool = True, **options: Any) -> Cia402Servo:
             return prepared(drive, **options) if prepare else make(drive, **options)
@@ -219,8 +223,7 @@ class TestSteps(StepsContract):
 
 
 @pytest.mark.parametrize("offset", [False, True])
-def test_preparing(offset: bool) -> None:
-    drive = Drive()
+def test_preparing(drive: Drive, offset: bool) -> None:
     drive.objects[0x60B2, 0] = 0
     servo = prepared(drive, watch_s=0.25, torque_offset=offset)
     outputs = ((0x6040, 0), (0x607A, 0), *([(0x60B2, 0)] if offset else []))
@@ -247,8 +250,7 @@ def test_preparing(offset: bool) -> None:
     assert ("watch", 0.25) in drive.take()
 
 
-def test_prepared_again_it_starts_from_nothing() -> None:
-    drive = Drive()
+def test_prepared_again_it_starts_from_nothing(drive: Drive) -> None:
     servo = enabled(drive, torque_offset=True)
     servo.set_torque_offset(9.0)
     drive.inputs |= {2: (0, 0xFFFFFFFF), 3: (0,), 4: (0, 0)}
@@ -273,8 +275,9 @@ def test_prepared_again_it_starts_from_nothing() -> None:
         *((0.0, None), (0.0015, None), (0.001 + 1.2e-9, None), (0.001 - 1.2e-9, None)),
     ],
 )
-def test_a_cycle_is_of_whole_milliseconds(cycle_s: float, whole_ms: int | None) -> None:
-    drive = Drive()
+def test_a_cycle_is_of_whole_milliseconds(
+    drive: Drive, cycle_s: float, whole_ms: int | None
+) -> None:
     with pytest.raises(ConfigurationError, match="60C2h") if whole_ms is None else nullcontext():
         make(drive).prepare(cycle_s)
     assert drive.take()[:1] == ([("write", (0x60C2, 1), whole_ms)] if whole_ms else [])
@@ -283,8 +286,7 @@ def test_a_cycle_is_of_whole_milliseconds(cycle_s: float, whole_ms: int | None) 
 @pytest.mark.parametrize(
     "error", [ConfigurationError("not in the EDS"), ObjectAccessError(0x60B2, 0, 0x06020000, "no")]
 )
-def test_a_drive_without_the_torque_offset_is_refused(error: Exception) -> None:
-    drive = Drive()
+def test_a_drive_without_the_torque_offset_is_refused(drive: Drive, error: Exception) -> None:
     drive.refuses[TORQUE_OFFSET] = error
     prepared(drive)
     with pytest.raises(ConfigurationError, match="60B2h") as caught:
@@ -296,8 +298,7 @@ def test_a_drive_without_the_torque_offset_is_refused(error: Exception) -> None:
 
 
 @pytest.mark.parametrize("offset", [False, True])
-def test_enabling_step_by_step(offset: bool) -> None:
-    drive = Drive()
+def test_enabling_step_by_step(drive: Drive, offset: bool) -> None:
     servo = prepared(drive, torque_offset=offset)
     servo.set_target(0.5)
     drive.take()
@@ -324,8 +325,7 @@ def test_enabling_step_by_step(offset: bool) -> None:
     assert drive.state is State.OPERATION_ENABLED
 
 
-def test_enabling_begins_without_a_torque_offset() -> None:
-    drive = Drive()
+def test_enabling_begins_without_a_torque_offset(drive: Drive) -> None:
     servo = enabled(drive, torque_offset=True)
     servo.set_torque_offset(9.0)
     drive.state = State.SWITCH_ON_DISABLED
@@ -337,8 +337,7 @@ def test_enabling_begins_without_a_torque_offset() -> None:
     assert {offset for _, _, offset in staged} == {0}
 
 
-def test_an_answer_that_is_missing_moves_nothing_on() -> None:
-    drive = Drive()
+def test_an_answer_that_is_missing_moves_nothing_on(drive: Drive) -> None:
     servo = prepared(drive)
     for exchange, fresh in ((2, False), (4, True), (6, False), (7, True), (8, False), (10, True)):
         drive.loses[exchange] = lambda fresh=fresh: setattr(drive, "fresh", fresh)  # type: ignore[misc]
@@ -351,8 +350,7 @@ def test_an_answer_that_is_missing_moves_nothing_on() -> None:
     assert drive.cycle == 10
 
 
-def test_a_drive_whose_mode_does_not_come_is_switched_on_and_not_enabled() -> None:
-    drive = Drive()
+def test_a_drive_whose_mode_does_not_come_is_switched_on_and_not_enabled(drive: Drive) -> None:
     servo = prepared(drive)
     drive.take()
     drive.loses = {
@@ -366,8 +364,7 @@ def test_a_drive_whose_mode_does_not_come_is_switched_on_and_not_enabled() -> No
     assert drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_mode_that_is_taken_over_when_the_drive_is_switched_on() -> None:
-    drive = Drive()
+def test_a_mode_that_is_taken_over_when_the_drive_is_switched_on(drive: Drive) -> None:
     servo = prepared(drive)
 
     def follow() -> None:
@@ -379,8 +376,7 @@ def test_a_mode_that_is_taken_over_when_the_drive_is_switched_on() -> None:
 
 
 @pytest.mark.parametrize(("offered", "good"), [(0x80, True), (0x3FF, True), (0x7F, False)])
-def test_a_drive_without_the_mode_stays_as_it_is(offered: int, good: bool) -> None:
-    drive = Drive()
+def test_a_drive_without_the_mode_stays_as_it_is(drive: Drive, offered: int, good: bool) -> None:
     drive.lacks.clear()
     drive.objects[0x6502, 0] = offered
     servo = prepared(drive)
@@ -395,8 +391,7 @@ def test_a_drive_without_the_mode_stays_as_it_is(offered: int, good: bool) -> No
 
 
 @pytest.mark.parametrize("offset", [False, True])
-def test_disabling(offset: bool) -> None:
-    drive = Drive()
+def test_disabling(drive: Drive, offset: bool) -> None:
     servo = enabled(drive, torque_offset=offset)
     servo.set_target(0.0)
     if offset:
@@ -412,8 +407,7 @@ def test_disabling(offset: bool) -> None:
     ]
 
 
-def test_a_drive_that_obeys_late_has_obeyed() -> None:
-    drive = Drive()
+def test_a_drive_that_obeys_late_has_obeyed(drive: Drive) -> None:
     servo = enabled(drive)
     drive.follows = False
     drive.clock.call_at(
@@ -423,8 +417,7 @@ def test_a_drive_that_obeys_late_has_obeyed() -> None:
     assert drive.take()[-1] == ("unwatch",)
 
 
-def test_a_quick_stop_goes_with_the_exchanges_and_at_once_by_sdo() -> None:
-    drive = Drive()
+def test_a_quick_stop_goes_with_the_exchanges_and_at_once_by_sdo(drive: Drive) -> None:
     servo = enabled(drive)
     drive.follows = False
     assert servo.prepared
@@ -434,8 +427,7 @@ def test_a_quick_stop_goes_with_the_exchanges_and_at_once_by_sdo() -> None:
     assert drive.take() == [("stage", 1, (2, 1304)), ("insist", CONTROLWORD, 2)]
 
 
-def test_a_preparation_that_failed_leaves_no_exchanges_for_the_quick_stop() -> None:
-    drive = Drive()
+def test_a_preparation_that_failed_leaves_no_exchanges_for_the_quick_stop(drive: Drive) -> None:
     servo = enabled(drive)
     drive.state = State.SWITCH_ON_DISABLED
 
@@ -452,8 +444,7 @@ def test_a_preparation_that_failed_leaves_no_exchanges_for_the_quick_stop() -> N
 
 
 @pytest.mark.parametrize("in_fault", [True, False])
-def test_resetting_a_fault(in_fault: bool) -> None:
-    drive = Drive()
+def test_resetting_a_fault(drive: Drive, in_fault: bool) -> None:
     servo = prepared(drive)
     drive.take()
     drive.state = State.FAULT if in_fault else State.SWITCH_ON_DISABLED
@@ -465,8 +456,7 @@ def test_resetting_a_fault(in_fault: bool) -> None:
     assert drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_reset_ends_in_no_other_state() -> None:
-    drive = Drive()
+def test_a_reset_ends_in_no_other_state(drive: Drive) -> None:
     servo = prepared(drive)
     drive.state = State.FAULT
     drive.follows = False
@@ -488,8 +478,7 @@ def test_targets_and_offsets_that_fit_are_staged(side: int) -> None:
     assert drive.take() == [("stage", 1, (0x0F, counts, units))]
 
 
-def test_without_power_no_offset_is_staged() -> None:
-    drive = Drive()
+def test_without_power_no_offset_is_staged(drive: Drive) -> None:
     servo = prepared(drive, torque_offset=True)
     servo.set_torque_offset(9.0)
     assert drive.take()[-1] == ("stage", 1, (0, 1234, 0))
@@ -499,8 +488,7 @@ def test_without_power_no_offset_is_staged() -> None:
     assert drive.take()[-1] == ("stage", 1, (2, 1304, 0))
 
 
-def test_a_sample_in_si_units() -> None:
-    drive = Drive()
+def test_a_sample_in_si_units(drive: Drive) -> None:
     scales = ServoScales(
         4096,
         100.0,
@@ -543,8 +531,9 @@ def at(servo: Cia402Servo, drive: Drive, status: int, position: int) -> float:
     return servo.sample().following_error_rad / SCALES.joint_rad_per_count
 
 
-def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for() -> None:
-    drive = Drive()
+def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for(
+    drive: Drive,
+) -> None:
     servo = enabled(drive)
     unit = SCALES.joint_rad_per_count
     servo.set_target(2000 * unit)
@@ -567,16 +556,14 @@ def test_the_following_error_is_against_the_target_that_the_drive_has_reached_fo
 
 
 @pytest.mark.parametrize("status", [0x1607, 0x1623, 0x1667, 0x162F])
-def test_out_of_operation_there_is_no_following_error(status: int) -> None:
-    drive = Drive()
+def test_out_of_operation_there_is_no_following_error(drive: Drive, status: int) -> None:
     servo = enabled(drive)
     assert at(servo, drive, status, 0) == 0.0
     assert at(servo, drive, 0xFF37, 0) == pytest.approx(1303.0)
 
 
 @pytest.mark.parametrize("cycle", [0, 3])
-def test_the_first_target_is_held_against_nothing(cycle: int) -> None:
-    drive = Drive()
+def test_the_first_target_is_held_against_nothing(drive: Drive, cycle: int) -> None:
     servo = make(drive, torque_offset=True)
     drive.cycle = cycle
     assert at(servo, drive, 0x1627, 10) == pytest.approx(-10.0)

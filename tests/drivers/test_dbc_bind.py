@@ -24,6 +24,11 @@ def problems(spec: DbcMap) -> dict[str, str]:
     return {".".join(map(str, place)): text for place, text in caught.value.problems}
 
 
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "own.dbc"
+
+
 def inputs(**changes: Quantity | None) -> DbcMap:
     return replace(MAP, inputs=replace(MAP.inputs, **changes))
 
@@ -112,10 +117,9 @@ def test_two_messages_of_one_identifier_are_refused() -> None:
         bind(MAP, layouts)
 
 
-def test_a_syntax_error_names_line_and_column(tmp_path: Path) -> None:
-    path = tmp_path / "bad.dbc"
+def test_a_syntax_error_names_line_and_column(path: Path) -> None:
     path.write_text(DRIVE_DBC.read_text().replace("SG_ Code :", "SG_ Code"))
-    with pytest.raises(ConfigurationError, match=r"bad\.dbc:10:11: Invalid syntax"):
+    with pytest.raises(ConfigurationError, match=r"own\.dbc:10:11: Invalid syntax"):
         read_dbc(path)
 
 
@@ -127,9 +131,8 @@ def test_a_syntax_error_names_line_and_column(tmp_path: Path) -> None:
     ],
 )
 def test_a_message_whose_bits_are_wrong_is_not_used_and_others_are(
-    tmp_path: Path, good: str, bad: str, words: str
+    path: Path, good: str, bad: str, words: str
 ) -> None:
-    path = tmp_path / "bad.dbc"
     text = DRIVE_DBC.read_text()
     assert good in text
     path.write_text(text.replace(good, bad))
@@ -157,17 +160,15 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
         ("\u529f", "big5"),
     ],
 )
-def test_comments_are_read_in_any_encoding(tmp_path: Path, comment: str, encoding: str) -> None:
-    path = tmp_path / "x.dbc"
+def test_comments_are_read_in_any_encoding(path: Path, comment: str, encoding: str) -> None:
     text = DRIVE_DBC.read_text().replace("Mean since the last command.", comment)
     path.write_bytes(text.encode(encoding))
     assert read_dbc(path) == read_dbc(DRIVE_DBC)
 
 
 def test_a_message_that_is_defined_twice_is_not_used(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "x.dbc"
     text = DRIVE_DBC.read_text()
     path.write_text(text.replace("BO_ 288 DRV", "BO_ 16 DRV_Stop: 2 HOST\n\nBO_ 288 DRV"))
     layouts = read_dbc(path)
@@ -177,8 +178,7 @@ def test_a_message_that_is_defined_twice_is_not_used(
 
 
 @pytest.mark.parametrize("period", ["-5", '"soon"', "0"])
-def test_a_cycle_time_that_is_none_counts_as_none(tmp_path: Path, period: str) -> None:
-    path = tmp_path / "x.dbc"
+def test_a_cycle_time_that_is_none_counts_as_none(path: Path, period: str) -> None:
     text = DRIVE_DBC.read_text().replace("INT 0 65535", "STRING")
     path.write_text(text.replace("BO_ 416 100;", f"BO_ 416 {period};"))
     assert read_dbc(path)["DRV_Status"].period_s is None
@@ -200,7 +200,6 @@ def test_a_cycle_time_that_is_none_counts_as_none(tmp_path: Path, period: str) -
         ),
     ],
 )
-def test_what_cannot_be_used_says_why(tmp_path: Path, lines: str, words: str) -> None:
-    path = tmp_path / "x.dbc"
+def test_what_cannot_be_used_says_why(path: Path, lines: str, words: str) -> None:
     path.write_text(f'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A B\n\n{lines}\n')
     assert words in read_dbc(path)["M"].obstacle

@@ -33,6 +33,11 @@ def can_link() -> CanopenLink:
     return CanopenLink(SimulatedClock(), never)  # type: ignore[arg-type]
 
 
+@pytest.fixture
+def eds(tmp_path: Path) -> Path:
+    return tmp_path / "own.eds"
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -46,8 +51,7 @@ def can_link() -> CanopenLink:
     ids=["empty", "no header", "no name", "no type", "orphan", "binary"],
 )
 @pytest.mark.parametrize("link", ["can", "serial"])
-def test_a_damaged_file_is_said_in_words(tmp_path: Path, content: str, link: str) -> None:
-    eds = tmp_path / "own.eds"
+def test_a_damaged_file_is_said_in_words(eds: Path, content: str, link: str) -> None:
     eds.write_text(content)
     made = can_link() if link == "can" else EposSerialLink(SimulatedClock(), never)  # type: ignore[arg-type]
     with pytest.raises(
@@ -169,8 +173,7 @@ HARMLESS = {
 
 
 @pytest.mark.parametrize("text", HARMLESS.values(), ids=HARMLESS)
-def test_what_makers_write_beside_the_objects_does_no_harm(tmp_path: Path, text: str) -> None:
-    eds = tmp_path / "own.eds"
+def test_what_makers_write_beside_the_objects_does_no_harm(eds: Path, text: str) -> None:
     eds.write_bytes(text.encode())
     whole = read_eds(DRIVE_EDS, 1)
     read = read_eds(eds, 1)
@@ -179,8 +182,7 @@ def test_what_makers_write_beside_the_objects_does_no_harm(tmp_path: Path, text:
     assert read.faults == {}
 
 
-def test_a_type_that_another_section_defines(tmp_path: Path) -> None:
-    eds = tmp_path / "own.eds"
+def test_a_type_that_another_section_defines(eds: Path) -> None:
     eds.write_text("[2001]\nDataType=0xA0\n[A0]\n[A0sub1]\nDefaultValue=0x0006\n")
     assert read_eds(eds, 5)[0x2001].data_type == 6
 
@@ -194,9 +196,8 @@ def test_a_type_that_another_section_defines(tmp_path: Path) -> None:
     ],
 )
 def test_a_fault_is_told_with_file_and_line_where_its_object_is_needed(
-    tmp_path: Path, line: str, instead: str, words: str
+    eds: Path, line: str, instead: str, words: str
 ) -> None:
-    eds = tmp_path / "own.eds"
     at = TEXT.index("[6040]")
     eds.write_text(TEXT[:at] + TEXT[at:].replace(line, instead, 1))
     number = 1 + eds.read_text()[: eds.read_text().index("[6040]")].count("\n")
@@ -206,8 +207,7 @@ def test_a_fault_is_told_with_file_and_line_where_its_object_is_needed(
     assert number <= shown <= number + 6
 
 
-def test_members_of_an_object_that_is_a_single_value_are_told(tmp_path: Path) -> None:
-    eds = tmp_path / "own.eds"
+def test_members_of_an_object_that_is_a_single_value_are_told(eds: Path) -> None:
     eds.write_text("[2000]\nObjectType=7\nDataType=5\n[2000sub1]\nDataType=6\n")
     link = can_link()
     node = link.add_node(1, eds)

@@ -22,42 +22,22 @@ BACK_EMF = 2.588
 LOAD = 0.052 + 0.032 * 0.4
 """Load coefficient at 0.4 rad/s."""
 OFF: Effects = {
-    "cogging": {"torque_Nm": 0.0, "per_motor_turn": 7.0, "phase_rad": 1.0},
-    "torque_ripple": {"fraction": 0.0, "per_motor_turn": 7.0, "phase_rad": 1.0},
     "current_loop_lag": {"time_s": 0.0},
-    "inverter_dead_time": {"voltage_V": 0.0},
-    "brush_drop": {"voltage_V": 0.0, "current_A": 1.0},
     "winding_heating": {"rise_K_per_W": 0.0, "time_s": 60.0},
     "supply_sag": {"resistance_ohm": 0.0},
-    "gear_mesh_ripple": {"amplitude_rad": 0.0, "per_turn": 30.0, "phase_rad": 1.0},
     "transmission_efficiency": {"efficiency": 1.0},
     "asymmetric_coulomb": {"torque_Nm": 0.0},
-    "asymmetric_viscous": {"coefficient_Nms_rad": 0.0},
-    "quadratic_drag": {"coefficient_Nms2_rad2": 0.0},
     "stribeck_shape": {"alpha": 2.0},
     "friction_memory": {"time_s": 0.0},
     "dwell_static_friction": {"growth_Nm": 0.0, "time_s": 1.0},
-    "position_dependent_friction": {"torque_Nm": 0.0, "center_rad": 0.0, "width_rad": 0.1},
-    "viscous_thermal_drift": {"fraction": 0.0, "time_s": 100.0},
-    "coulomb_drift": {"rate_Nm_s": 0.0},
-    "gravity_imbalance": {"torque_Nm": 0.0, "zero_rad": 1.0},
-    "return_spring": {"stiffness_Nm_rad": 0.0, "rest_rad": 1.0},
     "end_stop": {"angle_rad": 0.1, "stiffness_Nm_rad": 0.0},
     "load_exponent": {"exponent": 1.0},
-    "load_position_dependence": {"slope_per_rad": 0.0},
     "load_swing": {"fraction": 0.0, "frequency_Hz": 1.0, "decay_s": 1.0},
-    "load_inertia": {"inertia_kgm2": 0.0},
-    "lever_pivot_friction": {"torque_Nm": 0.0},
-    "load_dependent_friction": {"coefficient": 0.0},
     "time_skew": {"time_s": 0.0},
     "transport_delay": {"time_s": 0.0},
-    "current_offset": {"current_A": 0.0},
-    "current_drift": {"rate_A_s": 0.0},
-    "encoder_eccentricity": {"amplitude_rad": 0.0, "phase_rad": 1.0},
     "encoder_slip": {"angle_rad": 0.0, "at_s": 0.0, "recording": 1.0},
 }
-
-
+"""Effects of each part of the machine, of no size; the others' torque is zero where their size is."""
 nominal = cache(lambda speed, weight_kg: steady_torque({}, speed, weight_kg))
 
 

@@ -69,8 +69,7 @@ def test_the_present_position_becomes_the_home_position(method: int, sign: int) 
 
 
 @pytest.mark.parametrize(("method", "edge_deg"), [(17, -20.0), (18, 20.0)])
-def test_a_switch_is_found_and_left(method: int, edge_deg: float) -> None:
-    host = make_host()
+def test_a_switch_is_found_and_left(host: Host, method: int, edge_deg: float) -> None:
     assert homed(host, order(method, 3.0)) is HomingState.ATTAINED
     truth = host.bench.machine.truth().angle_rad
     assert truth == pytest.approx(edge_deg * DEG, abs=0.2 * DEG)
@@ -78,8 +77,7 @@ def test_a_switch_is_found_and_left(method: int, edge_deg: float) -> None:
     assert shown - truth == pytest.approx((3.0 - edge_deg) * DEG, abs=0.05 * DEG)
 
 
-def test_power_alone_does_not_start_it() -> None:
-    host = make_host()
+def test_power_alone_does_not_start_it(host: Host) -> None:
     host.servo.write_limits(LIMITS)
     prepared(host).servo.begin_homing(order(17))
     host.cycles(500)
@@ -89,9 +87,8 @@ def test_power_alone_does_not_start_it() -> None:
     assert not host.bench.drive.objects.integer(0x6040) & 1 << 4
 
 
-def test_switching_on_again_does_not_start_it() -> None:
+def test_switching_on_again_does_not_start_it(host: Host) -> None:
     """The end of a homing may have failed, so that its mode is still selected."""
-    host = make_host()
     host.servo.write_limits(LIMITS)
     prepared(host).servo.begin_homing(order(37))
     host.servo.start_homing()
@@ -101,8 +98,7 @@ def test_switching_on_again_does_not_start_it() -> None:
     assert not motion.started
 
 
-def test_a_blocked_joint_is_a_homing_error() -> None:
-    host = make_host()
+def test_a_blocked_joint_is_a_homing_error(host: Host) -> None:
     host.bench.drive.homing.jammed = True
     assert homed(host, order(17)) is HomingState.FAILED
     assert host.bench.drive.objects.integer(0x6041) & 1 << 13
@@ -140,8 +136,7 @@ def test_a_falling_start_bit_interrupts_it_and_a_silent_host_stops_it() -> None:
     assert abs(host.bench.machine.truth().velocity_rad_s) < 1e-3
 
 
-def test_an_energised_drive_is_not_homed() -> None:
-    host = make_host()
+def test_an_energised_drive_is_not_homed(host: Host) -> None:
     host.servo.write_limits(LIMITS)
     enabled(host)
     with pytest.raises(StateError, match="disable it before homing"):
@@ -158,8 +153,7 @@ def test_what_the_drive_refuses_is_not_energised() -> None:
     assert True not in host.powered
 
 
-def test_a_drive_that_does_not_show_the_mode_is_not_started() -> None:
-    host = make_host()
+def test_a_drive_that_does_not_show_the_mode_is_not_started(host: Host) -> None:
     host.servo.write_limits(LIMITS)
     prepared(host)
     objects = host.bench.drive.objects
@@ -190,8 +184,7 @@ def test_homing_is_offered_where_its_objects_are(
 
 
 @pytest.mark.parametrize("index", [0x6098, 0x607C])
-def test_an_object_of_the_file_that_the_drive_lacks_is_no_offer(index: int) -> None:
-    host = make_host()
+def test_an_object_of_the_file_that_the_drive_lacks_is_no_offer(host: Host, index: int) -> None:
     del host.bench.drive.objects.entries[key(index)]
     offer = host.servo.homing_offer()
     assert not offer.methods

@@ -27,7 +27,7 @@ from drivers.objects import optional
 from drivers.servo_limits import NO_OPTION, encode
 from drivers.units import EncoderScales, ServoScales
 
-from .host import SCALES, Host, enabled, make_host
+from .host import SCALES, Host, enabled, make_eds, make_host
 from .test_servo import LIMITS
 
 TURN = 262144
@@ -209,8 +209,7 @@ def scales_of(make: str) -> ServoScales:
 
 @pytest.mark.parametrize("make", [make for make in LACKS if make != "EPOS2"])
 def test_a_drive_of_this_make_runs_and_is_left_without_power(make: str, tmp_path: Path) -> None:
-    eds = tmp_path / "drive.eds"
-    eds.write_text(description(make))
+    eds = make_eds(tmp_path, make)
     host = make_host(eds=eds, scales=scales_of(make))
     for index in LACKS[make]:
         with pytest.raises((ObjectAccessError, ConfigurationError)):
@@ -255,8 +254,7 @@ def test_without_606c_the_speed_follows_from_the_position(tmp_path: Path) -> Non
 def test_a_drive_without_a_reaction_to_a_lost_master_has_no_watchdog(
     tmp_path: Path, makes: str, alone: bool
 ) -> None:
-    eds = tmp_path / "drive.eds"
-    eds.write_text(description(makes))
+    eds = make_eds(tmp_path, makes)
     host = make_host(eds=eds)
     assert host.link.has_watchdog is alone
     assert host.servo.watch_s == (0.1 if alone else None)
@@ -404,8 +402,7 @@ SPEED = 1.0
 
 @pytest.mark.parametrize("make", RAMPED)
 def test_a_quick_stop_brakes_as_the_bench_file_says(make: str, tmp_path: Path) -> None:
-    eds = tmp_path / "drive.eds"
-    eds.write_text(description(make))
+    eds = make_eds(tmp_path, make)
     host = make_host(eds=eds, scales=scales_of(make))
     limits = dataclasses.replace(LIMITS, quick_stop_deceleration_rad_s2=DECELERATION)
     host.servo.write_limits(limits)

@@ -357,15 +357,3 @@ def test_encoders_count_whole_steps_downwards() -> None:
         angle, reading = machine.truth().angle_rad, machine.latch()
         assert reading.motor_counts == math.floor(angle * 100.0 * 4096.0 / (2.0 * math.pi))
         assert reading.joint_counts == math.floor(angle * 262144.0 / (2.0 * math.pi))
-
-
-def test_following_error_is_in_motor_counts() -> None:
-    machine = SimulatedMachine(
-        Machine(joint=Joint(Mc_N_m=1e9, Ms_N_m=1e9)), np.random.default_rng(1)
-    )
-    machine.power(True)
-    machine.track(500.0, 5 * CYCLE_NS)
-    machine.advance(2 * CYCLE_NS)
-    assert machine.latch().following_error_counts == pytest.approx(200.0)
-    machine.advance(8 * CYCLE_NS)
-    assert machine.latch().following_error_counts == pytest.approx(500.0)
