@@ -1,6 +1,4 @@
-"""What every servo on every transport must do; a transport joins by subclassing and giving the
-fixture ``rig``.
-"""
+"""What every servo on every transport must do; one joins by subclassing and giving ``rig``."""
 
 from __future__ import annotations
 

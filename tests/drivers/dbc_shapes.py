@@ -1,8 +1,4 @@
-"""Random DBC files, and what must hold of each: it is refused in words, or no signal is read
-otherwise than the file states it.
-
-Frames are read bit by bit by the bit numbers of the DBC, without the codec under test.
-"""
+"""Random DBC files, and frames read bit by bit by the file's bit numbers, without the codec."""
 
 from __future__ import annotations
 
@@ -28,13 +24,7 @@ WORDS = ("A", "B", "C", "State", "Position", "Speed", "i_q", "T1", "Stop")
 
 @dataclass(frozen=True)
 class Field:
-    """A signal as its DBC states it.
-
-    Attributes:
-        start: Bit number in the DBC.
-        page: Value of the selector, or None.
-        selects: Whether it selects the page.
-    """
+    """A signal as its DBC states it."""
 
     name: str
     start: int
@@ -228,9 +218,7 @@ def sound_file(rng: Random, path: Path) -> bool:
 
 
 def damaged_file(rng: Random, path: Path) -> bool:
-    """Read the file of the simulated drive, with lines lost, moved, doubled and bytes changed;
-    whether it was read.
-    """
+    """Read the damaged file of the simulated drive; whether it was read."""
     path.write_bytes(damaged(DRIVE_DBC.read_bytes(), rng, 90))
     try:
         read_dbc(path)

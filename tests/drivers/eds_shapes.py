@@ -1,6 +1,4 @@
-"""Random EDS files, and what must hold of each: it is refused with its name, or no object is read
-otherwise than the file states it.
-"""
+"""Random EDS files, refused with their name or read as they state."""
 
 from __future__ import annotations
 

@@ -49,10 +49,7 @@ def drive_eds(
     axis: Axis = ONE_AXIS,
     source: Path = DRIVE_EDS,
 ) -> Path:
-    """Write the EDS of a simulated device without some objects, with other default values, and
-    with the objects of an axis of a device with several; with subindices, 6040h, 6060h and 6061h
-    stay common, and 6041h has the states of two axes.
-    """
+    """Write the EDS of a simulated device without some objects, or of one axis of several."""
     kept, keep, at = [], True, (0, 0)
     for line in source.read_text(encoding="ascii").splitlines():
         if head := re.match(r"\[([0-9A-F]{4})(?:sub([0-9A-F]+))?\]", line):
@@ -126,9 +123,7 @@ def make_host(
     traits: Traits | None = None,
     axis: Axis = ONE_AXIS,
 ) -> Host:
-    """Return an open link to a booted bench, natively or through python-can; nothing is
-    prepared. A drive with an EDS of its own shows only the objects of that file.
-    """
+    """Return an open link to a booted bench, natively or through python-can."""
     if eds is not None:
         traits = described_drive(read_eds(eds, DRIVE_NODE), axis)
     bench = simulated_bench(machine or Machine(), seed, bitrate, traits=traits)

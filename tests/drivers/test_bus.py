@@ -54,9 +54,7 @@ def test_collecting_stops_at_its_time_out_in_the_middle_of_a_burst() -> None:
 
 
 def test_what_falls_due_in_a_burst_happens_at_its_time() -> None:
-    """An event between two frames sees the bus as it is then, and a frame it sends takes part in
-    arbitration.
-    """
+    """A frame that an event between two frames sends takes part in arbitration."""
     clock = SimulatedClock()
     bus = SimulatedBus(clock)
     first, second = bus.attach(), bus.attach()

@@ -1,6 +1,4 @@
-"""The CiA 402 servo against a channel that notes everything: what is sent, in which order, when,
-and in which unit.
-"""
+"""The CiA 402 servo against a channel that notes everything."""
 
 from __future__ import annotations
 
@@ -36,14 +34,7 @@ CYCLE_NS = 4_000_000
 
 
 class Drive:
-    """A drive, its channel and the link to it; a read takes a millisecond, an exchange none.
-
-    Attributes:
-        log: What was written, insisted on, staged, mapped, watched and exchanged, with the time of
-            each exchange.
-        follows: Whether controlwords change its state.
-        loses: Exchange, counted from 1, to what goes wrong in it.
-    """
+    """A drive, its channel and the link to it; a read takes a millisecond, an exchange none."""
 
     has_watchdog = True
     label = "drive 1"

@@ -47,9 +47,7 @@ class TestCanBuses(ServoContract):
 
 
 class TestOtherErrorControl(ServoContract):
-    """Drives that monitor their master by life guarding, or not at all, and drives that leave the
-    NMT state OPERATIONAL when they lose their master.
-    """
+    """Drives that monitor their master by life guarding, or not at all."""
 
     @pytest.fixture(
         params=[

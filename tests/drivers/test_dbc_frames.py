@@ -1,6 +1,4 @@
-"""Frames of other kinds: 29-bit identifiers, pages of a multiplexed message, remote frames, drives
-that report less.
-"""
+"""29-bit identifiers, pages of a message, remote frames, drives that report less."""
 
 from __future__ import annotations
 
@@ -42,13 +40,7 @@ DRIVE = DbcDrive(Identity("motor", 1, 2, 3, 4), HELD, 1.0, 0.1, 0.0, 0.1)
 
 
 class Wire:
-    """A bus with a motor on it.
-
-    Attributes:
-        sent: What the host sent.
-        answers: Identifier of the host to the frames that answer it.
-        lost: How many of the next answers are lost.
-    """
+    """A bus with a motor on it."""
 
     def __init__(self, clock: SimulatedClock) -> None:
         self.clock = clock

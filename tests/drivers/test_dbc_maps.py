@@ -101,12 +101,7 @@ def motor() -> Wiring:
 
 
 class Motor(RuleBasedStateMachine):
-    """A motor is ordered about; an independent decoder looks at every frame.
-
-    Attributes:
-        order: The order in force.
-        due: Whether the message that only `reset` names is still to be sent.
-    """
+    """A motor is ordered about; an independent decoder looks at every frame."""
 
     @initialize()
     def begin(self) -> None:

@@ -1,6 +1,4 @@
-"""Orders of drives with their own frames: who wins over the target, what goes once, what is a
-fault.
-"""
+"""Who wins over the target, what goes once, what is a fault."""
 
 from __future__ import annotations
 

@@ -272,9 +272,7 @@ def current(pushed: Host, cycles: int = 40) -> float:
 
 
 def test_a_resting_joint_takes_the_torque_as_current(pushed: Host) -> None:
-    """Position P and velocity PI see no error, so that the current is the offset's: 6 N m over 3 N
-    m/A.
-    """
+    """The loops see no error, so that the current is the offset's: 6 N m over 3 N m/A."""
     enabled(pushed)
     before = current(pushed)
     pushed.servo.set_torque_offset(6.0)
@@ -293,9 +291,7 @@ def test_it_does_not_pass_the_limit_of_the_current(pushed: Host) -> None:
 
 
 def test_the_drive_adds_nothing_to_a_ramp_of_its_own(pushed: Host) -> None:
-    """A fault stops the drive by itself, with 60B2h still as it was: the offset must not push the
-    joint on.
-    """
+    """A fault stops the drive by itself, with 60B2h still as it was."""
     enabled(pushed)
     pushed.servo.set_torque_offset(8.0)
     pushed.cycles(20)

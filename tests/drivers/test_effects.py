@@ -37,7 +37,7 @@ OFF: Effects = {
     "transport_delay": {"time_s": 0.0},
     "encoder_slip": {"angle_rad": 0.0, "at_s": 0.0, "recording": 1.0},
 }
-"""Effects of each part of the machine, of no size; the others' torque is zero where their size is."""
+"""Effects of no size."""
 nominal = cache(lambda speed, weight_kg: steady_torque({}, speed, weight_kg))
 
 
@@ -425,9 +425,7 @@ def test_coupling_takes_energy_and_never_gives_any(deflection: float) -> None:
 
 
 def test_bristles_bend_in_proportion_before_they_slip() -> None:
-    """Below a tenth of breakaway a soft push moves the joint by torque over stiffness, and it comes
-    back.
-    """
+    """Below a tenth of breakaway a soft push moves the joint by torque over stiffness."""
     stiffness = 5e3
     t = clock(4.0)
     push = np.where(t < 2.0, np.clip(t, 0.0, 1.0), np.clip(3.0 - t, 0.0, 1.0)) * 2.5e-3

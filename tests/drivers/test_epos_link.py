@@ -176,9 +176,7 @@ def test_one_lost_answer_outside_the_cycle_is_asked_for_again(host: SerialHost) 
 
 
 def test_angle_position_current_and_stamp_are_of_one_instant(host: SerialHost) -> None:
-    """Position and current that rise evenly are known at any time: as read, the position would be
-    off by 6 counts, and the mean of the current by 6 per mille.
-    """
+    """Position and current rise evenly, so that they are known at any time."""
     enabled(host)
     drive, clock = host.bench.drive, host.bench.clock
     rate, half_cycle, began = 50.0, 1e3 * host.cycle_s / 2, clock.now_ns()  # 1/ms, ms

@@ -1,6 +1,4 @@
-"""Every fault of wire, sensor and drive does what its name says, for as long as it should, and no
-more.
-"""
+"""Every fault of wire, sensor and drive does what its name says."""
 
 from __future__ import annotations
 

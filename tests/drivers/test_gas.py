@@ -1,6 +1,4 @@
-"""The gas generator: its books balance, its equilibria are those on paper, and it loads the valve
-it feeds.
-"""
+"""The gas generator and its valve: books, equilibria, areas, and what it can hide."""
 
 from __future__ import annotations
 
@@ -176,9 +174,7 @@ def area(polygon: Array) -> float:
 
 
 def clipped(polygon: Array, by: Array) -> Array:
-    """Return what a convex polygon leaves of another (Sutherland and Hodgman); both
-    anticlockwise.
-    """
+    """Return what a convex polygon leaves of another (Sutherland and Hodgman)."""
     for start, end in zip(by, np.roll(by, -1, axis=0), strict=True):
         if not len(polygon):
             break

@@ -149,9 +149,7 @@ def test_after_a_pause_the_next_exchange_sends_a_heartbeat(host: Host) -> None:
 
 
 def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:
-    """The load that a bench file is checked against is that on the wire: SYNC and every PDO, of 1
-    Mbit/s.
-    """
+    """The load that a bench file is checked against is that on the wire."""
     prepared(host)
     host.cycles(20)
     host.link.take_frames()

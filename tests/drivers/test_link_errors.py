@@ -42,9 +42,7 @@ Make = Callable[[], BaseException]
 
 
 class Broken:
-    """A port that lets out whatever its library raises, against its promise; from a given call on,
-    or from now on.
-    """
+    """A port that lets out whatever its library raises."""
 
     def __init__(self, inner: Any, make: Make, good: int = 0) -> None:
         self.inner = inner
@@ -268,9 +266,7 @@ def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> N
 
 
 class Babble:
-    """A line that never falls silent: every look at it gives the next piece, and takes five
-    milliseconds.
-    """
+    """A line that never falls silent."""
 
     def __init__(self, clock: SimulatedClock, pieces: Sequence[bytes]) -> None:
         self.reads = 0
@@ -326,9 +322,7 @@ def test_a_serial_line_that_babbles_is_a_link_error_in_time(pieces: list[bytes])
 
 
 def test_good_frames_without_end_are_no_answer_either() -> None:
-    """A drive in step is looked for by its identity; whole frames of another content must not keep
-    that up for ever.
-    """
+    """Whole frames of another content must not keep up the search for the drive for ever."""
     line = epos_line()
     clock = line._clock
     link = EposSerialLink(clock, lambda: line, "EPOS4")

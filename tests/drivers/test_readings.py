@@ -1,6 +1,4 @@
-"""Devices asked for what they are and show, unprepared: nothing is written, and what is not there
-is NaN.
-"""
+"""Devices asked for what they are and show, unprepared."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Real serial lines that go wrong: hung up, stalled, held by another program.
-
-Pseudo-terminals, in real time.
-"""
+"""Real serial lines that go wrong: hung up, stalled, held by another program."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The LAWICEL protocol: its decoder against anything, and the port behind a line that garbles,
-stalls or hangs up.
-"""
+"""The LAWICEL protocol: its decoder against anything, and the port behind a bad line."""
 
 from __future__ import annotations
 
