@@ -33,11 +33,20 @@ CYCLE_S = 0.004
 CYCLE_NS = 4_000_000
 
 
+def noted(name: str) -> Any:
+    """Return a method that only notes its call."""
+    return lambda self, *values: self.log.append((name, *values))
+
+
 class Drive:
     """A drive, its channel and the link to it; a read takes a millisecond, an exchange none."""
 
-    has_watchdog = True
+    has_watchdog = latches = True
     label = "drive 1"
+    watch, unwatch, forget_faults = map(noted, ("watch", "unwatch", "forget faults"))
+    require_mappable = limit_wait = staticmethod(lambda *_: None)
+    unguarded = staticmethod(lambda _watched: ())
+    kept_alive = staticmethod(nullcontext)
 
     def __init__(self) -> None:
         self.clock = SimulatedClock(5 * NS)
@@ -87,10 +96,6 @@ class Drive:
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
         return (index, subindex) not in self.lacks
 
-    @property
-    def latches(self) -> bool:
-        return True
-
     def fit_together(self, addresses: Any) -> bool:
         return len(addresses) <= 3
 
@@ -116,9 +121,6 @@ class Drive:
     def announce(self, index: int, subindex: int, value: int) -> None:
         self.log.append(("announce", (index, subindex), value))
 
-    def forget_faults(self) -> None:
-        self.log.append(("forget faults",))
-
     def map_process_data(
         self, outputs: Any, inputs: Any, cycle_s: float, watched: bool = False
     ) -> None:
@@ -127,30 +129,12 @@ class Drive:
     def accessed(self, outputs: Any, inputs: Any, watched: bool) -> Any:
         return (address for layout in (*outputs, *inputs) for address in layout.objects)
 
-    def require_mappable(self, outputs: Any, inputs: Any) -> None:
-        pass
-
-    def unguarded(self, watched: bool) -> Any:
-        return ()
-
-    def kept_alive(self, limit_s: float) -> Any:
-        return nullcontext()
-
     def stage(self, number: int, *values: int) -> None:
         self.log.append(("stage", number, values))
         self.staged = values
 
     def latest(self, number: int) -> tuple[int, ...]:
         return self.inputs[number]
-
-    def watch(self, limit_s: float) -> None:
-        self.log.append(("watch", limit_s))
-
-    def limit_wait(self, limit_s: float | None) -> None:
-        self.limit_s = limit_s
-
-    def unwatch(self) -> None:
-        self.log.append(("unwatch",))
 
     def exchange(self) -> None:
         self.cycle += 1
@@ -195,7 +179,6 @@ def drive() -> Drive:
 class TestSteps(StepsContract):
     @pytest.fixture
     def case(self, drive: Drive) -> Case:
-
         def servo(prepare: bool = True, **options: Any) -> Cia402Servo:
             return prepared(drive, **options) if prepare else make(drive, **options)
 
