@@ -250,16 +250,6 @@ def test_a_target_that_wraps_stays_in_the_range_of_its_signal(signed: bool, low:
     assert target.bits(4095.7 * gain) == 0
 
 
-def test_a_floating_point_target_wraps_about_zero() -> None:
-    target = BoundQuantity("M", Signal("T", 4, 0, 32, real=True), 1.0, 0.0, 2.0)
-    read = target.signal.raw
-    assert [read(target.bits(x).to_bytes(4, "little")) for x in (0.5, 1.5, -1.5)] == [
-        0.5,
-        -0.5,
-        0.5,
-    ]
-
-
 def test_a_position_that_wraps_is_followed_over_the_jump(tmp_path: Path) -> None:
     turn = 65536 * 0.0004
     spec = replace(
