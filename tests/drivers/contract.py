@@ -1,6 +1,4 @@
-"""What every servo on every transport must do; a transport joins by subclassing and giving the
-fixture ``rig``.
-"""
+"""What every servo on every transport must do; one joins by subclassing and giving ``rig``."""
 
 from __future__ import annotations
 
@@ -79,56 +77,56 @@ class ServoContract:
         ready.servo.enable()
         return ready
 
-    def test_identity_names_the_device(self, rig: Rig) -> None:
+    def test_before_it_is_prepared_it_shows_what_it_is_and_takes_no_power(self, rig: Rig) -> None:
         identity = rig.servo.identity()
         assert identity.name
         assert identity.vendor_id > 0
-
-    def test_preparing_gives_no_power(self, ready: Rig) -> None:
-        assert not ready.servo.state().energised
-        ready.cycles(20)
-        assert not ready.servo.state().energised
-
-    def test_sampling_before_preparation_gives_a_sample_or_says_why_not(self, rig: Rig) -> None:
-        """A run that ends before its drive was prepared samples it while it brakes."""
+        # A run that ends before its drive was prepared samples it while it brakes.
         try:
             assert isinstance(rig.servo.sample().motor_angle_rad, float)
         except StateError as error:
             assert "prepare" in str(error)  # noqa: PT017 either outcome is right
-
-    def test_enabling_needs_preparation(self, rig: Rig) -> None:
         with pytest.raises(StateError, match="prepare"):
             rig.servo.enable()
         assert not rig.servo.state().energised
+        rig.link.close()
+        rig.link.close()
 
-    def test_enabling_holds_the_position(self, ready: Rig) -> None:
-        ready.cycles(2)
+    def test_preparing_gives_no_power_and_enabling_holds_the_position(self, ready: Rig) -> None:
+        assert not ready.servo.state().energised
+        ready.cycles(20)
+        assert not ready.servo.state().energised
         before = ready.encoder.sample().angle_rad
         ready.servo.enable()
         ready.cycles(50)
         assert ready.servo.state() is ServoState.OPERATION_ENABLED
         assert ready.encoder.sample().angle_rad == pytest.approx(before, abs=1e-3)
 
-    def test_follows_the_target(self, live: Rig) -> None:
+    def test_follows_the_target_and_keeps_time_and_frames(self, live: Rig) -> None:
         live.cycles(round(0.4 / live.cycle_s), lambda t: 0.1 * math.sin(math.pi / 0.8 * t))
         sample = live.servo.sample()
         assert sample.fresh
         assert sample.motor_angle_rad / 100.0 == pytest.approx(0.1, abs=5e-3)
         assert live.encoder.sample().angle_rad == pytest.approx(0.1, abs=5e-3)
-
-    def test_device_time_advances_with_the_cycle(self, live: Rig) -> None:
-        live.cycles(1)
-        first = live.servo.sample().device_time_s
+        live.link.take_frames()
         live.cycles(100)
-        assert live.servo.sample().device_time_s - first == pytest.approx(
+        assert live.servo.sample().device_time_s - sample.device_time_s == pytest.approx(
             100 * live.cycle_s, abs=live.cycle_s
         )
+        frames = live.link.take_frames()
+        assert [f.time_ns for f in frames] == sorted(f.time_ns for f in frames)
+        assert {f.sent for f in frames} == {True, False}
+        assert live.link.take_frames() == []
 
-    def test_disable_is_verified_and_final(self, live: Rig) -> None:
+    def test_disable_is_verified_and_final_until_the_next_enabling(self, live: Rig) -> None:
+        with pytest.raises(StateError, match="operation enabled"):
+            live.servo.reset_fault()
         live.servo.disable()
         assert not live.servo.state().energised
         live.cycles(50, lambda _: 0.2)
         assert not live.servo.state().energised
+        live.servo.enable()
+        assert live.servo.state() is ServoState.OPERATION_ENABLED
 
     def test_quick_stop_is_never_undone_by_the_exchange(self, live: Rig) -> None:
         live.servo.quick_stop()
@@ -143,26 +141,11 @@ class ServoContract:
         live.servo.disable()
         assert not live.servo.state().energised
 
-    def test_can_be_enabled_again(self, live: Rig) -> None:
-        live.servo.disable()
-        live.servo.enable()
-        assert live.servo.state() is ServoState.OPERATION_ENABLED
-
-    def test_no_fault_no_reset(self, live: Rig) -> None:
-        with pytest.raises(StateError, match="operation enabled"):
-            live.servo.reset_fault()
-
-    def test_a_stopped_loop_ends_without_power(self, live: Rig) -> None:
+    def test_a_stopped_loop_ends_without_power_and_can_begin_again(self, live: Rig) -> None:
         live.cycles(50)
-        clock = live.link.clock
-        clock.sleep_until_ns(clock.now_ns() + 300_000_000)
+        live.wait(0.3)
         # A transport either has a watchdog that works, or says that it has none.
         assert live.servo.state().energised is not live.link.has_watchdog
-
-    def test_a_loop_that_stopped_can_begin_again(self, live: Rig) -> None:
-        live.cycles(50)
-        clock = live.link.clock
-        clock.sleep_until_ns(clock.now_ns() + 300_000_000)
         live.servo.disable()
         if live.servo.state() is ServoState.FAULT:
             live.servo.reset_fault()
@@ -170,16 +153,3 @@ class ServoContract:
         live.servo.enable()
         live.cycles(50)
         assert live.servo.state() is ServoState.OPERATION_ENABLED
-
-    def test_frames_are_kept_in_order_until_taken(self, live: Rig) -> None:
-        live.link.take_frames()
-        live.cycles(3)
-        frames = live.link.take_frames()
-        assert frames
-        assert [f.time_ns for f in frames] == sorted(f.time_ns for f in frames)
-        assert {f.sent for f in frames} == {True, False}
-        assert live.link.take_frames() == []
-
-    def test_closing_twice_is_safe(self, rig: Rig) -> None:
-        rig.link.close()
-        rig.link.close()

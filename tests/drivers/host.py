@@ -20,7 +20,7 @@ from drivers.interfaces import Link
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
-from drivers.mock.makes import described_drive
+from drivers.mock.makes import described_drive, description
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.traits import Traits
@@ -47,13 +47,11 @@ def drive_eds(
     lacks: Sequence[int] = (),
     defaults: Mapping[tuple[int, int], int] | None = None,
     axis: Axis = ONE_AXIS,
+    source: Path = DRIVE_EDS,
 ) -> Path:
-    """Write the EDS of the simulated drive without some objects, with other default values, and
-    with the objects of an axis of a device with several; with subindices, 6040h, 6060h and 6061h
-    stay common, and 6041h has the states of two axes.
-    """
+    """Write the EDS of a simulated device without some objects, or of one axis of several."""
     kept, keep, at = [], True, (0, 0)
-    for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
+    for line in source.read_text(encoding="ascii").splitlines():
         if head := re.match(r"\[([0-9A-F]{4})(?:sub([0-9A-F]+))?\]", line):
             at = int(head[1], 16), int(head[2] or "0", 16)
         if line.startswith("["):
@@ -72,6 +70,13 @@ def drive_eds(
             kept.append(line)
     path = folder / "drive.eds"
     path.write_text("\n".join(kept) + "\n", encoding="ascii")
+    return path
+
+
+def make_eds(folder: Path, make: str) -> Path:
+    """Write the EDS of a make's drive."""
+    path = folder / "drive.eds"
+    path.write_text(description(make))
     return path
 
 
@@ -118,9 +123,7 @@ def make_host(
     traits: Traits | None = None,
     axis: Axis = ONE_AXIS,
 ) -> Host:
-    """Return an open link to a booted bench, natively or through python-can; nothing is
-    prepared. A drive with an EDS of its own shows only the objects of that file.
-    """
+    """Return an open link to a booted bench, natively or through python-can."""
     if eds is not None:
         traits = described_drive(read_eds(eds, DRIVE_NODE), axis)
     bench = simulated_bench(machine or Machine(), seed, bitrate, traits=traits)

@@ -1,9 +1,4 @@
-"""Real pseudo-terminals and sockets in simulated time: bytes really go through, and time waits for
-them.
-
-Nothing here depends on how busy the machine is: simulated time stands still while bytes are on
-their way.
-"""
+"""Real pseudo-terminals and sockets in simulated time."""
 
 from __future__ import annotations
 

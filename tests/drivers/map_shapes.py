@@ -1,8 +1,4 @@
-"""Random signal maps of drives with their own frames, and what must hold of each: it is refused
-with its places, or no order and no input differs from what file and map state.
-
-Frames are read bit by bit by the bit numbers of the DBC, without the codec under test.
-"""
+"""Random signal maps, refused with their places or held against file and map bit by bit."""
 
 from __future__ import annotations
 
@@ -110,9 +106,7 @@ def drawn_map(rng: Random, heard: Mapping[str, Place], told: Mapping[str, Place]
 def require_frames(
     images: Mapping[str, bytes], values: Assignments, places: Mapping[str, Place]
 ) -> None:
-    """Hold the frames of an order against the values that the map orders: each signal has its value
-    and no other bit is set, but those of the page.
-    """
+    """Hold the frames of an order against the values that the map orders."""
     allowed: dict[str, set[int]] = {}
     for name, value in values.items():
         frame, part = places[name].frame, places[name].part
@@ -165,9 +159,7 @@ def require_target(rng: Random, spec: DbcMap, wiring: Wiring, at: Place) -> None
 
 
 def any_map(rng: Random, path: Path) -> bool:
-    """Bind a random map to a file of known messages: it is refused with its places, or orders and
-    inputs are what file and map state.
-    """
+    """Bind a random map to a file of known messages; whether they fit."""
     frames = [frame for frame in drawn_frames(rng) if frame.fields]
     if len(frames) < 2:
         frames += [drawn_frame(rng, f"Other{n}", n) for n in (0x7FE, 0x7FF)]

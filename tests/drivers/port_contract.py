@@ -1,6 +1,4 @@
-"""What every port must do, real or simulated; one joins by subclassing and giving the fixture
-``line`` or ``wire``.
-"""
+"""What every port must do, real or simulated; one joins by giving ``line`` or ``wire``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""A pseudo-terminal whose far end is the test: it speaks, stalls, and hangs up as an adapter
-does.
-"""
+"""A pseudo-terminal whose far end is the test."""
 
 from __future__ import annotations
 

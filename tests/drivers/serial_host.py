@@ -1,6 +1,4 @@
-"""The simulated bench behind serial lines and CAN adapters, with the host's drivers on it, for
-tests.
-"""
+"""The simulated bench behind serial lines and CAN adapters."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What every servo does step by step, against a fake drive that notes what it is sent; a servo
-joins by subclassing and giving the fixture ``case``.
-"""
+"""What every servo does step by step; one joins by subclassing and giving ``case``."""
 
 from __future__ import annotations
 
@@ -18,18 +16,7 @@ from drivers.interfaces import ServoState as S
 
 @dataclass
 class Case:
-    """A fake drive with its servo.
-
-    Attributes:
-        fake: The drive; it has ``clock``, ``cycle``, ``follows`` and ``loses``.
-        prepared: Returns its servo, prepared.
-        put: Brings the drive into a state.
-        sent: Returns what was sent since the last call, without reads.
-        off: Whether an entry of ``sent`` orders the power off.
-        deafen: Has the bus refuse every order from now on.
-        cycle_s: Its cycle.
-        more: Exchanges of an enabling before those that are timed.
-    """
+    """A fake drive with its servo; ``off`` recognises an order to switch the power off."""
 
     fake: Any
     prepared: Callable[..., Servo]
@@ -38,6 +25,7 @@ class Case:
     off: Callable[[Any], bool]
     deafen: Callable[[], None]
     cycle_s: float = 0.004
+    # Exchanges of an enabling before those that are timed.
     more: int = 0
 
     def ready(self, **options: Any) -> Servo:

@@ -2,24 +2,20 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.amt21.encoder import (
     COUNTS_PER_TURN,
-    Amt21Encoder,
-    Amt21Line,
     PlausibilityGate,
     decode,
     encode,
 )
 from drivers.errors import ConfigurationError, LinkError
-from drivers.units import EncoderScales
 
 from .contract import enabled
-from .serial_host import GATE, SerialHost, make_serial_host
+from .serial_host import SerialHost, make_serial_host
 
 MS = 1_000_000
 COUNT_RAD = math.tau / COUNTS_PER_TURN
@@ -58,17 +54,16 @@ class TestGate:
         assert gate.admit(100, 0)
         return gate
 
-    def test_takes_what_the_joint_can_do(self) -> None:
+    def test_takes_what_the_joint_can_do_and_keeps_the_position_otherwise(self) -> None:
         gate = self.make()
+        assert not gate.admit(100, 0)  # the same instant says nothing new
         for step in range(1, 20):
             assert gate.admit(100 + step * step // 2, 2 * MS * step)
-        assert gate.position == 100 + 180
-
-    def test_refuses_a_jump_and_keeps_the_position(self) -> None:
         gate = self.make()
         assert not gate.admit(100 + 512, 2 * MS)
         assert gate.position == 100
-        assert gate.admit(101, 4 * MS)
+        assert not gate.admit(160, 4 * MS)
+        assert gate.admit(160, 20 * MS)
 
     @pytest.mark.parametrize(
         ("moved", "good"), [(22, True), (23, False), (-22, True), (-23, False)]
@@ -89,14 +84,6 @@ class TestGate:
         assert gate.position == -2
         assert gate.admit(1, 2 * MS)
         assert gate.position == 1
-
-    def test_the_same_instant_says_nothing_new(self) -> None:
-        assert not self.make().admit(100, 0)
-
-    def test_a_longer_gap_allows_a_longer_way(self) -> None:
-        gate = self.make()
-        assert not gate.admit(160, 2 * MS)
-        assert gate.admit(160, 20 * MS)
 
     def test_a_pause_is_no_obstacle_while_half_a_turn_takes_longer(self) -> None:
         half_turn_s = COUNTS_PER_TURN / 2 / 10_000.0
@@ -126,14 +113,12 @@ def test_follows_the_joint_below_zero(echo: bool) -> None:
     assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
 
 
-@pytest.mark.parametrize("pause_s", [0.022, 3.0])
-@pytest.mark.parametrize("cycle_s", [0.002, 0.01])
+@pytest.mark.parametrize(("pause_s", "cycle_s"), [(0.022, 0.002), (3.0, 0.01)])
 def test_answers_are_used_again_after_a_pause_of_the_host(pause_s: float, cycle_s: float) -> None:
     host = live(make_serial_host(cycle_s=cycle_s))
     host.cycles(200, lambda t: 0.2 * math.sin(t))
     before = host.encoder.sample().angle_rad
-    clock = host.link.clock
-    clock.sleep_until_ns(clock.now_ns() + round(pause_s * 1e9))
+    host.wait(pause_s)
     host.cycles(1)
     sample = host.encoder.sample()
     assert sample.fresh
@@ -163,11 +148,7 @@ def flip(mask: int):
     return spoil
 
 
-@pytest.mark.parametrize(
-    "mask",
-    [1 << 3, 1 << 15, 1 << 12 | 1 << 10, 1 << 9 | 1 << 15],
-    ids=["value", "check", "pair", "value and check"],
-)
+@pytest.mark.parametrize("mask", [1 << 3, 1 << 12 | 1 << 10, 1 << 9 | 1 << 15])
 def test_a_bad_or_implausible_answer_leaves_the_angle(host: SerialHost, mask: int) -> None:
     live(host)
     before = host.encoder.sample()
@@ -179,23 +160,6 @@ def test_a_bad_or_implausible_answer_leaves_the_angle(host: SerialHost, mask: in
     host.encoder_line.filters.clear()
     host.cycles(1)
     assert host.encoder.sample().fresh
-
-
-def test_random_words_hardly_pass(host: SerialHost) -> None:
-    live(host)
-    rng = np.random.default_rng(0)
-    host.encoder_line.filters.append(
-        lambda _now, data, sent: rng.bytes(2) if not sent and rng.random() < 0.1 else data
-    )
-    passed = 0
-    for _ in range(500):
-        host.cycles(1)
-        sample = host.encoder.sample()
-        passed += sample.fresh
-        # A quarter of random words passes the check bits; what passes the gate as well is near the
-        # truth.
-        assert abs(sample.angle_rad) < 0.02
-    assert 420 < passed < 480
 
 
 def test_a_silent_encoder_is_not_fresh_and_the_servo_goes_on(host: SerialHost) -> None:
@@ -217,14 +181,6 @@ def test_answers_that_disagree_at_rest_stop_preparation(host: SerialHost) -> Non
     host.amt21.distort = lambda counts: counts + next(values)
     with pytest.raises(ConfigurationError, match="must agree to 2 counts"):
         host.encoder.prepare(host.cycle_s)
-
-
-def test_another_resolution_is_refused(host: SerialHost) -> None:
-    line = Amt21Line(host.bench.clock, lambda: host.encoder_line, "line")
-    with pytest.raises(
-        ConfigurationError, match="has 16384 counts per turn, but the bench file states 4096"
-    ):
-        Amt21Encoder(line, EncoderScales(4096), GATE)
 
 
 @pytest.mark.parametrize("use", ["write", "read"])

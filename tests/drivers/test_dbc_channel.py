@@ -78,14 +78,6 @@ def test_a_message_on_its_own_period_ages(channel: DbcChannel) -> None:
     assert not channel.fresh
 
 
-def test_nothing_is_fresh_before_the_first_frame(channel: DbcChannel) -> None:
-    channel.begin(0)
-    assert not channel.fresh
-    for identifier, data in whole(1):
-        channel.receive(channel.slots[identifier], data, 0)
-    assert not channel.fresh  # no status yet
-
-
 @pytest.mark.parametrize(
     "bad",
     [
@@ -148,13 +140,6 @@ def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(
             if slot.message.checksum is not None:
                 assert data[-1] == crc8_j1850(data[:-1] + b"\0")
         assert channel.state is None or isinstance(channel.state, ServoState)
-
-
-def test_an_order_keeps_the_target(channel: DbcChannel) -> None:
-    channel.aim(77)
-    channel.order(WIRING.stop)
-    ((_, data),) = channel.frames()
-    assert (data[0] & 15, data[1]) == (3, 77)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from drivers.mock.dbc_drive import (
     COMMAND,
     COMMAND_LOST,
     DRIVE_DBC,
-    LIMITS,
     POWERED,
     STOP,
     STOP_CODE,
@@ -153,14 +152,3 @@ def test_a_reset_needs_its_edge(wire: Wire) -> None:
     wire.command(Order.RESET)
     assert wire.drive.state is State.OFF
     assert wire.seen["DRV_Status"]["FaultCode"] == 0
-
-
-def test_a_following_error_is_a_fault(wire: Wire) -> None:
-    limits = {"AngleMin": -9, "AngleMax": 9, "Speed": 200.0, "Current": 1.5, "FollowingError": 0.2}
-    wire.bus.transmit(LIMITS, DBC.encode_message("DRV_Limits", limits))
-    wire.wait(0.001)
-    wire.to(State.RUN)
-    for _ in range(100):
-        wire.command(Order.RUN, 5.0)
-    assert wire.drive.state is State.FAULT
-    assert wire.seen["DRV_Status"]["FaultCode"] == 0x21

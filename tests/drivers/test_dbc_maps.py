@@ -1,6 +1,4 @@
-"""Any DBC and any map: encoding agrees with cantools, no order goes out that was not given, and a
-map binds or is refused with its places.
-"""
+"""Checksums and values of signals, and orders in any sequence, against cantools."""
 
 from __future__ import annotations
 
@@ -16,7 +14,16 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from drivers.dbc.bind import bind
 from drivers.dbc.channel import DbcChannel
-from drivers.dbc.codec import Signal, Wiring
+from drivers.dbc.codec import (
+    CHECKSUMS,
+    Signal,
+    Wiring,
+    checksum_of,
+    crc8_autosar,
+    crc8_j1850,
+    sum8,
+    xor8,
+)
 from drivers.dbc.file import Layout, read_dbc
 from drivers.dbc.limits import _tighter_real
 from drivers.errors import DriveFault
@@ -51,18 +58,50 @@ def test_no_target_is_not_a_number(width: int, value: float) -> None:
         Signal("S", 8, 0, width, real=True).pack(value)
 
 
+def test_checksums_have_their_published_check_values() -> None:
+    text = b"123456789"
+    assert (crc8_j1850(text), crc8_autosar(text)) == (0x4B, 0xDF)
+    assert (sum8(text), xor8(text)) == (0xDD, 0x31)
+
+
+@pytest.mark.parametrize("kind", sorted(CHECKSUMS))
+@settings(max_examples=40)
+@given(data=st.binary(min_size=1, max_size=8), bit=st.integers(0, 63))
+def test_a_checksum_sees_every_single_bit(kind: str, data: bytes, bit: int) -> None:
+    flipped = (int.from_bytes(data, "big") ^ 1 << bit % (8 * len(data))).to_bytes(len(data), "big")
+    assert CHECKSUMS[kind](data) != CHECKSUMS[kind](flipped)
+
+
+@pytest.mark.parametrize("motorola", [False, True])
+@pytest.mark.parametrize("byte", [0, 3])
+@settings(max_examples=20, deadline=None)
+@given(data=st.binary(min_size=4, max_size=4), prefix=st.binary(max_size=3))
+def test_a_checksum_covers_its_prefix_and_all_other_bytes(
+    motorola: bool, byte: int, data: bytes, prefix: bytes
+) -> None:
+    shift = 8 * (3 - byte if motorola else byte)
+    signal = Signal("C", 4, shift, 8, motorola)
+    rest = data[:byte] + data[byte + 1 :]
+    zeroed = data[:byte] + b"\0" + data[byte + 1 :]
+    for kind, algorithm in CHECKSUMS.items():
+        assert checksum_of(kind, signal, prefix)(data) == algorithm(prefix + zeroed)
+        assert checksum_of(kind, signal, prefix, left_out=True)(data) == algorithm(prefix + rest)
+
+
+def test_crc8_j1850_beside_its_byte() -> None:
+    """The check value of the catalogue of CRCs, over the digits 1 to 9."""
+    signal = Signal("C", 8, 56, 8)
+    crc = checksum_of("crc8_j1850", signal, b"12", left_out=True)
+    assert crc(b"3456789\xee") == crc8_j1850(b"123456789") == 0x4B
+
+
 @cache
 def motor() -> Wiring:
     return bind(MOTOR_MAP, read(HEAD + MOTOR))
 
 
 class Motor(RuleBasedStateMachine):
-    """A motor is ordered about; an independent decoder looks at every frame.
-
-    Attributes:
-        order: The order in force.
-        due: Whether the message that only `reset` names is still to be sent.
-    """
+    """A motor is ordered about; an independent decoder looks at every frame."""
 
     @initialize()
     def begin(self) -> None:

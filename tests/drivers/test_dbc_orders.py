@@ -1,6 +1,4 @@
-"""Orders of drives with their own frames: who wins over the target, what goes once, what is a
-fault.
-"""
+"""Who wins over the target, what goes once, what is a fault."""
 
 from __future__ import annotations
 
@@ -23,22 +21,6 @@ GUARDED = MOTOR.replace(
     "BO_ 3 Clear: 1 A\n",
     'BO_ 3 Clear: 3 A\n SG_ Life : 8|4@1+ (1,0) [0|0] "" B\n SG_ Sum : 16|8@1+ (1,0) [0|0] "" B\n',
 )
-PAGED = """\
-BO_ 1 Command: 8 A
- SG_ Page M : 0|8@1+ (1,0) [0|0] "" B
- SG_ Pos m1 : 8|16@1+ (1,0) [0|0] "" B
- SG_ Order m2 : 8|8@1+ (1,0) [0|0] "" B
- SG_ Half m1 : 32|8@1+ (1,0) [0|0] "" B
-""" + MOTOR[MOTOR.index("\nBO_ 2") :]
-PAGED_MAP = replace(
-    ordered(
-        disable={"Command.Order": 0},
-        stop={"Command.Order": 0},
-        reset={"Command.Order": 3},
-        enable={"disabled": {"Command.Order": 1}, "running": {}},
-    ),
-    stop_frame=StopFrame("Command", {"Order": 0}),
-)
 
 
 def problems(folder: Path, spec: DbcMap, text: str = MOTOR) -> dict[str, str]:
@@ -59,51 +41,6 @@ def test_a_running_drive_must_get_its_target(tmp_path: Path) -> None:
     enable = {"disabled": special(0xFC), "running": {**GAINS, "Command.Pos": 5}}
     found = problems(tmp_path, ordered(enable=enable))
     assert "a running drive would never receive a target" in found["orders.enable.running"]
-
-
-def test_an_order_on_another_page_wins_too_and_says_its_page(tmp_path: Path) -> None:
-    wiring = wired(tmp_path, PAGED_MAP, PAGED)
-    channel = DbcChannel(wiring, "the motor")
-    channel.aim(0x0201)
-    channel.order(wiring.reset)
-    assert sent(channel) == [(COMMAND, "0203" + 6 * "00")]
-    channel.order(wiring.enable[S.OPERATION_ENABLED], hold=True)
-    assert sent(channel) == [(COMMAND, "010102" + 5 * "00")]
-
-
-def test_a_selector_of_an_order_fits_its_signals(tmp_path: Path) -> None:
-    for values in (
-        {"Command.Order": 3, "Command.Page": 2},
-        {"Command.Page": 2, "Command.Order": 3},
-    ):
-        wiring = wired(tmp_path, ordered(PAGED_MAP, reset=values), PAGED)
-        assert wiring.reset.frames["Command"].hex() == "0203" + 6 * "00"
-        assert wiring.reset.own_target
-    alone = wired(tmp_path, ordered(PAGED_MAP, reset={"Command.Page": 2}), PAGED)
-    assert alone.reset.own_target
-    found = problems(
-        tmp_path, ordered(PAGED_MAP, reset={"Command.Order": 3, "Command.Page": 1}), PAGED
-    )
-    assert found["orders.reset.Command.Page"] == "is 1, but signal 'Order' is on page 2"
-
-
-@pytest.mark.parametrize("order", [("Order", "Page"), ("Page", "Order")])
-def test_a_selector_of_the_stop_frame_fits_its_signals(
-    tmp_path: Path, order: tuple[str, str]
-) -> None:
-    right, wrong = (
-        replace(PAGED_MAP, stop_frame=StopFrame("Command", {name: values[name] for name in order}))
-        for values in ({"Order": 3, "Page": 2}, {"Order": 3, "Page": 1})
-    )
-    assert wired(tmp_path, right, PAGED).stop_image.hex() == "0203" + 6 * "00"
-    words = " ".join(problems(tmp_path, wrong, PAGED).values())
-    assert "page" in words
-
-
-def test_signals_of_two_pages_are_not_one_order(tmp_path: Path) -> None:
-    spec = ordered(PAGED_MAP, reset={"Command.Half": 1, "Command.Order": 3})
-    found = problems(tmp_path, spec, PAGED)
-    assert "is on another page" in found["orders.reset.Command.Order"]
 
 
 @pytest.mark.parametrize(
@@ -224,14 +161,3 @@ def test_a_torque_offset_goes_with_the_target_and_rests_without_it(tmp_path: Pat
 def test_an_order_beside_the_torque_offset_is_refused(tmp_path: Path) -> None:
     found = problems(tmp_path, replace(MOTOR_MAP, torque_offset=Quantity("Command.Torque")))
     assert "which the program writes" in found["orders.enable.running"]
-
-
-def test_orders_may_be_floating_point(tmp_path: Path) -> None:
-    text = MOTOR.replace("Clear: 1 A", "Clear: 4 A").replace("What : 0|8@1+", "What : 0|32@1-")
-    text += "\nSIG_VALTYPE_ 3 What : 1;\n"
-    spec = ordered(reset={**special(0xFD), "Clear.What": 1.5})
-    assert wired(tmp_path, spec, text).reset.frames["Clear"].hex() == "0000c03f"
-    found = problems(tmp_path, spec)
-    assert found["orders.reset.Clear.What"] == (
-        "1.5 is not a whole number, as signal 'What' requires"
-    )

@@ -11,6 +11,8 @@ from drivers.canopen.device_data import FOLDER, devices, identity, match, parse
 from drivers.canopen.eds_file import read_eds
 from drivers.mock.makes import MAKES, description
 
+from .host import make_eds
+
 GOOD = "name: x\nsource: manual\nvendor_id: 0x12\n"
 OF = {
     "EPOS4": "maxon_epos4", "EPOS2": "maxon_epos2", "Elmo": "elmo_gold", "Trinamic": "trinamic",
@@ -21,8 +23,7 @@ OF = {
 
 @pytest.mark.parametrize("make", MAKES)
 def test_the_identity_in_an_eds_leads_to_the_maker(make: str, tmp_path: Path) -> None:
-    eds = tmp_path / "drive.eds"
-    eds.write_text(description(make))
+    eds = make_eds(tmp_path, make)
     name = OF[make]
     assert match(read_eds(eds, 1)) is (None if name is None else devices()[name])
 

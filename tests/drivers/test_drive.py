@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.errors import DeviceError, DriveFault, ObjectAccessError
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoState
+from drivers.mock.drive import FOLLOWING_ERROR
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
 from drivers.mock.sampler import encoder_resolution
 
-from .host import Host, enabled, prepared
+from .host import Host, enabled, make_host, prepared
 
 MOVING_S = 0.2
 
@@ -67,16 +68,6 @@ def test_no_verb_but_enable_leads_to_power(host: Host, state: State, verb: str) 
         assert host.bench.drive.power_state not in POWERED
     if verb == "disable":
         assert host.bench.drive.power_state not in POWERED
-
-
-def test_the_power_stage_follows_the_state(host: Host) -> None:
-    moving(host)
-    assert host.powered[-1]
-    host.servo.quick_stop()
-    assert host.powered[-1]
-    host.wait(1.0)
-    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
-    assert not host.powered[-1]
 
 
 @pytest.mark.parametrize(
@@ -163,20 +154,16 @@ def test_abort_connection_options(host: Host, option: int, state: State) -> None
     assert host.bench.drive.power_state is state
 
 
-def test_an_nmt_stop_ends_power(host: Host) -> None:
+@pytest.mark.parametrize(
+    ("command", "state"),
+    [(2, State.FAULT), (129, State.SWITCH_ON_DISABLED), (130, State.SWITCH_ON_DISABLED)],
+)
+def test_an_nmt_stop_or_reset_ends_power(host: Host, command: int, state: State) -> None:
     enabled(host)
-    host.link.send(0x000, bytes([2, 1]))
-    host.wait(0.1)
-    assert host.bench.drive.power_state is State.FAULT
-    assert not host.powered[-1]
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_an_nmt_reset_ends_power(host: Host, command: int) -> None:
-    enabled(host)
+    assert host.powered[-1]
     host.link.send(0x000, bytes([command, 1]))
-    host.wait(0.001)
-    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    host.wait(0.1)
+    assert host.bench.drive.power_state is state
     assert not host.powered[-1]
 
 
@@ -254,21 +241,6 @@ def test_max_current_and_torque_hold_the_motor_back(host: Host, limit: dict[str,
     assert host.bench.machine.truth().angle_rad == pytest.approx(0.02, abs=1e-3)
 
 
-def test_settings_that_must_not_change_under_power(host: Host) -> None:
-    enabled(host)
-    with pytest.raises(ObjectAccessError, match="08000022"):
-        host.drive.write(0x60C2, 1, 2)
-
-
-def test_without_a_mode_the_drive_holds(host: Host) -> None:
-    bring(host, State.OPERATION_ENABLED)
-    host.drive.write(0x6060, 0, 0)
-    host.drive.write(0x607A, 0, 40000)
-    host.drive.write(0x6040, 0, 0x1F)
-    host.wait(0.05)
-    assert abs(host.bench.machine.truth().angle_rad) < 1e-3
-
-
 def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
     exact = Machine(sensing=Sensing(motor_counts_per_turn=0))
     increments, turns = encoder_resolution(exact)
@@ -278,3 +250,55 @@ def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
     assert increments / turns / math.tau == pytest.approx(1e6, rel=1e-8)
     assert increments < 1 << 32
     assert encoder_resolution(Machine()) == (4096, 1)
+
+
+@pytest.fixture
+def pushed() -> Host:
+    return make_host(torque_offset=True)
+
+
+def held(pushed: Host) -> int:
+    """What the drive itself has in 60B2h."""
+    return pushed.bench.drive.objects.integer(0x60B2)
+
+
+def current(pushed: Host, cycles: int = 40) -> float:
+    """Mean motor current over the last cycles, A."""
+    values = []
+    for _ in range(cycles):
+        pushed.cycles(1)
+        values.append(pushed.servo.sample().current_A)
+    return sum(values) / len(values)
+
+
+def test_a_resting_joint_takes_the_torque_as_current(pushed: Host) -> None:
+    """The loops see no error, so that the current is the offset's: 6 N m over 3 N m/A."""
+    enabled(pushed)
+    before = current(pushed)
+    pushed.servo.set_torque_offset(6.0)
+    pushed.cycles(20)
+    assert current(pushed) - before == pytest.approx(2.0, abs=0.02)
+    assert pushed.bench.machine.truth().angle_rad == 0.0
+
+
+def test_it_does_not_pass_the_limit_of_the_current(pushed: Host) -> None:
+    prepared(pushed)
+    pushed.servo.write_limits(replace(pushed.servo.read_limits(), current_A=3.0))
+    pushed.servo.enable()
+    pushed.servo.set_torque_offset(11.9)
+    pushed.cycles(30)
+    assert current(pushed) == pytest.approx(3.0, abs=0.02)
+
+
+def test_the_drive_adds_nothing_to_a_ramp_of_its_own(pushed: Host) -> None:
+    """A fault stops the drive by itself, with 60B2h still as it was."""
+    enabled(pushed)
+    pushed.servo.set_torque_offset(8.0)
+    pushed.cycles(20)
+    pushed.bench.drive.fail(FOLLOWING_ERROR)
+    pushed.wait(0.01)
+    assert held(pushed) == 178
+    pushed.wait(0.05)
+    assert pushed.servo.state() is ServoState.FAULT
+    assert pushed.bench.machine.truth().current_A == 0.0
+    assert pushed.bench.machine.truth().angle_rad == 0.0

@@ -1,9 +1,11 @@
-"""What the machine can hide, each effect against a closed form or a limiting case."""
+"""What the machine can hide, against closed forms; the plants are compared in ``tests/worlds``."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,43 +14,230 @@ from drivers.mock.plant.effects.pack import KNOWN, effect_vector, problems
 from drivers.mock.plant.effects.table import HEAT
 from drivers.mock.plant.parts.constants import Machine
 
-from .track import EXACT, PER_AMPERE, Effects, Track, clock, cruise, sine, steady_torque
+from .track import PER_AMPERE, Effects, Track, cruise, sine, steady_torque
 
+MOMENT = 0.095 * 10.0 * 9.80665
+BACK_EMF = 2.588
+LOAD = 0.052 + 0.032 * 0.4
+"""Load coefficient at 0.4 rad/s."""
 OFF: Effects = {
-    "cogging": {"torque_Nm": 0.0, "per_motor_turn": 7.0, "phase_rad": 1.0},
-    "torque_ripple": {"fraction": 0.0, "per_motor_turn": 7.0, "phase_rad": 1.0},
     "current_loop_lag": {"time_s": 0.0},
-    "inverter_dead_time": {"voltage_V": 0.0},
-    "brush_drop": {"voltage_V": 0.0, "current_A": 1.0},
     "winding_heating": {"rise_K_per_W": 0.0, "time_s": 60.0},
     "supply_sag": {"resistance_ohm": 0.0},
-    "gear_mesh_ripple": {"amplitude_rad": 0.0, "per_turn": 30.0, "phase_rad": 1.0},
     "transmission_efficiency": {"efficiency": 1.0},
     "asymmetric_coulomb": {"torque_Nm": 0.0},
-    "asymmetric_viscous": {"coefficient_Nms_rad": 0.0},
-    "quadratic_drag": {"coefficient_Nms2_rad2": 0.0},
     "stribeck_shape": {"alpha": 2.0},
     "friction_memory": {"time_s": 0.0},
     "dwell_static_friction": {"growth_Nm": 0.0, "time_s": 1.0},
-    "position_dependent_friction": {"torque_Nm": 0.0, "center_rad": 0.0, "width_rad": 0.1},
-    "viscous_thermal_drift": {"fraction": 0.0, "time_s": 100.0},
-    "coulomb_drift": {"rate_Nm_s": 0.0},
-    "gravity_imbalance": {"torque_Nm": 0.0, "zero_rad": 1.0},
-    "return_spring": {"stiffness_Nm_rad": 0.0, "rest_rad": 1.0},
     "end_stop": {"angle_rad": 0.1, "stiffness_Nm_rad": 0.0},
     "load_exponent": {"exponent": 1.0},
-    "load_position_dependence": {"slope_per_rad": 0.0},
     "load_swing": {"fraction": 0.0, "frequency_Hz": 1.0, "decay_s": 1.0},
-    "load_inertia": {"inertia_kgm2": 0.0},
-    "lever_pivot_friction": {"torque_Nm": 0.0},
-    "load_dependent_friction": {"coefficient": 0.0},
     "time_skew": {"time_s": 0.0},
     "transport_delay": {"time_s": 0.0},
-    "current_offset": {"current_A": 0.0},
-    "current_drift": {"rate_A_s": 0.0},
-    "encoder_eccentricity": {"amplitude_rad": 0.0, "phase_rad": 1.0},
     "encoder_slip": {"angle_rad": 0.0, "at_s": 0.0, "recording": 1.0},
 }
+"""Effects of no size."""
+nominal = cache(lambda speed, weight_kg: steady_torque({}, speed, weight_kg))
+
+
+def stribeck(alpha: float) -> float:
+    falls = [math.exp(-((0.08 / 0.0557) ** a)) for a in (alpha, 2.0)]
+    return (12.025 - 6.825) * (falls[0] - falls[1])
+
+
+def felt(weight_kg: float, exponent: float) -> float:
+    force = weight_kg * 10.0 * 9.80665
+    more = 3000.0 * (force / 3000.0) ** exponent - force
+    return 0.095 * more * (0.052 + 0.032 * 0.5)
+
+
+def sided(name: str, key: str, size: float, at: float, to_side: Callable[[float], float]) -> list:
+    """Return the rows of an effect to either side, at a speed of 0.8 rad/s."""
+    return [({name: {key: size}}, side * 0.8, 0.0, at * to_side(side)) for side in (1.0, -1.0)]
+
+
+ROOT: Effects = {"x_root_drag": {"coefficient_Nms05_rad05": 2.0}}
+RESONANCE: Effects = {
+    "x_speed_resonance": {"torque_Nm": 2.0, "speed_rad_s": 0.5, "width_rad_s": 0.1}
+}
+QUADRANT: Effects = {"x_quadrant_friction": {"torque_Nm": 1.5}}
+PIVOT: Effects = {"lever_pivot_friction": {"torque_Nm": 1.2}}
+LOADED: Effects = {"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}
+
+
+@pytest.mark.parametrize(
+    ("effects", "speed", "weight_kg", "wanted"),
+    [
+        *sided("asymmetric_coulomb", "torque_Nm", 1.5, 1.5, lambda _: 1.0),
+        *sided("asymmetric_viscous", "coefficient_Nms_rad", 2.0, 2.0 * 0.8, lambda _: 1.0),
+        *sided("quadratic_drag", "coefficient_Nms2_rad2", 3.0, 3.0 * 0.8**2, lambda side: side),
+        *(({"stribeck_shape": {"alpha": a}}, 0.08, 0.0, stribeck(a)) for a in (1.0, 3.0)),
+        *(
+            ({"load_exponent": {"exponent": n}}, 0.5, weight, felt(weight, n))
+            for weight, n in ((10.0, 0.7), (30.6, 0.7), (20.0, 1.3))
+        ),
+        ({"load_inertia": {"inertia_kgm2": 0.5}}, 0.5, 20.0, 0.0),
+        *((PIVOT, 0.5, weight, 1.2 * (weight > 0.0)) for weight in (0.0, 5.0, 30.6)),
+        ({"current_offset": {"current_A": 0.4}}, 0.5, 0.0, 0.4 * PER_AMPERE),
+        (ROOT, 0.5, 0.0, 2.0 * (math.sqrt(0.5001) - 0.01)),
+        (RESONANCE, 0.5, 0.0, 2.0),
+        # Friction grows on the way out, to either side.
+        *((QUADRANT, side * 0.5, 0.0, side * 1.5) for side in (1.0, -1.0)),
+        ({"x_travel_memory": {"torque_Nm": 1.5, "travel_rad": 0.02}}, 0.5, 0.0, 1.5),
+        ({"x_acceleration_drag": {"coefficient_Nms2_rad": 0.1}}, 0.5, 0.0, 0.0),
+        (LOADED, 0.5, 0.0, 0.0),
+        (LOADED, 0.5, 20.0, 20.0 * MOMENT * 0.1 * 0.25),
+    ],
+)
+def test_torque_at_a_steady_speed(
+    effects: Effects, speed: float, weight_kg: float, wanted: float
+) -> None:
+    found = steady_torque(effects, speed, weight_kg) - nominal(speed, weight_kg)
+    assert found == pytest.approx(wanted, abs=0.03)
+
+
+GRAVITY: Effects = {"gravity_imbalance": {"torque_Nm": 10.0, "zero_rad": -1.2}}
+PATCH = {"torque_Nm": 2.0, "center_rad": 0.3, "width_rad": 0.08}
+COGGING = {"torque_Nm": 1.0, "per_motor_turn": 4.0, "phase_rad": 0.7}
+SWING = {"fraction": 0.3, "frequency_Hz": 1.5, "decay_s": 1.0}
+TIMED = {"torque_Nm": 1.0, "frequency_Hz": 2.0, "phase_rad": 0.4}
+WELLS = {"torque_Nm": 1.0, "center_rad": 0.2, "width_rad": 0.05}
+
+
+def bump(angle: np.ndarray, center: float) -> np.ndarray:
+    return 2.0 * np.exp(-0.5 * ((angle - center) / 0.08) ** 2)
+
+
+def wells(free: Track) -> np.ndarray:
+    u = (free.angle - 0.2) / 0.05
+    return u * np.exp(0.5 - 0.5 * u * u)
+
+
+def swing(free: Track) -> np.ndarray:
+    share = 0.3 * np.cos(2.0 * np.pi * 1.5 * free.time) * np.exp(-free.time / 1.0)
+    return 20.0 * MOMENT * share * LOAD
+
+
+@pytest.mark.parametrize(
+    ("effects", "base", "speed", "weight_kg", "wanted", "within"),
+    [
+        ({"position_dependent_friction": PATCH}, {}, 0.2, 0.0, lambda f: bump(f.angle, 0.3), 0.05),
+        ({"return_spring": {"stiffness_Nm_rad": 10.0, "rest_rad": 0.1}}, {}, 0.3, 0.0,
+         lambda free: 10.0 * (free.angle - 0.1), 0.03),
+        ({"load_position_dependence": {"slope_per_rad": 0.5}}, {}, 0.4, 30.6,
+         lambda free: 30.6 * MOMENT * 0.5 * free.angle * LOAD, 0.1),
+        ({"load_swing": SWING}, {}, 0.4, 20.0, swing, 0.15),
+        ({"load_dependent_friction": {"coefficient": 0.1}}, GRAVITY, 0.1, 0.0,
+         lambda free: 0.1 * 10.0 * np.abs(np.sin(free.angle + 1.2)), 0.02),
+        ({"x_timed_torque": TIMED}, {}, 0.3, 0.0,
+         lambda free: -np.sin(2.0 * np.pi * 2.0 * free.time + 0.4), 0.12),
+        ({"x_two_wells": WELLS}, {}, 0.2, 0.0, wells, 0.06),
+        ({"gravity_imbalance": {"torque_Nm": 5.0, "zero_rad": 0.3}}, {}, 0.3, 0.0,
+         lambda free: 5.0 * np.sin(free.angle - 0.3), 0.05),
+        ({"cogging": COGGING}, {}, 0.1, 0.0,
+         lambda free: -np.sin(4.0 * 100.0 * free.angle + 0.7), 0.1),
+        ({"end_stop": {"angle_rad": 0.2, "stiffness_Nm_rad": 50.0}}, {}, 0.2, 0.0,
+         lambda free: 50.0 * np.maximum(free.angle - 0.2, 0.0), 0.06),
+        ({"current_drift": {"rate_A_s": 0.2}}, {}, 0.2, 0.0,
+         lambda free: 0.2 * PER_AMPERE * free.time, 0.03),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) and value else "",
+)  # fmt: skip
+def test_torque_along_a_cruise(
+    effects: Effects,
+    base: Effects,
+    speed: float,
+    weight_kg: float,
+    wanted: Callable[[Track], np.ndarray],
+    within: float,
+) -> None:
+    path = cruise(speed, 2.5)
+    track, free = (Track(e, path, weight_kg) for e in ({**base, **effects}, base))
+    extra = PER_AMPERE * (track.current - free.current)[500:]
+    np.testing.assert_allclose(extra, wanted(free)[500:], atol=within)
+
+
+def means(
+    effects: Effects, speed: float = 0.2, weight_kg: float = 20.0
+) -> tuple[float, float, float]:
+    """Return mean voltage, current and supply at a steady speed."""
+    track = Track(effects, cruise(speed), weight_kg)
+    return tuple(float(np.mean(v[-200:])) for v in (track.voltage, track.current, track.supply))  # type: ignore[return-value]
+
+
+def test_supply_sags_and_the_log_does_not_know() -> None:
+    ohm = 0.5
+    voltage, current, supply = means({"supply_sag": {"resistance_ohm": ohm}})
+    assert supply == pytest.approx(60.0 - ohm * voltage / 60.0 * current, abs=1e-3)
+    reaching = 1.56 * current + BACK_EMF * 0.2
+    assert voltage * supply / 60.0 == pytest.approx(reaching, rel=1e-3)
+    assert voltage > reaching
+
+
+def test_coupling_slips_once_and_stays() -> None:
+    slip = {"encoder_slip": {"angle_rad": 3e-3, "at_s": 0.5, "recording": 2.0}}
+    first, second, third = (Track(slip, sine(1.0), on=k) for k in (1, 2, 3))
+    shift = second.seen - second.angle
+    assert np.max(np.abs(first.seen - first.angle)) < 2e-6
+    assert np.max(np.abs(shift[second.time < 0.499])) < 2e-6
+    np.testing.assert_allclose(shift[second.time > 0.501], 3e-3, atol=2e-6)
+    assert (
+        np.max(np.abs(third.seen - third.angle)) < 2e-6
+    )  # it was not running in its second recording
+    second.machine.power(False)
+    second.machine.power(True)
+    second.machine.advance(1_000_000)
+    seen, truth = second.machine.latch(), second.machine.truth()
+    assert seen.joint_counts * second.machine.joint_count_rad - truth.angle_rad == pytest.approx(
+        3e-3, abs=2e-6
+    )
+
+
+def test_eccentric_encoder_reads_a_sine_more() -> None:
+    track = Track({"encoder_eccentricity": {"amplitude_rad": 2e-3, "phase_rad": 0.6}}, sine())
+    wanted = 2e-3 * np.sin(track.angle + 0.6)
+    np.testing.assert_allclose(track.seen - track.angle, wanted, atol=2e-6)
+
+
+def test_drifts_run_on_through_pauses() -> None:
+    coulomb = {"coulomb_drift": {"rate_Nm_s": 0.01}}
+    viscous = {"viscous_thermal_drift": {"fraction": 0.5, "time_s": 50.0}}
+    levelled = {"coulomb_drift": {"rate_Nm_s": 0.05, "time_s": 20.0}}
+    for effect, wanted in (
+        (coulomb, 0.01 * 100.9),
+        (levelled, 0.05 * 20.0 * (1.0 - math.exp(-100.9 / 20.0))),
+        (viscous, -0.5 * 5.3462 * 0.5 * (1.0 - math.exp(-100.9 / 50.0))),
+    ):
+        track = Track(effect, cruise(0.5), pause_s=100.0)
+        torque = PER_AMPERE * float(np.mean(track.current[-200:]))
+        assert torque - nominal(0.5, 0.0) == pytest.approx(wanted, abs=0.02)
+
+
+def test_one_way_patch_is_felt_one_way() -> None:
+    effect = {"x_one_way_patch": {"torque_Nm": 2.0, "center_rad": 0.2, "width_rad": 0.08}}
+    path = np.concatenate((cruise(0.2, 2.0), cruise(0.2, 2.0)[::-1]))
+    track, free = Track(effect, path), Track({}, path)
+    extra = PER_AMPERE * (track.current - free.current)
+    bump = 2.0 * np.exp(-0.5 * ((free.angle - 0.2) / 0.08) ** 2)
+    np.testing.assert_allclose(extra[500:1900], bump[500:1900], atol=0.05)
+    assert np.max(np.abs(extra[2600:3400])) < 0.02
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"x_bursts": {"torque_Nm": 1.0, "period_s": 0.5, "length_s": 0.1}},
+        {"x_switching_torque": {"torque_Nm": 1.0, "period_s": 0.3}},
+        {"x_wandering_torque": {"torque_Nm": 1.0, "period_s": 0.5}},
+    ],
+)
+def test_irregular_torques_have_their_size_and_repeat(effect: Effects) -> None:
+    path = cruise(0.15, 4.0)
+    track, again, free = Track(effect, path), Track(effect, path), Track({}, path)
+    extra = PER_AMPERE * (track.current - free.current)[500:]
+    assert 0.5 < np.max(np.abs(extra)) < 1.6
+    assert np.std(extra) > 0.1
+    np.testing.assert_array_equal(track.current, again.current)
 
 
 @pytest.mark.parametrize("weight", [0.0, 30.6])
@@ -85,21 +274,6 @@ def test_joint_stands_while_the_rotor_crosses_the_gap() -> None:
     assert np.all(track.speed[moving][inside] == 0.0)  # friction holds it
 
 
-def test_backlash_loses_no_energy_but_in_the_contacts() -> None:
-    """Friction's work never decreases, and the motor pays for all of it."""
-    track = Track({"backlash": {"gap_rad": 0.01}}, sine(3.0))
-    assert np.all(np.diff(track.work) >= 0.0)
-    put_in = np.sum(PER_AMPERE * track.current[1:] * np.diff(track.motor))
-    assert put_in > 0.99 * track.work[-1]
-
-
-def test_shaft_twists_with_its_torque() -> None:
-    stiffness = 2000.0
-    track = Track({"compliance": {"stiffness_Nm_rad": stiffness}}, cruise(0.3))
-    twist = np.mean((track.motor - track.angle)[-200:])
-    assert twist == pytest.approx(PER_AMPERE * np.mean(track.current[-200:]) / stiffness, rel=0.02)
-
-
 def test_coupling_has_a_loop_that_speed_does_not_change() -> None:
     effect = {"coupling_hysteresis": {"torque_Nm": 4.0, "deflection_rad": 0.003}}
     widths = []
@@ -123,72 +297,6 @@ def test_coupling_takes_energy_and_never_gives_any(deflection: float) -> None:
     )  # over whole cycles: what the joint's inertia takes, it gives
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_friction_differs_by_side(side: float) -> None:
-    speed = 0.8
-    base = steady_torque({}, side * speed)
-    coulomb = steady_torque({"asymmetric_coulomb": {"torque_Nm": 1.5}}, side * speed) - base
-    viscous = (
-        steady_torque({"asymmetric_viscous": {"coefficient_Nms_rad": 2.0}}, side * speed) - base
-    )
-    assert coulomb == pytest.approx(1.5, abs=0.02)
-    assert viscous == pytest.approx(2.0 * speed, abs=0.02)
-    drag = steady_torque({"quadratic_drag": {"coefficient_Nms2_rad2": 3.0}}, side * speed) - base
-    assert drag == pytest.approx(side * 3.0 * speed**2, abs=0.02)
-
-
-def test_bristles_bend_in_proportion_before_they_slip() -> None:
-    """Below a tenth of breakaway a soft push moves the joint by torque over stiffness, and it comes
-    back.
-    """
-    stiffness = 5e3
-    soft = replace(
-        EXACT, loops=replace(EXACT.loops, velocity_gain_N_m_s_rad=None, position_gain=400.0)
-    )
-    t = clock(4.0)
-    push = np.where(t < 2.0, np.clip(t, 0.0, 1.0), np.clip(3.0 - t, 0.0, 1.0)) * 2.5e-3
-    track = Track({"presliding": {"stiffness_Nm_rad": stiffness}}, push, machine=soft)
-    at_top = track.angle[1900]
-    assert at_top == pytest.approx(PER_AMPERE * track.now_A[1900] / stiffness, rel=0.1)
-    assert abs(track.angle[-1]) < 0.1 * at_top
-    assert Track({}, push, machine=soft).angle[1900] == 0.0
-
-
-def test_cogging_is_a_sine_of_the_motor_angle() -> None:
-    order = 4.0
-    path = cruise(0.1, 2.0)
-    effect = {"cogging": {"torque_Nm": 1.0, "per_motor_turn": order, "phase_rad": 0.7}}
-    change = PER_AMPERE * (Track(effect, path).current - Track({}, path).current)[1000:]
-    shaft = 100.0 * Track(effect, path).motor[1000:]
-    basis = np.column_stack([np.sin(order * shaft + 0.7), np.cos(order * shaft + 0.7)])
-    (along, across), *_ = np.linalg.lstsq(basis, change, rcond=None)
-    assert along == pytest.approx(-1.0, abs=0.05)
-    assert abs(across) < 0.05
-
-
-def test_ripple_grows_with_the_current() -> None:
-    effect = {"torque_ripple": {"fraction": 0.1, "per_motor_turn": 4.0, "phase_rad": 0.0}}
-    spread = []
-    for weight in (0.0, 30.6):
-        track = Track(effect, cruise(0.3, 2.0), weight)
-        spread.append((np.std(track.current[1000:]), np.mean(track.current[1000:])))
-    assert spread[1][0] / spread[0][0] == pytest.approx(spread[1][1] / spread[0][1], rel=0.1)
-    assert spread[0][0] == pytest.approx(0.1 / math.sqrt(2.0) * spread[0][1], rel=0.15)
-
-
-def test_mesh_error_shows_between_the_encoders() -> None:
-    effect = {"gear_mesh_ripple": {"amplitude_rad": 1e-3, "per_turn": 30.0, "phase_rad": 0.5}}
-    track = Track(effect, cruise(0.5, 2.0))
-    np.testing.assert_allclose(
-        track.motor - track.angle, 1e-3 * np.sin(30.0 * track.angle + 0.5), atol=3e-6
-    )
-
-
-def test_gear_loses_a_share_of_what_it_passes() -> None:
-    lossy = steady_torque({"transmission_efficiency": {"efficiency": 0.8}}, 0.6)
-    assert lossy == pytest.approx(steady_torque({}, 0.6) / 0.8, rel=2e-3)
-
-
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_joint_encoder_is_late_by_a_time(speed: float) -> None:
     delay = 0.00413
@@ -202,25 +310,6 @@ def test_skewed_current_is_that_of_a_moment_ago() -> None:
     straight, skewed = (Track(e, sine()) for e in ({}, {"time_skew": {"time_s": skew}}))
     np.testing.assert_array_equal(skewed.angle, straight.angle)
     np.testing.assert_allclose(skewed.current[5:], straight.current[:-5], atol=1e-9)
-
-
-def test_offset_is_in_the_sensor() -> None:
-    plain, shifted = (steady_torque(e, 0.5) for e in ({}, {"current_offset": {"current_A": 0.4}}))
-    assert shifted - plain == pytest.approx(0.4 * PER_AMPERE, abs=0.01)
-    drift = Track({"current_drift": {"rate_A_s": 0.2}}, cruise(0.2, 2.0))
-    change = drift.current - Track({}, cruise(0.2, 2.0)).current
-    assert np.polyfit(drift.time[1000:], change[1000:], 1)[0] == pytest.approx(0.2, rel=0.02)
-
-
-def test_imbalance_pulls_with_the_sine_of_the_angle() -> None:
-    effect = {"gravity_imbalance": {"torque_Nm": 5.0, "zero_rad": 0.3}}
-    path = sine(4.0, 0.4, 0.5)
-    with_it, without = Track(effect, path), Track({}, path)
-    change = PER_AMPERE * (with_it.current - without.current)
-    sliding = (np.abs(without.speed) > 0.3) & (without.time > 0.8)
-    np.testing.assert_allclose(
-        change[sliding], 5.0 * np.sin(without.angle[sliding] - 0.3), atol=0.25
-    )
 
 
 def test_winding_warms_with_its_losses() -> None:

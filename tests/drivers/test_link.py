@@ -1,32 +1,14 @@
 from __future__ import annotations
 
-import struct
-
-import can
 import pytest
 
 from drivers.can.port import cycle_bits, frame_bits
 from drivers.canopen import cia402_objects, sensors
-from drivers.canopen.link import CanopenLink, CanopenNode
 from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.mock.drive import DRIVE_EDS
 from drivers.objects import PdoLayout
 
 from .host import Host, enabled, frame, prepared
-
-
-class TickingClock:
-    """Moves a little whenever it is read, as time does."""
-
-    def __init__(self) -> None:
-        self._now = 0
-
-    def now_ns(self) -> int:
-        self._now += 1_000_000
-        return self._now
-
-    def sleep_until_ns(self, deadline_ns: int) -> None:
-        self._now = max(self._now, deadline_ns)
 
 
 def test_a_missing_answer_leaves_the_old_sample_not_fresh(host: Host) -> None:
@@ -42,16 +24,6 @@ def test_a_missing_answer_leaves_the_old_sample_not_fresh(host: Host) -> None:
     assert host.encoder.sample().fresh
     host.bench.bus.frame_filters.clear()
     host.cycles(1)
-    assert host.servo.sample().fresh
-
-
-def test_a_frame_of_the_wrong_length_updates_nothing(host: Host) -> None:
-    prepared(host)
-    host.cycles(2)
-    before = host.encoder.sample()
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: (i, d[:7] if i == 0x182 else d))
-    host.cycles(1)
-    assert host.encoder.sample() == before._replace(fresh=False)
     assert host.servo.sample().fresh
 
 
@@ -73,7 +45,7 @@ def test_an_exchange_waits_no_longer_than_its_share_of_the_cycle(host: Host) -> 
     assert host.clock.now_ns() - before == 800_000
 
 
-def test_an_emergency_is_a_fault_in_words(host: Host) -> None:
+def test_an_emergency_is_a_fault_in_words_until_an_error_reset(host: Host) -> None:
     prepared(host)
     host.bench.drive.emergency(0x4310, 0x08)
     host.wait(0.001)
@@ -81,10 +53,10 @@ def test_an_emergency_is_a_fault_in_words(host: Host) -> None:
         host.link.exchange()
     assert caught.value.code == 0x4310
     host.link.exchange()
-
-
-def test_an_error_reset_takes_the_emergency_back(host: Host) -> None:
-    prepared(host)
+    host.bench.encoder.emergency(0x5123, 0)
+    host.wait(0.001)
+    with pytest.raises(DriveFault, match=r"node 2 .*device hardware"):
+        host.link.exchange()
     host.bench.drive.emergency(0x4310, 0x08)
     host.bench.drive.clear_errors()
     host.wait(0.001)
@@ -103,14 +75,6 @@ def test_the_emergency_of_a_cleared_fault_is_forgotten(host: Host, forgotten: bo
         host.link.forget(1)
         with pytest.raises(DriveFault):
             host.link.exchange()
-
-
-def test_an_unknown_emergency_names_its_class(host: Host) -> None:
-    prepared(host)
-    host.bench.encoder.emergency(0x5123, 0)
-    host.wait(0.001)
-    with pytest.raises(DriveFault, match=r"node 2 .*device hardware"):
-        host.link.exchange()
 
 
 def test_an_error_frame_fails_the_link(host: Host) -> None:
@@ -185,9 +149,7 @@ def test_after_a_pause_the_next_exchange_sends_a_heartbeat(host: Host) -> None:
 
 
 def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:
-    """The load that a bench file is checked against is that on the wire: SYNC and every PDO, of 1
-    Mbit/s.
-    """
+    """The load that a bench file is checked against is that on the wire."""
     prepared(host)
     host.cycles(20)
     host.link.take_frames()
@@ -227,25 +189,3 @@ def test_node_identifiers_are_checked(host: Host) -> None:
     for taken in (0, 1, 127, 128):
         with pytest.raises(ConfigurationError, match=f"{taken} is not between"):
             host.link.add_node(taken, DRIVE_EDS)
-
-
-def test_any_python_can_interface_can_be_opened_by_name() -> None:
-    """The same code on a real-time bus: nobody answers there, which must end as the clock says."""
-    link = CanopenLink.on_interface(
-        TickingClock(), "virtual", "test_link", 1_000_000, sdo_timeout_s=0.02
-    )
-    node: CanopenNode = link.add_node(1, DRIVE_EDS)
-    listener = can.Bus(channel="test_link", interface="virtual")
-    link.open()
-    try:
-        with pytest.raises(LinkError, match=r"no SDO response within 0\.02 s"):
-            node.read(0x6041)
-        request = listener.recv(0)
-        assert request is not None
-        assert (request.arbitration_id, bytes(request.data)) == (
-            0x601,
-            struct.pack("<BHB4x", 0x40, 0x6041, 0),
-        )
-    finally:
-        link.close()
-        listener.shutdown()

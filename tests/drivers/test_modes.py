@@ -64,16 +64,6 @@ def test_the_joint_follows(mode: str, within_deg: float) -> None:
     assert not host.powered[-1]
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_a_drive_that_does_not_offer_the_mode_is_refused(mode: str) -> None:
-    host = make_host(motion=motion(mode), traits=Traits(modes=1 << 7))
-    host.servo.write_limits(LIMITS)
-    prepared(host)
-    with pytest.raises(StateError, match=r"does not support mode .* set servo.mode"):
-        host.servo.enable()
-    assert True not in host.powered
-
-
 @pytest.mark.parametrize("mode", TARGETS)
 def test_without_limits_there_is_no_power(mode: str) -> None:
     host = prepared(host_in(mode, limited=False))
@@ -205,11 +195,3 @@ def test_a_profile_ends_at_the_last_set_point_though_the_host_is_silent() -> Non
     host.wait(0.05)
     assert host.bench.machine.truth().angle_rad == pytest.approx(0.01, abs=1e-3)
     assert host.bench.drive.objects.values[key(0x6041)] & 0x6F == 0x27
-
-
-def test_the_profile_s_ramps_are_set_with_the_limits() -> None:
-    host = host_in("pp")
-    host.servo.write_limits(dataclasses.replace(LIMITS, speed_rad_s=1.0))
-    objects, counts = host.bench.drive.objects, 4096 * 100 / math.tau
-    assert objects.integer(0x6081) == math.floor(counts)
-    assert objects.integer(0x6083) == round(math.radians(2000) * counts)

@@ -92,22 +92,13 @@ class Listener:
 
 
 class TestSimulatedBus(FramePortContract):
-    @pytest.fixture
-    def wire(self) -> Iterator[FarBus]:
+    @pytest.fixture(params=[False, True], ids=["natively", "through python-can"])
+    def wire(self, request: pytest.FixtureRequest) -> Iterator[FarBus]:
         clock = SimulatedClock()
         bus = SimulatedBus(clock)
         other = Listener(bus, clock)
-        yield FarBus(bus, other.say, other.heard)
-        bus.shutdown()
-
-
-class TestSimulatedBusThroughPythonCan(FramePortContract):
-    @pytest.fixture
-    def wire(self) -> Iterator[FarBus]:
-        clock = SimulatedClock()
-        bus = SimulatedBus(clock)
-        other = Listener(bus, clock)
-        yield FarBus(PythonCanPort(bus, clock), other.say, other.heard)
+        port = PythonCanPort(bus, clock) if request.param else bus
+        yield FarBus(port, other.say, other.heard)
         bus.shutdown()
 
 

@@ -63,12 +63,6 @@ def test_one_step_in_figures() -> None:
     assert AT_REST.integral_N_m == 0.0
 
 
-def test_without_a_speed_gain_there_is_neither_torque_nor_integral() -> None:
-    state, _, torque = step(LoopState(0.2, 3.0), LoopGains(10.0), LIMITS, CYCLE_S, 0.2, 0.1, 0.3)
-    assert (state.integral_N_m, torque) == (0.0, 0.0)
-    assert LoopGains(10.0).reset_1_s == 0.0
-
-
 @pytest.mark.parametrize(
     ("integral", "speed", "grows"), [(74.0, 0.5, False), (-74.0, 1.5, False), (90.0, 1.1, True)]
 )
@@ -99,19 +93,6 @@ def test_the_speed_in_front_of_an_end(angle: float, target: float, speed: float)
     assert found == pytest.approx(speed)
 
 
-@pytest.mark.parametrize(
-    ("speed", "integral", "torque"),
-    [(2.5, 20.0, 0.0), (-2.5, -20.0, 0.0), (2.0, 20.0, 15.0), (2.5, 5.0, -2.5), (2.5, 8.0, 0.0)],
-)
-def test_a_torque_that_would_raise_a_speed_beyond_its_limit(
-    speed: float, integral: float, torque: float
-) -> None:
-    wanted = math.copysign(1.0, speed)
-    gains = LoopGains(10.0, 5.0, 1e-9)
-    _, _, found = step(LoopState(0.0, integral), gains, LIMITS, CYCLE_S, 0.0, -0.1 * wanted, speed)
-    assert found == pytest.approx(torque, abs=1e-6)
-
-
 def test_the_gains_that_follow_from_cycle_and_inertia() -> None:
     assert derived(0.001, None) == LoopGains(60.0)
     assert derived(0.0005, None) == LoopGains(60.0)
@@ -137,9 +118,3 @@ def test_gains_that_are_derived_hold_a_bare_inertia(cycle_s: float) -> None:
         angle += speed * cycle_s
     assert angle == pytest.approx(0.3, abs=1e-3)
     assert speed == pytest.approx(0.0, abs=1e-3)
-
-
-def test_stated_gains_are_kept() -> None:
-    assert derived(CYCLE_S, 0.2, LoopGains(7.0, 8.0, 9.0)) == LoopGains(7.0, 8.0, 9.0)
-    assert derived(CYCLE_S, None, LoopGains(7.0, 8.0, 9.0)) == LoopGains(7.0)
-    assert derived(CYCLE_S, 0.0, LoopGains(0.0, 8.0)).position_1_s == 60.0

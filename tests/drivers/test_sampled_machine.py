@@ -65,28 +65,6 @@ def test_a_load_that_is_held_from_the_start_moves_nothing() -> None:
     assert np.abs(fell.joint_rad).max() > 1e-6
 
 
-def test_a_carried_load_accelerates_the_joint_with_its_inertia() -> None:
-    machine = SampledMachine(QUIET, np.random.default_rng(1), 0.0)
-    joint = QUIET.joint
-    machine.carry(3.0 * joint.Ms_N_m, 2.0)
-    found = machine.sample(sent(np.zeros(40)))
-    began = np.diff(found.joint_rad[:3])[-1] * RATE_HZ**2 / 1.5
-    most = 2.0 * joint.Ms_N_m / (joint.inertia_kg_m2 + 2.0)
-    assert began == pytest.approx(most, rel=0.1)
-    assert not found.voltage_V.any()
-    assert not found.current_A.any(), "the power is off"
-
-
-def test_the_drive_makes_the_torque_of_a_host_until_the_next() -> None:
-    found = built(OPEN).sample(sent(np.zeros(4000), 0.5 * OPEN.joint.Ms_N_m), (0.0, 0.0))
-    assert ARM_N_M * found.current_A[-1] == pytest.approx(0.5 * OPEN.joint.Ms_N_m, rel=1e-6)
-    assert not found.joint_rad.any()
-    path = np.where(np.arange(4000) < 2000, 0.0, 0.01)
-    rare = built(OPEN).sample(sent(path, every=1500), (200.0, 0.0))
-    assert not rare.current_A[:3000].any()
-    assert ARM_N_M * rare.current_A[-1] == pytest.approx(2.0, rel=1e-6)
-
-
 def test_the_mean_current_is_that_of_the_winding() -> None:
     """A stuck joint: within a period the current approaches U / R with the time constant L / R."""
     slow = Loops(1000.0, 0.0, None, current_gain_V_A=0.5)
@@ -101,26 +79,6 @@ def test_the_mean_current_is_that_of_the_winding() -> None:
     assert np.allclose(found.mean_current_A, expected, atol=1e-3 * np.abs(final).max())
     line = 0.5 * (found.current_A[1:] + found.current_A[:-1])
     assert np.abs(line - expected[:-1]).max() > 0.01 * np.abs(final).max()
-
-
-def test_a_count_and_an_error_of_the_encoder_reach_the_loops() -> None:
-    path = np.zeros(4000)
-    coarse = built(QUIET, 0.01).sample(sent(path + 0.008))
-    assert np.abs(coarse.joint_rad).max() < 0.03
-    assert not np.array_equal(coarse.voltage_V, built(QUIET).sample(sent(path + 0.008)).voltage_V)
-    wrong = sent(path)._replace(encoder_error_rad=path + 0.05)
-    assert built(QUIET).sample(wrong).joint_rad[-1] == pytest.approx(-0.05, abs=5e-3)
-
-
-def test_terminal_voltage_has_sag_and_dead_time() -> None:
-    effects = {"supply_sag": {"resistance_ohm": 1.0}, "inverter_dead_time": {"voltage_V": 2.0}}
-    found = built(replace(QUIET, effects=effects)).sample(sent(sine(np.arange(8000) / RATE_HZ)))
-    driven = found.current_A > 1.0
-    share = found.supply_V / QUIET.supply_V
-    lost = found.voltage_V * share - found.terminal_V
-    assert np.count_nonzero(driven) > 1000
-    assert found.supply_V.min() < QUIET.supply_V - 0.1
-    assert np.allclose(lost[driven], 2.0 * share[driven])
 
 
 def test_effects_of_any_size_and_of_known_names_alone() -> None:

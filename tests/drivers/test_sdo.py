@@ -17,7 +17,7 @@ from drivers.mock.canopen.dictionary import DeviceDictionary
 from drivers.mock.canopen.node import SdoServer
 from drivers.mock.drive import DRIVE_EDS
 
-from .host import Host, frame
+from .host import Host
 
 
 def make_server() -> SdoServer:
@@ -68,11 +68,6 @@ def test_refusals(request_: bytes, code: int) -> None:
     assert abort_code(make_server().answer(request_)) == code
 
 
-def test_canopen_can_force_a_segmented_download(host: Host) -> None:
-    host.drive.sdo.download(0x607A, 0, struct.pack("<i", -123456), force_segment=True)
-    assert host.drive.read(0x607A) == -123456
-
-
 def test_refusals_become_errors_that_name_the_object(host: Host) -> None:
     with pytest.raises(
         ObjectAccessError, match=r"6007h:00h: node 1 refuses the access: Value range .*06090030h"
@@ -91,12 +86,6 @@ def test_no_answer_is_a_link_error(host: Host) -> None:
     with pytest.raises(LinkError, match=r"6041h:00h: no SDO response within 0\.3 s"):
         host.servo.state()
     assert 0.3e9 <= host.clock.now_ns() - before < 0.31e9
-
-
-def test_a_stopped_node_answers_no_sdo(host: Host) -> None:
-    host.bench.bus.send(frame(0x000, bytes([2, 1])))
-    with pytest.raises(LinkError):
-        host.drive.read(0x1000)
 
 
 class LateWire:

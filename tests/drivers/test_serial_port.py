@@ -1,7 +1,4 @@
-"""Real serial lines that go wrong: hung up, stalled, held by another program.
-
-Pseudo-terminals, in real time.
-"""
+"""Real serial lines that go wrong: hung up, stalled, held by another program."""
 
 from __future__ import annotations
 
@@ -74,11 +71,6 @@ def test_a_line_that_is_hung_up_is_an_error_at_once(
         assert time.monotonic() - began < SLACK_S
 
 
-def test_a_line_that_is_hung_up_can_be_closed(line: Line) -> None:
-    line.far.hang_up()
-    assert took_s(line.port.close) < SLACK_S
-
-
 def test_a_line_hung_up_while_it_is_read_ends_the_wait(line: Line) -> None:
     def select_then_hang_up(*args: object) -> object:
         line.far.hang_up()
@@ -148,22 +140,6 @@ def test_closing_waits_for_what_is_on_its_way(line: Line) -> None:
         line.port.close()
     assert next(left, None) is None
     flush.assert_not_called()
-
-
-def test_a_read_that_finds_nothing_after_all_is_silence(line: Line) -> None:
-    """Ready, as select says, but there is nothing: somebody else was quicker, on a port that does
-    not block.
-    """
-    ready = SimpleNamespace(select=lambda *_: ([line.port.fileno()], [], []))
-
-    def empty(*_: object) -> bytes:
-        raise BlockingIOError
-
-    with (
-        patch.object(serial_port, "select", ready),
-        patch.object(serial_port, "os", SimpleNamespace(read=empty)),
-    ):
-        assert line.port.read(1.0) == b""
 
 
 def test_a_port_has_one_program() -> None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -9,7 +8,7 @@ from drivers import servo_limits
 from drivers.errors import ConfigurationError, LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoState
 
-from .host import SCALES, Host, enabled, make_host, prepared
+from .host import SCALES, Host, make_host, prepared
 
 LIMITS = ServoLimits(
     angle_min_rad=-0.6,
@@ -47,14 +46,6 @@ def test_limits_survive_the_way_to_the_drive_and_back(sign: int, window: float |
     assert host.servo.read_limits() == held
 
 
-def test_limits_are_in_the_units_of_the_drive(host: Host) -> None:
-    host.servo.write_limits(LIMITS)
-    assert host.drive.read(0x607D, 1) == math.ceil(-0.6 / math.tau * 409600)
-    assert host.drive.read(0x607F) == math.floor(1.5 / math.tau * 409600)
-    assert host.drive.read(0x6072) == math.floor(30.0 / 100 / 0.45 * 1000)
-    assert host.drive.read(0x6073) == 800
-
-
 class Deaf:
     """A drive that says yes and keeps what it had."""
 
@@ -71,71 +62,6 @@ class Deaf:
 def test_a_limit_that_does_not_read_back_is_named() -> None:
     with pytest.raises(ConfigurationError, match=r"607Dh:01h reads 5 after -39113 was written"):
         servo_limits.write(Deaf(), SCALES, LIMITS)
-
-
-def test_the_watch_runs_before_power_comes(host: Host) -> None:
-    prepared(host)
-    host.link.take_frames()
-    host.servo.enable()
-    frames = host.link.take_frames()
-    beat = next(i for i, f in enumerate(frames) if f.sent and f.identifier == 0x77F)
-    power = next(
-        i
-        for i, f in enumerate(frames)
-        if f.sent and f.identifier == 0x201 and f.data[:2] == b"\x0f\0"
-    )
-    assert beat < power
-    assert host.drive.read(0x1016, 1) == 0x7F << 16 | 100
-    host.servo.disable()
-    assert host.drive.read(0x1016, 1) == 0
-
-
-def test_a_pause_without_power_is_no_fault(host: Host) -> None:
-    enabled(host)
-    host.servo.disable()
-    host.wait(10.0)
-    host.cycles(10)
-    host.servo.enable()
-    assert host.servo.state() is ServoState.OPERATION_ENABLED
-
-
-def change_controlword(host: Host, word: int) -> None:
-    """Let every controlword written by SDO arrive as ``word``."""
-
-    def change(_time: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes]:
-        if identifier == 0x601 and data[:4] == b"\x2b\x40\x60\x00":
-            return identifier, data[:4] + bytes([word]) + data[5:]
-        return identifier, data
-
-    host.bench.bus.frame_filters.append(change)
-
-
-def test_disable_believes_only_the_statusword(host: Host) -> None:
-    enabled(host)
-    change_controlword(host, 0x0F)
-    # The drive would notice the silent master first; this one watches nothing.
-    host.drive.write(0x1016, 1, 0)
-    with pytest.raises(StateError, match=r"reports the state 'operation enabled'.*by hand"):
-        host.servo.disable()
-
-
-@pytest.mark.parametrize("at_once", [True, False])
-def test_a_quick_stop_that_gets_lost_goes_with_the_next_exchange(host: Host, at_once: bool) -> None:
-    enabled(host)
-    change_controlword(host, 0x0F)
-    host.servo.quick_stop(at_once=at_once)
-    assert host.servo.state() is ServoState.OPERATION_ENABLED
-    host.cycles(2)
-    assert host.servo.state() is ServoState.QUICK_STOP_ACTIVE
-
-
-def test_enabling_that_fails_leaves_no_power(host: Host) -> None:
-    prepared(host)
-    host.lose(0x181)
-    with pytest.raises(StateError, match="still in state"):
-        host.servo.enable()
-    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
-    assert True not in host.powered
 
 
 def test_power_that_came_unseen_is_taken_back(host: Host) -> None:

@@ -12,11 +12,11 @@ from canopen.profiles.p402 import BaseNode402
 
 from drivers.mock.bench import DRIVE_NODE, SimulatedBench, simulated_bench
 from drivers.mock.canopen.node import Nmt
-from drivers.mock.makes import MAKES, described_drive, description
+from drivers.mock.makes import MAKES, described_drive
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.power_state import POWERED, State
 
-from .host import read_eds
+from .host import make_eds, read_eds
 
 CYCLE_NS = 1_000_000
 
@@ -49,8 +49,7 @@ def pair(
 ) -> Iterator[tuple[BaseNode402, SimulatedBench]]:
     """The library's node, and the bench whose drive it is."""
     caplog.set_level(logging.ERROR, logger="canopen")
-    eds = tmp_path / "drive.eds"
-    eds.write_text(description(request.param))
+    eds = make_eds(tmp_path, request.param)
     bench = simulated_bench(Machine(), 1, traits=described_drive(read_eds(eds, DRIVE_NODE)))
     node = BaseNode402(DRIVE_NODE, str(eds))
     node.TIMEOUT_RESET_FAULT = 0.02
@@ -130,14 +129,3 @@ def test_it_resets_a_fault(pair: tuple[BaseNode402, SimulatedBench]) -> None:
     assert node.state == "OPERATION ENABLED"
     node.state = "SWITCH ON DISABLED"
     assert bench.drive.power_state not in POWERED
-
-
-def test_its_homing_sets_the_zero(pair: tuple[BaseNode402, SimulatedBench]) -> None:
-    node, _ = pair
-    if 0x607C not in node.object_dictionary:
-        return  # a make with other objects for the offset
-    node.sdo[0x607C].raw = 1234
-    node.sdo[0x6098].raw = 35
-    assert node.homing(timeout=5)
-    assert node.sdo[0x6064].raw == 1234
-    assert node.is_homed()

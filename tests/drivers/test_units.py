@@ -86,11 +86,6 @@ def test_impossible_scales_are_refused(wrong: dict[str, float]) -> None:
         ServoScales(**GOOD | wrong)
 
 
-def test_a_sign_is_one_or_minus_one() -> None:
-    with pytest.raises(ConfigurationError, match="sign is 0"):
-        ServoScales(**GOOD, sign=0)
-
-
 @given(st.integers(0, 999), st.lists(st.integers(-499, 499), max_size=50))
 def test_unwrapping_follows_any_walk_of_less_than_half_the_range(
     start: int, steps: list[int]
