@@ -128,19 +128,13 @@ def test_an_order_puts_files_one_after_another(tmp_path: Path) -> None:
     ("recordings", "words"),
     [
         ("  - {file: a.csv, start: 0}\n  - {file: b.csv}\n", "neither `start` nor `order`"),
-        ("  - {file: a.csv, start: 0}\n  - {file: b.csv, order: 1}\n", "`order`, but the first"),
         (
             "  - {file: a.csv, start: 0}\n  - {file: b.csv, start: 2026-05-04T08:00:00}\n",
             "`start` as an ISO time, but the first recording has `start` in seconds",
         ),
-        ("  - {file: a.csv, start: 0, order: 1}\n", "remove `order`"),
         ("  - {file: a.csv, start: 2026-05-04}\n", "not an ISO time with date and time of day"),
         ("  - {file: [a.csv, b.csv], start: 0}\n", "one `start` for 2 files"),
         ("  - {file: a.csv, start: 0}\n  - {file: b.csv, start: 10}\n", "before a ends at 29.99 s"),
-        (
-            "  - {file: a.csv, order: 1}\n  - {file: b.csv, order: 1}\n",
-            "give each recording another",
-        ),
     ],
 )
 def test_clocks_that_cannot_be_are_refused(tmp_path: Path, recordings: str, words: str) -> None:
@@ -189,27 +183,18 @@ def test_an_inline_table_stands_beside_other_entries(tmp_path: Path) -> None:
     ("table", "words"),
     [
         ("file,gravty.mass\na.csv,1\n", "files.csv:1:6: recordings[0].gravty"),
-        ("file,role\na.csv,fit\nb.csv,fitt\n", "files.csv:3:7: recordings[1].role"),
         ("file,role\na.csv\n", "files.csv:2:1: recordings.table: 1 cells under 2 columns"),
         ("file,file\na.csv,b.csv\n", "two columns are named 'file'"),
         (
             "file,gravity,gravity.mass\na.csv,1,2\n",
             "one column names the key 'gravity', and another",
         ),
-        ("file\n", "a table needs a line that names its columns, and at least one row"),
         ("file\nnone.csv\n", "files.csv:2:1: recordings[0].file: no such file"),
     ],
 )
 def test_errors_of_a_table_have_their_place_in_it(tmp_path: Path, table: str, words: str) -> None:
     (tmp_path / "files.csv").write_text(table)
     assert words in problems(tmp_path, "  table: files.csv\n")
-
-
-def test_a_table_that_is_none_is_refused(tmp_path: Path) -> None:
-    missing = problems(tmp_path, "  table: files.csv\n")
-    assert "c.yaml:5:10: recordings.table: " in missing
-    assert "no such file" in missing
-    assert "a table must be the name" in problems(tmp_path, "  table: {file: a.csv}\n")
 
 
 def test_known_loads_reach_the_recording(tmp_path: Path) -> None:
@@ -297,10 +282,8 @@ def test_a_recording_may_have_its_own_moment_arm(tmp_path: Path) -> None:
     ("value", "words"),
     [
         ("{value: 2, std: 2}", "is not below the value 2"),
-        ("{value: 2}", "std: missing"),
         ("{value: 2, uncertainty: 0.1}", "unknown key; known are"),
         ("{value: 0, std: 0.1}", "input should be greater than 0"),
-        ("text", "input should be a valid number"),
     ],
 )
 def test_uncertain_constants_that_cannot_be_are_refused(

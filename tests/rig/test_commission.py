@@ -273,33 +273,6 @@ def test_however_a_step_ends_the_drive_is_read_back_as_off(
 
 
 @pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
-def test_sigquit_takes_the_power_off_without_the_ramp(
-    here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
-) -> None:
-    go, watch = Setup.go, Cycle.watch
-    pressed: list[signal.Signals] = []
-    braking: list[ServoState | None] = []
-
-    def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
-        self.cycle.follow([start] * 10, 0, "hold")
-        pressed.append(number)
-        signal.raise_signal(number)
-        go(self, start, end, speed)
-
-    def noted(self: Cycle) -> ServoState | None:
-        state = watch(self)
-        if pressed:
-            braking.append(state)
-        return state
-
-    monkeypatch.setattr(Setup, "go", interrupted)
-    monkeypatch.setattr(Cycle, "watch", noted)
-    ended, record = commissioned("--angle", "0")
-    assert (ended, record["state"], record["drive"]["verified"]) == (3, "stopped", True)
-    assert bool(braking) == brakes
-
-
-@pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
 def test_a_stop_during_the_step_that_stops_ends_it(
     here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
 ) -> None:

@@ -111,15 +111,6 @@ def test_a_homing_that_fails_ends_de_energised(here: Path, mistake: str, method:
     assert ends_off(record)
 
 
-def test_a_time_limit_is_obeyed(here: Path) -> None:
-    options = ("--home", "17", "--home-time", "1", "--mistake", "home_endless")
-    ended, record = commissioned(*options)
-    assert ended == 1
-    assert "has not ended after" in record["message"]
-    assert "limit 1 s" in record["message"]
-    assert ends_off(record)
-
-
 @pytest.mark.parametrize(
     ("error", "ended", "state"),
     [(None, 3, "stopped"), (LinkError("bus-off"), 1, "tripped"), (RuntimeError("x"), 5, "crashed")],
@@ -208,17 +199,6 @@ def test_a_drive_that_takes_the_offset_with_the_other_sign_is_found(
     words = next(s["words"] for s in record["sessions"][0] if s["name"] == "homing")
     assert "the drive uses the home offset 607Ch with the opposite sign" in words
     assert ended in (0, 1)
-
-
-def test_a_drive_without_a_watchdog_is_said_to_home_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    options = ("--home", "17", "--home-angle", "-20", "--mistake", "home_jammed")
-    bench = ("--yes", "--out", "out")
-    assert status(["commission", "practical_serial", *bench, *options]) == 1
-    assert "This drive has no watchdog: if this program dies" in capsys.readouterr().out
-    assert ends_off(commissioned_record())
 
 
 def test_without_consent_it_is_not_energised(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

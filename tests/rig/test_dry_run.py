@@ -124,17 +124,6 @@ def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
     assert [len(found) for found in torques] == [problems, warnings]
 
 
-def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
-    text = SEQUENCE.format(torque=75).replace("torque_N_m: 75", "current_A: 3")
-    Path("one.yaml").write_text(text)
-    code, record = dry("--no-first-pass", "--identification", str(result(Path("known.json"))))
-    assert code == 1
-    assert [text.split("predicted peak ")[1].split()[0] for text in record["problems"]] == [
-        "current",
-        "current",
-    ]
-
-
 def test_the_acceptance_limits_are_listed_with_their_units(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

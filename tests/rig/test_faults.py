@@ -72,14 +72,10 @@ def test_yaml_and_csv_say_the_same() -> None:
     ("row", "words"),
     [
         ("target: bus, fault: lost", "exactly one of time_s, phase and state"),
-        ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
         ("phase: hold, target: bus, fault: lots", "did you mean 'lost'"),
         ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
-        ("phase: hold, target: encoder, fault: bit, value: 1.5", "(bit), found 1.5"),
         ("phase: hold, target: drive, fault: fault, frames: {device: drive}", "'frames'"),
-        ("phase: hold, target: bus, fault: lost, frames: {function: motoin}", "mean 'motion'"),
         ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "regular expression"),
-        ("phase: never, target: bus, fault: lost", "phase: input should be 'prompt'"),
         ("phase: hold, target: bus, fault: lost, cuont: 3", "did you mean 'count'"),
     ],
 )
@@ -98,9 +94,6 @@ def test_every_error_is_at_its_place(row: str, words: str) -> None:
         ("phase,target,fault\nhold,bus,lost\nhold,bus,lots\n", "3:1", "did you mean 'lost'"),
         ("phase,target,fault,count\nhold,bus,lost,many\n", "2:15", "valid integer"),
         ("phase,target,fault\nhold,bus\n", "2:1", "2 cells under 3 columns"),
-        ("phase,target,phase\nhold,bus,hold\n", "1:1", "two columns"),
-        ("", "1:1", "names its columns"),
-        ("phase,target,fault\n", "1:1", "at least one row"),
         ('phase,target,fault\nhold,"bus"x,lost\n', "2:1", "not valid CSV"),
     ],
 )
@@ -146,9 +139,7 @@ def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None
     [
         ("practical", "phase: hold, target: line, fault: cut", "no line; it has bus"),
         ("practical_serial", "phase: hold, target: bus, fault: lost", "line and encoder_line"),
-        ("practical_serial", "phase: hold, target: drive, fault: emcy", "CANopen drives on CAN"),
         ("practical", "phase: hold, target: drive, fault: counter_stuck", "of kind dbc"),
-        ("practical_dbc", "phase: hold, target: drive, fault: quick_stop_option", "has no 605Ah"),
         ("practical_dbc", "phase: hold, target: drive, fault: fault", "(got 29472)"),
         ("practical_dbc", "state: switched_on, target: bus, fault: lost", "no state switched_on"),
     ],

@@ -16,7 +16,6 @@ from drivers.interfaces import Servo
 from drivers.mock.plant.machine import SimulatedMachine
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Recording
-from identification.signals import track
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.sample import Sample
@@ -251,33 +250,6 @@ def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -
     assert status(["identify", "fed", "--out", "report", "--json", "fed.json"]) == 0
     warnings = json.loads(Path("fed.json").read_text())["warnings"]
     assert any("recorded with feed-forward" in w for w in warnings)
-
-
-LOADED = """\
-sequence: 1
-name: loaded
-stages:
-  - {name: sine, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}],
-     duration_s: 4}
-  - {name: ramp, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 1.5, speed_deg_s: 1,
-     rest_s: 0.2}, duration_s: 3.4}
-"""
-
-
-def test_under_3000_n_a_soft_drive_neither_sticks_nor_slips() -> None:
-    """Without feed-forward it waits 57 mrad behind, then jumps.
-
-    Without friction's rise, stiffness alone bounds it.
-    """
-    Path("loaded.yaml").write_text(LOADED)
-    file = result_file(Ms=None, omega_sf=None, mu_s=None, omega_sL=None)
-    options = ["--bench", "practical_soft", "--yes", "--feedforward", str(file), "--out", "fed"]
-    assert status(["run", "loaded.yaml", *options]) == 0
-    for recording in load_run(Path("fed")).recordings:
-        found = track(recording)
-        assert found.largest < 2.5e-3
-        assert found.waiting < 0.5
-        assert np.max(np.abs(recording.channels["current"])) < 20.0
 
 
 def test_a_run_is_resumed_with_the_same_identification(

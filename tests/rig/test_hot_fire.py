@@ -156,9 +156,7 @@ HOT_TONES = "stage: hot_fire, tones"
     [
         ("stage: hot_fire, role: validate, flow", "stage: loaded, weight_kg: 3, flow", "a flow"),
         (HOT_TONES, "role: validate, stage: hot_fire, tones", "sine, flow is loaded and"),
-        (HOT_TONES, "stage: hot_fire, weight_kg: 3, tones", "a hot firing is loaded by"),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
-        ("at_s: 1.5", "at_s: 0.1", "begins before the step at 0 s ends"),
         ("ramp_s: 0.2}", "ramp_s: 0.2, controller: {angle_min_deg: 31}}", "angle_min_deg 31"),
     ],
 )
@@ -178,16 +176,6 @@ def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
             "pressure_exponent: 0.53\n    chamber",
             "pressure_exponent: 1.0\n    chamber",
             "no chamber pressure is stable",
-        ),
-        (
-            "valve: {hole_diameter_m: 0.025",
-            "valve: {hole_diameter_m: 0.041",
-            "must be below plate_width_m",
-        ),
-        (
-            "bus: {interface: mock, bitrate: 1000000}",
-            "bus: {interface: epos_serial, port: mock}",
-            "needs a CAN bus",
         ),
         ("bitrate: 1000000", "bitrate: 500000", "lower cycle_Hz"),
     ],

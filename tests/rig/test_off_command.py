@@ -162,14 +162,6 @@ def test_a_bench_that_nobody_uses_is_switched_off(desk: Desk) -> None:
     assert done.message.endswith("joint at rest")
 
 
-def test_a_joint_that_moves_while_its_motor_rests_is_not_proved_off(desk: Desk) -> None:
-    desk.encoder.speed_rad_s = 0.1
-    done = desk.off()
-    assert not done.proved
-    assert done.record()["safe"]["motion_rad_s"] == pytest.approx(0.1, rel=0.1)
-    assert "the joint moves at" in done.message
-
-
 @pytest.mark.parametrize("eds", ["encoder.eds", "gone.eds"])
 def test_an_encoder_without_its_file_does_not_prevent_the_stop(
     eds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -269,14 +261,6 @@ def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: De
     assert sum("trying" in words for words in desk.said) == 1
 
 
-def test_a_drive_that_says_off_while_current_flows_is_not_proved_off(desk: Desk) -> None:
-    desk.servo.current = 3.98
-    done = desk.off()
-    assert not done.proved
-    assert done.record()["safe"]["current_A"] == pytest.approx(3.98)
-    assert "main supply" in done.message
-
-
 def test_a_port_that_is_back_while_it_is_tried_is_used(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -324,10 +308,6 @@ def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_
     assert json.loads(file.read_text())["users"][0]["ended"] == "killed"
 
 
-def _once(document: Document[Bench], say: Callable[[str], None], **more: Any) -> off.Off:
-    return make_off(document, say, patience_s=0.0, **more)
-
-
 def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
     wired: PtyBench, tmp_path: Path
 ) -> None:
@@ -352,19 +332,6 @@ def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
     record = json.loads(file.read_text())
     assert record["proved"] is False
     assert "switch the main supply off" in record["message"]
-
-
-def test_a_bench_whose_port_is_missing_is_not_proved_off(
-    wired: PtyBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rig.cli.commands.bench.make_off", _once)
-    file = tmp_path / "off.json"
-    text = wired.path.read_text().replace(wired.port, str(tmp_path / "gone"))
-    wired.path.write_text(text)
-    assert status(["off", str(wired.path), "--json", str(file)]) == DEVICE_FAILED
-    record = json.loads(file.read_text())
-    assert record["proved"] is False
-    assert "cannot be opened" in record["safe"]["problems"][0]
 
 
 def dead_terminal() -> int:

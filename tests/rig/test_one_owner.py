@@ -4,7 +4,6 @@ changes nothing.
 
 from __future__ import annotations
 
-import io
 import os
 import subprocess
 import sys
@@ -130,25 +129,6 @@ def test_the_second_program_on_a_bench_is_refused(
         assert first.end() == 0
         with hold_bench("free", resources(load_bench(bench.path).value), "test") as lock:
             assert lock.taken_over is None
-
-
-def test_a_bench_that_a_killed_program_held_is_taken_over_and_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    with pty_bench("serial", tmp_path) as bench:
-        with rig("jog", str(bench.path)) as first:
-            first.wait_for(ANGLE)
-            first.kill()
-        assert status(["jog", str(bench.path)]) == 0
-        said = capsys.readouterr().err
-        for port in resources(load_bench(bench.path).value):
-            assert (
-                f"({port.label}) was left locked by `rig jog` (process {first.process.pid}, user"
-                in said
-            )
-        assert status(["jog", str(bench.path)]) == 0
-        assert "left locked" not in capsys.readouterr().err
 
 
 def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(

