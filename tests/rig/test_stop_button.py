@@ -1,6 +1,4 @@
-"""The stop and pause buttons: which signal does what, on a system that lacks some, and what is
-given back.
-"""
+"""The stop and pause buttons: which signal does what, and what is given back."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The teardown: whatever a step raises, every later step runs, and the verdict says what was read
-back.
-"""
+"""The teardown: whatever a step raises, every later step runs, and the verdict is read back."""
 
 from __future__ import annotations
 
@@ -15,13 +13,7 @@ from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoMotion, ServoState
 from rig.common.errors import StorageError
-from rig.wiring.teardown import (
-    INSISTENT_ATTEMPTS,
-    SafeState,
-    attempt_all,
-    give_back,
-    make_safe,
-)
+from rig.wiring.teardown import INSISTENT_ATTEMPTS, SafeState, attempt_all, give_back, make_safe
 
 from .drives import FakeDrive
 
