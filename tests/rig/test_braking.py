@@ -14,7 +14,7 @@ from drivers.clock import NS
 from drivers.errors import DriveFault, LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE
-from drivers.mock.dbc_drive import COMMAND, STOP
+from drivers.mock.dbc_drive import STOP
 from drivers.mock.faults import LineFaults, WireFaults
 from drivers.mock.power_state import Command
 from drivers.mock.power_state import State as State402
@@ -29,8 +29,8 @@ from rig.wiring.braking import (
     next_state,
 )
 from rig.wiring.off import Steps
-from rig.wiring.runaway import Runaway, RunawayError, Seen
-from rig.wiring.teardown import SafeState, make_safe
+from rig.wiring.runaway import RunawayError
+from rig.wiring.teardown import SafeState
 from tests.drivers.dbc_host import DbcHost, make_dbc_host
 from tests.drivers.dbc_host import enabled as enabled_dbc
 from tests.drivers.host import enabled, make_host
@@ -38,6 +38,7 @@ from tests.drivers.serial_host import SerialHost, make_serial_host
 from tests.drivers.test_modes import host_in
 from tests.drivers.test_servo import LIMITS
 
+from .drives import stopped_by_ramp
 from .test_teardown import Servo
 
 CYCLE_NS = 10_000_000
@@ -272,15 +273,7 @@ class Wire:
 
     def safe(self) -> SafeState:
         host = self.host
-        return make_safe(
-            host.servo,
-            self.watch,
-            host.clock,
-            NS // 1000,
-            brake=True,
-            hurry=lambda: False,
-            watched=self.watched,
-        )
+        return stopped_by_ramp(host.servo, self.watch, host.clock, NS // 1000, watched=self.watched)
 
     def stop(self) -> None:
         """Bring the drive to a stop, which must be that of its own ramp."""
@@ -444,25 +437,6 @@ def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing(
     assert moving.clock.now_ns() - began_ns < (BRAKING_TIMEOUT_S + 0.05) * NS
 
 
-@pytest.mark.parametrize("deaf", [False, True])
-def test_a_drive_with_frames_of_its_own_gets_its_cycles_while_it_brakes(
-    moving: DbcHost, deaf: bool
-) -> None:
-    """The cycles also repeat an order that was lost; a drive that ignores it is left alone."""
-    drive = moving.bench.drive
-    entered: list[object] = []
-    if deaf:
-        drive._obey = lambda order: None
-        drive._port.listen(STOP, lambda data: None)
-    sent = times_of(moving, COMMAND)
-    state = braked_dbc(moving, True, lambda: entered.append(drive.state))
-    assert state is not None
-    assert not state.energised
-    usual = sent[: round(UNHEARD_S * 1000)]
-    assert max(b - a for a, b in itertools.pairwise(usual)) < 2.5e6
-    assert len(entered) > 10
-
-
 @pytest.fixture
 def serial() -> Iterator[SerialHost]:
     """Yield a serial drive under power, in motion."""
@@ -584,36 +558,3 @@ def test_a_cycle_that_shows_a_runaway_ends_the_ramp_at_once() -> None:
     state, steps = braked(servo)
     assert servo.order == ["quick_stop", "watch", "disable", "state"]
     assert (state, steps.cut) == (OFF, "faster")
-
-
-@pytest.mark.parametrize("prepared", [True, False])
-@pytest.mark.parametrize("loop", ["velocity", "phases"])
-def test_a_drive_whose_ramp_goes_the_wrong_way_is_cut(loop: Any, prepared: bool) -> None:
-    """The loop changes its sign in motion; with cycles, and by requests alone."""
-    wire = Wire()
-    host = wire.host
-    host.bench.machine.reverse(loop)
-    judge = Runaway(host.servo.promised_deceleration(), host.servo.limit_steps().angle_rad)
-
-    def watch() -> ServoState | None:
-        if not prepared:
-            host.clock.sleep_until_ns(host.clock.now_ns() + NS // 1000)
-            return None
-        host.cycles(1)
-        sample = host.servo.sample()
-        judge.see(
-            Seen(host.clock.now_ns() / NS, sample.velocity_rad_s, sample.motor_angle_rad / 100)
-        )
-        if judge.grows():
-            raise RunawayError("faster")
-        return host.servo.sent_state()
-
-    host.servo.prepared = prepared
-    safe = make_safe(
-        host.servo, watch, host.clock, NS // 1000, brake=True, hurry=lambda: False, watched=True
-    )
-    assert safe.verified
-    assert safe.cut
-    assert wire.entered[-1] is State402.SWITCH_ON_DISABLED
-    assert wire.off_s < (0.02 if prepared else 0.03)
-    assert abs(wire.off_rad_s) < (3.0 if prepared else 7.0)

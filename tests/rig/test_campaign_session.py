@@ -71,14 +71,6 @@ def test_what_a_window_leaves_out_may_be_broken_and_rows_keep_their_place(tmp_pa
     assert "a.csv:1003: time runs backwards" in text
 
 
-def test_empty_windows_are_refused_in_words(tmp_path: Path) -> None:
-    text = problems(tmp_path, "  - {file: a.csv, window: [40, 50]}\n")
-    assert "the window 40 s to 50 s holds no sample: the file's time runs from 0 to 29.99" in text
-    text = problems(tmp_path, "  - {file: a.csv, window: {from: 5, to: 5}}\n")
-    assert "c.yaml:5:" in text
-    assert "the window is empty, from 5 to 5 s" in text
-
-
 def test_windows_of_one_file_may_not_overlap(tmp_path: Path) -> None:
     fit, score = load(
         tmp_path,
@@ -103,15 +95,6 @@ def test_iso_times_make_a_common_clock(tmp_path: Path) -> None:
     assert (a.start, b.start, c.start) == (1200.0, 10.0, 600.0)
     assert run_starts([a, b, c]) == [1200.0, 10.0, 600.0]
     assert "begins 1200 s into the session" in a.notes
-
-
-def test_seconds_and_pieces_of_a_file_count_from_its_first_row(tmp_path: Path) -> None:
-    write(tmp_path / "a.csv", first=500.0)
-    lines = (tmp_path / "a.csv").read_text().splitlines()
-    (tmp_path / "a.csv").write_text("\n".join(lines[:1001] + lines[2001:]) + "\n")
-    one, two, b = load(tmp_path, "  - {file: a.csv, start: 100}\n  - {file: b.csv, start: 5.5}\n")
-    assert (one.start, b.start) == (100.0, 5.5)
-    assert two.start == pytest.approx(120.0)
 
 
 def test_an_order_puts_files_one_after_another(tmp_path: Path) -> None:

@@ -32,17 +32,10 @@ from rig.runs.run import load_run
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 
+from .benches import stages, swing
 from .test_feedforward import result_file, tracking_rms
 
-SHORT = """\
-sequence: 1
-name: short
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.4,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.4, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SHORT = stages(swing(duration_s=0.4), swing("heavy", duration_s=0.4, weight_kg=10))
 BENCHES = ["odrive_can", "mit_mini"]
 ENCODER = {0x000, 0x080, 0x602, 0x77F}
 """What a run sends to the CANopen encoder: NMT, SYNC, SDO, heartbeat."""
@@ -248,22 +241,6 @@ def test_an_odrive_in_error_is_cleared_once_where_it_is_asked_for(
     drives = [bench.drive for bench in made]
     cleared = [drive.received.get(can_drives.CLEAR, 0) for drive in drives]
     assert cleared == [0, 1]
-
-
-@pytest.mark.parametrize("bench", BENCHES)
-def test_a_host_that_falls_silent_is_noticed_by_the_drive(
-    bench: str, made: list[SimulatedCanBench]
-) -> None:
-    document = load_bench(bench)
-    with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
-        devices.prepare(document.value.cycle_s)
-        devices.servo.enable()
-        drive, clock = made[0].drive, made[0].clock
-        assert isinstance(drive, can_drives.ODriveAxis | can_drives.MitMotor)
-        assert drive.powered
-        clock.sleep_until_ns(clock.now_ns() + 150_000_000)
-        assert not drive.powered
-        assert drive.fault_code == drive.lost_code
 
 
 OFTEN = {(Phase.ENABLE, 1 << 30), (Phase.EXCITE, 3), (Phase.EXCITE, 1 << 30), (Phase.RELEASE, 40)}

@@ -147,18 +147,11 @@ def test_what_no_value_corrects_ends_it(
 
 
 @pytest.mark.parametrize("source", ["practical_serial", "practical_dbc"])
-@pytest.mark.parametrize(
-    "mistake",
-    [
-        pytest.param("position_sign", marks=pytest.mark.proof),
-        pytest.param("velocity_sign", marks=pytest.mark.proof),
-        "phases_swapped",
-    ],
-)
+@pytest.mark.usefixtures("elsewhere")
 def test_a_wrong_sign_is_found_on_every_kind_of_drive(
-    tmp_path: Path, mistake: str, source: str, monkeypatch: pytest.MonkeyPatch
+    source: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    mistake = "phases_swapped"
     true = watch_machines(monkeypatch)
     options = ["commission", source, "--yes", "--angle", "0", "--out", "out", "--mistake", mistake]
     assert status(options) == 1

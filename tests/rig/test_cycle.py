@@ -217,17 +217,6 @@ def test_cycles_start_a_period_apart_and_are_counted() -> None:
     assert cycle.timing.lateness.worst_ns == 0
 
 
-def test_begin_starts_the_grid_afresh() -> None:
-    bench = Bench()
-    cycle = begun(bench)
-    after(0.5, bench)()
-    cycle.ask_reset()
-    cycle.begin(0.1)
-    cycle.follow([0.1], 0, "empty")
-    assert bench.exchanged == [0, 500_400_000, 501_400_000]
-    assert cycle.timing.lateness.worst_ns == 0
-
-
 def test_begin_trips_where_nobody_asked_or_the_first_sample_is_outside() -> None:
     bench = Bench()
     cycle = make(bench)
@@ -618,16 +607,6 @@ def test_a_sleep_of_the_computer_ends_the_commands_before_the_next_one() -> None
     # The braking goes on, and says nothing of it again.
     boot.slept_ns += round(3e9)
     cycle.watch()
-
-
-def test_a_sleep_between_two_stages_does_no_harm() -> None:
-    bench = Bench()
-    boot = Boot(bench)
-    cycle = begun(bench, suspension=boot.suspension)
-    boot.slept_ns += round(3600e9)
-    cycle.ask_reset()
-    cycle.begin(0.1)
-    cycle.follow([0.1] * 3, 1, "stage")
 
 
 def test_a_pause_between_two_clock_reads_is_no_sleep() -> None:

@@ -27,19 +27,13 @@ from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
 
-from .benches import variant
+from .benches import stages, swing, variant
 
-SHORT = """\
-sequence: 1
-name: short
-limits: {torque_N_m: 60, following_error_deg: 1.5, angle_max_deg: 25}
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.6,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.6,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SHORT = stages(
+    swing(duration_s=0.6),
+    swing("heavy", duration_s=0.6, weight_kg=10),
+    head="limits: {torque_N_m: 60, following_error_deg: 1.5, angle_max_deg: 25}\n",
+)
 TEXT = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
 
 
@@ -84,27 +78,6 @@ def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
     assert truth["Mc"] == 6.825
 
 
-def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) -> None:
-    path = written(
-        ("position: {signal: DRV_Motion.Position", "position: {signal: DRV_Motion.Postion"),
-        ("{counter: Life}", "{counter: Live}"),
-        ("message: DRV_Stop", "message: DRV_Halt"),
-    )
-    with pytest.raises(InputError) as caught:
-        load_bench(path)
-    position, stop, counter = sorted(
-        caught.value.problems, key=lambda text: int(text.split(":")[1])
-    )
-    assert position.startswith(f"{path}:{line_of(path, 'Postion')}:")
-    assert (
-        "servo.inputs.position.signal: message 'DRV_Motion' has no signal 'Postion'; did you mean "
-        "'Pos" in position
-    )
-    assert stop.startswith(f"{path}:{line_of(path, 'DRV_Halt')}:")
-    assert "the DBC has no message 'DRV_Halt'" in stop
-    assert counter.startswith(f"{path}:{line_of(path, 'Live')}:")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -118,6 +91,8 @@ def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) 
             "scle: 2}\n  orders",
             "unknown key; did you mean 'scale'?",
         ),
+        ("DRV_Motion.Position", "DRV_Motion.Postion", "has no signal 'Postion'; did you mean 'Pos"),
+        ("message: DRV_Stop", "message: DRV_Halt", "the DBC has no message 'DRV_Halt'"),
         ("fault: [FAULT]", "fault: [FALT]", "no value 'FALT'; did you mean 'FAULT'?"),
         ("algorithm: crc8_j1850", "algorithm: crc9", "servo.messages.DRV_Command.algorithm: "),
     ],

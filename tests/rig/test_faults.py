@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import time
@@ -178,17 +177,6 @@ def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> 
     assert "row 3: the fault was never triggered" in told
 
 
-def test_a_fault_of_another_stage_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
-    path = schedule("phase: hold, stage: emtpy, target: bus, fault: lost")
-    assert status(["run", "sequence.yaml", "--yes", "--out", "out", "--faults", str(path)]) == 2
-    assert (
-        "rows[0].stage: the sequence has no such stage; did you mean 'empty'"
-        in capsys.readouterr().err
-    )
-    assert not Path("out").exists()
-
-
 def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str]) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
@@ -199,15 +187,6 @@ def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str
     options = ["--bench", "bench.yaml", "--yes", "--out", "out", "--faults", str(path)]
     assert status(["run", "sequence.yaml", *options]) == 2
     assert "only be injected on a simulated bench" in capsys.readouterr().err
-
-
-def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("0\n"))
-    code, (finding,) = run(
-        "phase: prompt, target: operator, fault: unanswered, value: 60", options=()
-    )
-    assert (code, finding["off_after_s"]) == (3, 0.0)
-    assert "without an answer" in read_record(Path("out")).message
 
 
 def test_a_prompt_that_nobody_answers_in_time() -> None:
@@ -269,8 +248,8 @@ def test_a_drive_fault_in_every_state(line: str, state: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("decoder", fuzz.DECODERS)
 def test_fuzzed_frames(decoder: str) -> None:
-    counts = fuzz.DECODERS[decoder](5_000, np.random.default_rng(1))
-    assert max(counts["frames"], counts["bytes"]) >= 5_000
+    counts = fuzz.DECODERS[decoder](2_000, np.random.default_rng(1))
+    assert max(counts["frames"], counts["bytes"]) >= 2_000
 
 
 def test_fuzzed_recordings(tmp_path: Path) -> None:

@@ -14,16 +14,11 @@ from drivers.interfaces import ServoState
 from rig.cli.entry import status
 from rig.control.safety import Check, foreseen, remedy
 from rig.results.run.go_on import NEW_RUN, NOT_READ_BACK, go_on_words
-from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
-ONE = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 1,
-     ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
-"""
+from .benches import stages, swing
+
+ONE = stages(swing(duration_s=1))
 
 
 @pytest.fixture
@@ -118,19 +113,3 @@ def test_the_words_end_the_message_and_the_command_goes_on(
     assert status([*command[1:], "--yes"]) == 0
     told = capsys.readouterr()
     assert "go on with" not in told.err + told.out
-
-
-@pytest.mark.parametrize(
-    ("fault", "state"),
-    [
-        (lambda bench: bench.overrides.update(current_A=1000.0), "tripped"),
-        (lambda bench: setattr(bench, "drive_state", ServoState.FAULT), "failed"),
-    ],
-)
-def test_the_stage_that_went_on_ends_as_the_run_did(
-    runner: Any, fake_bench: Any, fault: Any, state: str
-) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: fault(bench)
-    folder, _ = runner(bench)
-    assert [s.state for s in read_record(folder.path).stages] == [state, "planned"]

@@ -31,10 +31,9 @@ from rig.planning.reference import Reference
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record
 from rig.runs.run_record import Ending
-from rig.sources import load_source
 from rig.terminal.stop_button import StopButton
 from rig.weighing.weight_check import comparable, off_label
-from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
+from rig.wiring.connect import connect
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
 HOT = f"""\
@@ -217,56 +216,6 @@ def test_its_friction_is_not_held_against_a_weight(fired: Path) -> None:
     )
 
 
-def test_a_campaign_may_be_a_hot_firing(fired: Path) -> None:
-    sine = load_run(fired).recordings[0]
-    columns = {name: sine.channels[name] for name in ("time", "current", "angle", "pressure")}
-    np.savetxt(
-        "sine.csv",
-        np.column_stack(list(columns.values())),
-        delimiter=",",
-        header=",".join(columns),
-        comments="",
-    )
-    text = """\
-campaign: 1
-bench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, gas_generator: {}}
-model: {fixed: {Mc: 6.825, Ms: 12.025, omega_sf: 0.0557, sigma_2: 5.3462, J: 0.204}}
-recordings:
-  - {file: sine.csv, stage: loaded, channels: {time: time, angle: angle, pressure: pressure,
-     current: {column: current, average: true}}}
-"""
-    path = Path("campaign.yaml")
-    path.write_text(text)
-    (read,) = load_source(path).recordings
-    assert read.hot_fire
-    angle = read.channels["angle"]
-    np.testing.assert_allclose(
-        contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9
-    )
-    path.write_text(text.replace(", gas_generator: {}", ""))
-    with pytest.raises(
-        InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"
-    ):
-        load_source(path)
-    path.write_text(text.replace(" pressure: pressure,", ""))
-    with pytest.raises(InputError, match="or for a hot firing `pressure`"):
-        load_source(path)
-
-
-def test_a_real_transmitter_brings_its_own_description() -> None:
-    real = {
-        "bus: {interface: mock, bitrate: 1000000}": "bus: {interface: socketcan, channel: can0}",
-        "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
-        "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
-    }
-    with pytest.raises(
-        InputError, match=r"pressure\.eds: missing; name the EDS file of the real device's maker"
-    ):
-        device_files(load_bench(bench_with(**real)))
-    own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
-    assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
-
-
 def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
     """Its process data stop, its heartbeat goes on."""
     bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
@@ -315,15 +264,6 @@ def test_too_much_pressure_opens_the_valve_by_gain_and_integral() -> None:
     after = control(LAW, state, wanted, 2e6)
     assert after.angle - 0.2 == pytest.approx(
         math.radians(8.0) * 0.005 * (1.0 + 8.0 * CYCLE_S), rel=1e-9
-    )
-
-
-def test_a_step_is_no_faster_than_the_valve_may_go() -> None:
-    after = control(LAW, held(0.2, 2e6), 1e6, 2e6)
-    assert after.angle - 0.2 == pytest.approx(math.radians(50.0) * CYCLE_S)
-    slow = make_law(FlowController(), CYCLE_S, math.radians(10.0))
-    assert control(slow, held(0.2, 2e6), 1e6, 2e6).angle - 0.2 == pytest.approx(
-        math.radians(10.0) * CYCLE_S
     )
 
 

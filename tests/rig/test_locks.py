@@ -164,19 +164,12 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
 
 
 @pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize("noted", [False, True])
-def test_a_parent_that_releases_leaves_it_to_its_child(
-    kind: str, tmp_path: Path, noted: bool
-) -> None:
+def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path) -> None:
     with program(kind, tmp_path) as first:
         first.tell("guard", "guarding")
-        if noted:
-            first.tell("note guardian", "noted")
         first.process.send_signal(signal.SIGUSR1)
         first.hear("released")
-        with pytest.raises(
-            InUseError, match="by `guardian`" if noted else "that has not written its name; `fuser "
-        ):
+        with pytest.raises(InUseError, match="that has not written its name; `fuser "):
             hold(kind, tmp_path)
         first.tell("release", "released")
         assert free(kind, tmp_path)
@@ -195,28 +188,6 @@ def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: byt
     with hold(kind, tmp_path) as lock:
         assert lock.taken_over is not None
     assert free(kind, tmp_path)
-
-
-@pytest.mark.parametrize(
-    "before", [b"", Holder(2**31 - 1, "gone", "", "", socket.gethostname(), "").content()]
-)
-def test_a_name_that_comes_a_moment_late_is_waited_for(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bytes
-) -> None:
-    with hold(kind, tmp_path):
-        content = lock_file(kind, tmp_path).read_bytes()
-        lock_file(kind, tmp_path).write_bytes(before)
-        waits: list[float] = []
-
-        def wait(seconds: float) -> None:
-            waits.append(seconds)
-            if len(waits) == 3:
-                lock_file(kind, tmp_path).write_bytes(content)
-
-        monkeypatch.setattr(locks.time, "sleep", wait)
-        with pytest.raises(InUseError, match=f"process {os.getpid()}"):
-            hold(kind, tmp_path)
-        assert len(waits) == 3
 
 
 def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None:
@@ -421,13 +392,6 @@ JSON = VALUES | st.dictionaries(NAMES, VALUES)
 HERE = Holder(1234, "rig run", "bench x", "ada", socket.gethostname(), "2026-11-20T12:34:56+00:00")
 
 
-def test_all_that_is_known_is_said() -> None:
-    assert (
-        HERE.words("bench x", NOW)
-        == "`rig run` (process 1234, user ada) since 12:34:56 UTC, 3 min ago"
-    )
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -459,11 +423,6 @@ def test_the_age_is_said_in_one_unit(seconds: float, words: str) -> None:
         replace(HERE, since=since).words("bench x", NOW)
         == f"`rig run` (process 1234, user ada) since {words}"
     )
-
-
-@pytest.mark.parametrize("since", ["soon", "9999-12-31T23:59:59-23:00"])
-def test_a_time_that_cannot_be_is_left_out(since: str) -> None:
-    assert replace(HERE, since=since).words("bench x", NOW) == "`rig run` (process 1234, user ada)"
 
 
 def test_a_holder_is_read_back() -> None:

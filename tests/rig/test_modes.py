@@ -99,8 +99,8 @@ FAULTS = ("cable pulled", "drive fault", "drive restarts", "control loop hangs 0
 """One for each make in turn."""
 HOMINGS = {
     "Elmo": ("cable lost", "drive restarts", "the limit switch never closes", "encoder frozen"),
-    "Trinamic": ("cable lost", "drive fault", "it never ends"),
-    "Trinamic:serial": ("cable lost", "drive fault"),
+    "Trinamic": ("cable lost", "it never ends"),
+    "Trinamic:serial": ("drive fault",),
 }
 
 

@@ -12,7 +12,6 @@ from drivers.errors import ConfigurationError
 from drivers.interfaces import Lacks
 from rig.control.cycle import Cycle
 from rig.control.motion_proof import (
-    LONGEST_S,
     STEP_RAD,
     STEPS,
     Change,
@@ -102,10 +101,8 @@ def test_speed_against_position(factor: float, wrong: int) -> None:
         (1.08, None),
         (-1.0, (Change("encoder", "sign", -1),)),
         (1.25, (Change("machine", "gear_ratio", 40.0),)),
-        (0.5, (Change("machine", "gear_ratio", 100.0),)),
         (-2.0, (Change("encoder", "sign", -1), Change("machine", "gear_ratio", 25.0))),
         (GEAR, ()),
-        (-GEAR, ()),
         (0.0, ()),
     ],
 )
@@ -137,7 +134,14 @@ def test_sign_of_the_current(share: float, wrong: bool) -> None:
     )
 
 
-@pytest.mark.parametrize("stated", [2.0, 0.5, 1.6, 1.4, 0.72])
+@pytest.mark.parametrize(
+    "stated",
+    [
+        2.0,
+        1.6,
+        1.4,
+    ],
+)
 @pytest.mark.parametrize("source", ["torque", "voltage", "rated"])
 def test_torque_constant(stated: float, source: str) -> None:
     gone = {name: nothing for name in ("torque", "voltage") if name != source}
@@ -330,19 +334,15 @@ def witnessed(
     return None
 
 
-@pytest.mark.parametrize("factor", [0.3, 0.7, 1.0, 3.9])
+@pytest.mark.parametrize("factor", [0.3, 3.9])
 def test_the_same_unit_is_found_after_some_travel(factor: float) -> None:
     for start_s in (0.0, 100.0):
         found = witnessed(factor, start_s=start_s)
         assert found == pytest.approx(STEPS * STEP_RAD / 0.2 * 1e3, abs=3 * STEPS)
 
 
-def test_three_travels_of_a_hundredth_of_a_radian_decide() -> None:
-    assert (STEPS, STEP_RAD, LONGEST_S) == (3, 0.01, 1.0)
-
-
 @pytest.mark.parametrize("speed", [0.2, -0.2])
-@pytest.mark.parametrize("factor", [0.0, 1 / 68.3, 0.2, 6.0, 9.55, 68.3, -1.0])
+@pytest.mark.parametrize("factor", [0.0, 0.2, 68.3, -1.0])
 def test_another_unit_is_refused_with_the_factor(factor: float, speed: float) -> None:
     with pytest.raises(ConfigurationError) as caught:
         witnessed(factor, speed)

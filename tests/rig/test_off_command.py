@@ -16,7 +16,7 @@ import pytest
 
 import drivers.mock
 from benchmarks.adapters import RealTimeBench
-from drivers.clock import NS, SimulatedClock
+from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
 from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
@@ -56,17 +56,10 @@ class Servo(FakeDrive):
 
 
 class Encoder:
-    """A joint encoder on a joint that turns at a speed, rad/s, or that does not answer."""
-
-    def __init__(self, clock: SimulatedClock) -> None:
-        self.clock = clock
-        self.speed_rad_s = 0.0
-        self.reachable = True
+    """The encoder of a joint at rest."""
 
     def reading(self) -> float:
-        if not self.reachable:
-            raise LinkError("the encoder does not answer")
-        return self.speed_rad_s * self.clock.now_ns() / NS
+        return 0.0
 
     def step_rad(self) -> float:
         return 1e-5
@@ -127,7 +120,6 @@ class Desk:
     document: Document[Bench]
     servo: Servo
     link: Link
-    encoder: Encoder
     processes: Fakes
     said: list[str]
 
@@ -142,10 +134,9 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Desk:
     bus = document.value.bus.model_copy(update={"port": "/dev/some"})  # type: ignore[union-attr]
     value = document.value.model_copy(update={"bus": bus})
     link = Link()
-    encoder = Encoder(link.clock)
-    made = Desk(dataclasses.replace(document, value=value), Servo(), link, encoder, Fakes(), [])
+    made = Desk(dataclasses.replace(document, value=value), Servo(), link, Fakes(), [])
     bare: Any = BareBench
-    monkeypatch.setattr(off, "bare_bench", lambda document: bare(link, made.servo, encoder))
+    monkeypatch.setattr(off, "bare_bench", lambda document: bare(link, made.servo, Encoder()))
     return made
 
 

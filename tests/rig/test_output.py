@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.terminal.output import Inlet, Outlet, ShareBar, complain, reader_gone
+from rig.terminal.output import Inlet, Outlet, complain, reader_gone
 from tests.rig.command import assert_in_words, rig
 
 ROWS = """\
@@ -146,23 +146,3 @@ def sequence_in(folder: Path) -> Path:
     """Write a short sequence; returns the folder."""
     (folder / SHORT).write_text(SEQUENCE, encoding="utf-8")
     return folder
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_each_kind_of_work_is_shown_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with ShareBar() as bar:
-        bar("reading", 0.0)
-        assert "reading" in terminal.getvalue()
-        bar("joint fit, 2 recordings", 0.0)
-        assert "joint fit, 2 recordings" in terminal.getvalue()
-        bar("joint fit, 2 recordings", 1.0)
-        assert "100 %" in terminal.getvalue()
-        bar("simulated replicates, round 1", 0.5)
-        assert "50 %" in terminal.getvalue()
-    assert "\n" not in terminal.getvalue().rstrip("\n")

@@ -100,32 +100,14 @@ def test_rated_torque_goes_with_rated_current(
     assert [finding.refused for finding in found] == expected
 
 
-@pytest.mark.parametrize("command", [["run", "figure10", "--yes", "--bench"]], ids=["run"])
 def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    command: list[str],
+    elsewhere: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = variant(
-        tmp_path,
-        (
-            "moment_arm_m: 0.095\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
-            "moment_arm_m: 95\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
-        ),
-    )
-    assert status([*command, str(path)]) == 2
-    words = (
-        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, which is impossible "
-        "on a bench of this kind; state it in metres, not in millimetres (got 95)"
-    )
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "runs").exists()
-    assert status(["check", str(path)]) == 1
-    shown = capsys.readouterr().out
-    assert f"problem: {words}" in shown
-    assert (
-        shown.splitlines()[-1]
-        == "verdict: NOT good: a run would refuse, because of machine constants"
-    )
+    rest = "\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus"
+    path = variant(elsewhere, (f"moment_arm_m: 0.095{rest}", f"moment_arm_m: 95{rest}"))
+    for command, code in ((["run", "figure10", "--yes", "--bench"], 2), (["check"], 1)):
+        assert status([*command, str(path)]) == code
+        said = capsys.readouterr()
+        words = f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m"
+        assert words in said.out + said.err
+    assert not Path("runs").exists()

@@ -15,7 +15,7 @@ from drivers.interfaces import RawFrame, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen.dictionary import key
 from rig.cli.entry import BAD_INPUT, status
-from rig.common.errors import Cause, Finding, InputError, refusals, verdict, warnings
+from rig.common.errors import Cause, InputError
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.configuration import names
@@ -28,15 +28,9 @@ from rig.runs.run_record import Ending
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.wiring.preflight import bench_findings, device_findings
 
-from .benches import variant
+from .benches import stages, swing, variant
 
-SEQUENCE = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SEQUENCE = stages(swing())
 TODAY = utc_now().date()
 
 
@@ -205,18 +199,6 @@ def alarmed(bench: SimulatedBench) -> None:
         ([], lambda bench: bench.drive.fail(0x3220), Cause.STATE),
         ([("servo: {", "servo: {velocity_unit_rad_s: 1.0e-12, ")], None, Cause.LIMITS),
     ],
-    ids=[
-        *(
-            "rated current",
-            "rated torque",
-            "motor counts",
-            "encoder counts",
-            "no such member",
-            "no such object",
-            "encoder alarm",
-        ),
-        *("looser", "fault", "looser in the file", "does not fit"),
-    ],
 )
 def test_what_devices_refuse_is_reported_once_in_the_words_of_the_run(
     tmp_path: Path,
@@ -328,23 +310,6 @@ def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFi
     bench = variant(tmp_path, ("encoder: {node: 2", "encoder: {node: 1"))
     assert status(["jog", str(bench), "--to", "1"]) == 2
     assert "encoder.node: 1 is also the node identifier of the servo" in capsys.readouterr().err
-
-
-def test_a_verdict_names_each_cause_once() -> None:
-    found = [
-        Finding(Cause.LIMITS, "a"),
-        Finding(Cause.CALIBRATION, "b"),
-        Finding(Cause.LIMITS, "c"),
-        Finding(Cause.STATE, "d"),
-        Finding(Cause.CONSTANTS, "e", refused=False),
-    ]
-    assert (
-        verdict(found)
-        == "NOT good: a run would refuse, because of limits, calibration and state of the drive"
-    )
-    assert refusals(found) == ["a", "b", "c", "d"]
-    assert warnings(found) == ["e"]
-    assert verdict(found[-1:]) == "good: a run would start"
 
 
 EMPTY = """\

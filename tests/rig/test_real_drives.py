@@ -24,13 +24,9 @@ from rig.wiring.connect import connect, servo_data
 from rig.wiring.devices import watcher, watcher_of
 from rig.wiring.scales import servo_scales
 
-SHORT = """\
-sequence: 1
-name: short
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 0.5}], duration_s: 2,
-     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0.05}
-"""
+from .benches import stages, swing
+
+SHORT = stages(swing("empty", 4, 0.5, duration_s=2))
 
 
 WATCHED = {"Elmo": (False, True), "Nanotec": (True, True), "Copley": (True, True)}
@@ -201,16 +197,3 @@ def test_the_second_axis_of_a_node_runs(here: Path, capsys: pytest.CaptureFixtur
 def test_an_axis_that_cannot_be_is_refused(here: Path, keys: str) -> None:
     with pytest.raises(InputError):
         load_bench(bench("Elmo", keys))
-
-
-def test_objects_with_another_meaning_are_not_used(here: Path) -> None:
-    name = bench("Elmo", "device: zlac8015d, ")
-    document = load_bench(name)
-    with connect(document, 0, realtime=False) as devices:
-        servo: Any = devices.servo
-        assert not servo._channel.describes(0x606C, 0)
-        assert not servo._channel.describes(0x6083, 0)
-        assert servo._motion.mode == 1
-        words = servo.lacks(0.001).words
-        assert any("6083h" in text for text in words)
-        assert not list(servo.description_problems())

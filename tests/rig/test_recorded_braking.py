@@ -18,13 +18,13 @@ from rig.common.sample import Sample
 from rig.control.cycle import Cycle
 from rig.terminal.stop_button import StopButton
 from rig.wiring.devices import Devices
-from rig.wiring.teardown import make_safe
 from tests.drivers.dbc_host import enabled as enabled_dbc
 from tests.drivers.dbc_host import make_dbc_host
 from tests.drivers.host import enabled, make_host
 from tests.drivers.serial_host import make_serial_host
 from tests.drivers.test_servo import LIMITS as DRIVE_LIMITS
 
+from .drives import stopped_by_ramp
 from .test_cycle import LIMITS
 
 Make = Callable[[], tuple[Any, Callable[[Any], None]]]
@@ -78,15 +78,9 @@ def stopped(host: Any) -> list[Sample]:
     recorder, cycle_ns = Recorder(), round(host.cycle_s * NS)
     devices = Devices(host.link, host.servo, host.encoder, lambda mass: None)
     cycle = Cycle(LIMITS, cycle_ns, devices, recorder, StopButton(), lambda *_: None)
-    safe = make_safe(
-        host.servo,
-        cycle.watch,
-        host.link.clock,
-        cycle_ns,
-        brake=True,
-        hurry=lambda: False,
-        watched=host.link.has_watchdog,
-        insistent=not host.link.has_watchdog,
+    watched = host.link.has_watchdog
+    safe = stopped_by_ramp(
+        host.servo, cycle.watch, host.link.clock, cycle_ns, watched=watched, insistent=not watched
     )
     host.link.close()
     assert safe.verified

@@ -15,21 +15,13 @@ from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import status
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
-from rig.results.acceptance import certificate
-from rig.results.document import Document
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
 
-STAGES = """\
-sequence: 1
-name: three
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05, repeats: 2}
-  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+from .benches import stages, swing
+
+STAGES = stages(swing("a", more=", repeats: 2"), swing("b", weight_kg=10))
 
 
 @pytest.fixture(autouse=True)
@@ -175,15 +167,6 @@ def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
     assert [s.confirmed_kg for s in record.stages] == [0.0, 10.0]
     assert record.parts[0].devices["encoder"]["product_code"] == 0x406
     assert record.warnings == []
-    page = Path("out/run.html").read_text()
-    for words in (
-        "Ann",
-        "C-17",
-        "simulated drive",
-        record.inputs["bench.yaml"]["sha256"],
-        "How late cycles started",
-    ):
-        assert words in page
 
 
 @pytest.mark.parametrize(
@@ -209,28 +192,14 @@ def test_a_recording_says_by_which_device_files_it_was_made(
     assert metadata["encoder"]["name"]
 
 
-@pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])
-def test_an_overdue_calibration(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], rule: str, expected: int
-) -> None:
-    bench = tmp_path / "b.yaml"
-    text = resolve("practical", "benches").read_text()
-    extra = (
-        f'calibrations: [{{device: lever, id: L-2, due: "2001-01-31"}}]\noverdue_calibration: '
-        f"{rule}\n"
+def test_an_overdue_calibration_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    overdue = (
+        'calibrations: [{device: lever, id: L-2, due: "2001-01-31"}]\noverdue_calibration: warn\n'
     )
-    bench.write_text(text + extra)
-    assert start("--bench", str(bench)) == expected
-    error = capsys.readouterr().err
-    if rule == "warn":
-        assert "warning: calibration L-2 of lever was due on 2001-01-31" in error
-        assert "(OVERDUE)" in Path("out/run.html").read_text()
-        assert status(["check", str(bench)]) == 0
-        shown = capsys.readouterr().out
-        assert "verdict: good" in shown
-    else:
-        assert "calibrations[0].due: calibration L-2 of lever is overdue" in error
-        assert not Path("out").exists()
+    Path("b.yaml").write_text(resolve("practical", "benches").read_text() + overdue)
+    assert start("--bench", str(Path("b.yaml").resolve())) == 0
+    assert "warning: calibration L-2 of lever" in capsys.readouterr().err
+    assert "(OVERDUE)" in Path("out/run.html").read_text()
 
 
 def limits(name: str, *lines: str) -> str:
@@ -269,55 +238,14 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
 
 
 @pytest.mark.usefixtures("stopped")
-def test_the_certificate_states_a_stop_and_the_continuation(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    made: list[Document] = []
-    write = certificate.certificate_pdf
-    monkeypatch.setattr(
-        certificate, "certificate_pdf", lambda found: made.append(found) or write(found)
-    )
+def test_the_certificate_states_a_stop_and_the_continuation() -> None:
     given = limits("given.yaml", "lost samples < 1")
     resume = ["resume", "out", "--yes", "--operator", "Bob", "--acceptance", given]
     assert status(resume) == 0
-    first, second = read_record(Path("out")).parts
     page = Path("out/certificate.html").read_text()
-    on_paper = "\n".join(certificate.certificate_lines(made[-1]))
-    for shown in (page, on_paper):
-        for words in ("Course of the run", "continued", "Ann", "Bob"):
-            assert words in shown
-        for part in (first, second):
-            assert part.ended is not None
-            assert part.created[:19].replace("T", " ") in shown
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.usefixtures("stopped")
-def test_a_run_is_resumed_with_limits_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
-    wrong = limits("wrong.yaml", "Mx: 1..2")
-    assert status(["resume", "out", "--yes", "--acceptance", wrong]) == 2
-    assert "wrong.yaml:3:5" in capsys.readouterr().err
-    assert len(read_record(Path("out")).parts) == 1
-    given = limits("given.yaml", "lost samples < 1")
-    assert status(["resume", "out", "--yes", "--acceptance", given]) == 0
-    assert judged() == ("given.yaml", True, ["lost samples < 1"])
-    assert status(["runs", "accept", "out"]) == 0
-    assert judged() == ("given.yaml", True, ["lost samples < 1"])
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("resumed", [False, True])
-def test_a_file_of_limits_that_changes_during_the_run_changes_no_verdict(
-    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, resumed: bool
-) -> None:
-    if resumed:
-        request.getfixturevalue("stopped")
-    given = limits("given.yaml", "current worst < 1 mA")
-
-    def change(*_: Any) -> None:
-        limits("given.yaml", "lost samples < 1")
-
-    monkeypatch.setattr(RunProgress, "__call__", change)
-    options = ("--acceptance", given)
-    assert (status(["resume", "out", "--yes", *options]) if resumed else start(*options)) == 1
-    assert judged() == ("given.yaml", False, ["current worst < 1 mA"])
+    for words in ("Course of the run", "continued", "Ann", "Bob"):
+        assert words in page
+    for part in read_record(Path("out")).parts:
+        assert part.ended is not None
+        assert part.created[:19].replace("T", " ") in page
+        assert f" to {part.ended[11:19]}" in page

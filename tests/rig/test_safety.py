@@ -255,21 +255,21 @@ def asked() -> Latch:
     return latch
 
 
-def test_the_latch_starts_open_and_good_samples_do_not_close_it() -> None:
+def test_the_latch_closes_only_by_a_reset_that_was_asked_for() -> None:
     latch = Latch()
-    assert latch.trip is not None
-    assert latch.trip.check is Check.NOT_RESET
-    assert latch.judge(sample(), 0.0, 0.0, LIMITS) is latch.trip
-    assert "its reset was not requested" in latch.trip.message
     assert latch.trip == Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
-
-
-def test_a_good_sample_alone_does_not_close_it() -> None:
-    latch = Latch()
+    assert "its reset was not requested" in latch.trip.message
+    assert latch.judge(sample(), 0.0, 0.0, LIMITS) is latch.trip
     trip = latch.reset(sample(), 0.0, 0.0, LIMITS)
     assert trip is not None
     assert trip.check is Check.NOT_RESET
     assert latch.trip is trip
+    latch.ask()
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) is None
+    # A closed latch opens again at a reset that nobody asked for.
+    opened = latch.reset(sample(), 0.0, 0.0, LIMITS)
+    assert opened is not None
+    assert opened.check is Check.NOT_RESET
 
 
 @pytest.mark.parametrize(
@@ -310,14 +310,6 @@ def test_a_trip_is_not_cleared_by_a_reset_that_nobody_asked_for() -> None:
     trip = latch.judge(sample(velocity=9.0), 0.0, 0.0, LIMITS)
     assert latch.reset(sample(), 0.0, 0.0, LIMITS) is trip
     assert latch.trip is trip
-
-
-def test_a_closed_latch_opens_at_a_reset_that_nobody_asked_for() -> None:
-    latch = asked()
-    latch.reset(sample(), 0.0, 0.0, LIMITS)
-    trip = latch.reset(sample(), 0.0, 0.0, LIMITS)
-    assert trip is not None
-    assert trip.check is Check.NOT_RESET
 
 
 @given(st.floats(-10, 10), st.floats(-10, 10))

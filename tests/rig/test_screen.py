@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import io
 import os
 import struct
 import termios
@@ -153,40 +152,6 @@ def test_a_message_takes_the_place_of_the_status_line(terminal: Terminal) -> Non
     screen.status("busy")
     screen.say("words")
     assert terminal.shown() == "\rbusy\r\x1b[Jwords\n"
-    screen.close()
-
-
-def test_long_lines_break_between_words_and_tables_stay(terminal: Terminal) -> None:
-    terminal.resize(20)
-    screen = on(terminal)
-    screen.say("the drive is de-energised now\na  table  that  is  wider")
-    assert terminal.shown() == "the drive is\nde-energised now\na  table  that  is  wider\n"
-    screen.close()
-
-
-def test_a_message_beside_another_program_begins_a_line_of_its_own(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.share()
-    screen.say("guardian: off")
-    screen.say("more")
-    assert terminal.shown() == "\nguardian: off\n\nmore\n"
-    screen.close()
-    stream = io.StringIO()
-    piped = Screen(SimulatedClock(), io.StringIO(), stream)
-    piped.share()
-    piped.say("guardian: off")
-    assert stream.getvalue() == "guardian: off\n"
-
-
-def test_the_status_line_is_left_out_while_the_terminal_takes_nothing(terminal: Terminal) -> None:
-    clock = SimulatedClock()
-    screen = on(terminal, clock)
-    terminal.stall()
-    screen.say("a message")
-    pending = len(screen._err._pending)
-    clock.sleep_until_ns(10**9)
-    screen.status("busy")
-    assert len(screen._err._pending) == pending
     screen.close()
 
 

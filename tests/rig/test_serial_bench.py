@@ -4,23 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from rig.cli import entry as cli
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.serial_bus import UNWATCHED_SHARE
-from rig.runs.run import read_record
 from rig.wiring.connect import connect
 
 from .benches import variant
 
-SEQUENCE = """
-sequence: 1
-name: short
-stages:
-  - {name: swing, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 1,
-     ramp_in_s: 0.3,
-     ramp_out_s: 0.3}
-"""
 BUS = "bus: {interface: epos_serial, port: mock, baud: 1000000, round_trip_ms: 0}"
 ENCODER = "encoder: {kind: amt21, port: mock, baud: 2000000, address: 84, sign: 1, offset_deg: 0}"
 
@@ -75,24 +65,3 @@ def test_an_encoder_line_beside_a_can_servo(tmp_path: Path) -> None:
         assert devices.servo.sample().fresh
         assert devices.encoder.sample().fresh
         assert devices.encoder.identity().name == "AMT21 at 54h"
-
-
-def test_a_run_over_serial_tells_the_operator(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sequence = tmp_path / "short.yaml"
-    sequence.write_text(SEQUENCE)
-    out = tmp_path / "run"
-    assert (
-        cli.status(
-            ["run", str(sequence), "--bench", "practical_serial", "--yes", "--out", str(out)]
-        )
-        == 0
-    )
-    # It is said at the start, and not again between the result and what to do next.
-    said = capsys.readouterr().err
-    assert said.count("this drive has no watchdog") == 1
-    record = read_record(out)
-    assert record.state == "done"
-    assert record.stale == 0
-    assert record.de_energised

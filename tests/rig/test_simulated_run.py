@@ -14,13 +14,9 @@ from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
 from rig.control.session import run_simulated
 
-SHORT = """\
-sequence: 1
-name: short
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1}
-"""
+from .benches import stages, swing
+
+SHORT = stages(swing())
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from drivers.interfaces import ServoLimits, ServoMotion, ServoState
 from rig.common.errors import StorageError
 from rig.wiring.teardown import INSISTENT_ATTEMPTS, SafeState, attempt_all, give_back, make_safe
 
-from .drives import FakeDrive
+from .drives import FakeDrive, stopped_by_ramp
 
 CYCLE_NS = 10_000_000
 OFF, ON, BRAKING = (
@@ -306,16 +306,8 @@ class Deaf(Servo):
 
 def stopped(servo: Any, insistent: bool) -> SafeState:
     """Make a drive without a watchdog safe."""
-    return make_safe(
-        servo,
-        servo.watch,
-        servo.clock,
-        CYCLE_NS,
-        brake=True,
-        hurry=lambda: False,
-        watched=False,
-        insistent=insistent,
-    )
+    options = {"watched": False, "insistent": insistent}
+    return stopped_by_ramp(servo, servo.watch, servo.clock, CYCLE_NS, **options)
 
 
 @pytest.mark.parametrize(("insistent", "verified"), [(True, True), (False, False)])

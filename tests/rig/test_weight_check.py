@@ -238,33 +238,17 @@ def test_a_wrong_weight_is_refused_before_full_amplitude(
     assert [w["verdict"] for w in read_record(out).weights] == ["right", "wrong", "right"]
 
 
-def test_after_the_run_the_stage_off_its_label_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("undrawn")
+def test_after_the_run_and_in_its_identification_the_stage_off_its_label_is_named(
+    tmp_path: Path,
 ) -> None:
-    out = tmp_path / "out"
+    out, result = tmp_path / "out", tmp_path / "result.json"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
     assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
     record = read_record(out)
     assert record.state == "done"
     assert [(w["stage"], w["verdict"]) for w in record.weights] == [("m20", "wrong")]
-    assert "warning: stage m20: its friction is that of 2" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None:
-    out, result = tmp_path / "out", tmp_path / "result.json"
-    path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
-    assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
-    quick = [
-        "--method",
-        "paper",
-        "--seed",
-        "1",
-        "--out",
-        str(tmp_path / "page"),
-        "--json",
-        str(result),
-    ]
-    assert status(["identify", str(out), *quick]) == 0
+    options = ["--method", "paper", "--seed", "1", "--out", str(tmp_path / "page")]
+    assert status(["identify", str(out), *options, "--json", str(result)]) == 0
     warnings = json.loads(result.read_text())["warnings"]
     assert any(words.startswith("stage m20: its friction is that of 2") for words in warnings)
