@@ -369,7 +369,6 @@ def test_a_drive_in_torque_mode_that_refuses_the_stop_has_no_torque() -> None:
 
 @pytest.fixture
 def moving() -> Iterator[DbcHost]:
-    """Yield a drive with frames of its own, under power, in motion."""
     host = make_dbc_host()
     enabled_dbc(host)
     host.cycles(200, lambda t: 0.5 * t)
@@ -378,7 +377,6 @@ def moving() -> Iterator[DbcHost]:
 
 
 def times_of(host: DbcHost, wanted: int) -> list[int]:
-    """Return the times, ns, of all further frames with an identifier."""
     times: list[int] = []
 
     def note(time_ns: int, found: int, data: bytes, by_host: bool) -> tuple[int, bytes]:
@@ -393,8 +391,6 @@ def times_of(host: DbcHost, wanted: int) -> list[int]:
 def braked_dbc(
     host: DbcHost, watched: bool, note: Callable[[], None] = lambda: None
 ) -> ServoState | None:
-    """Brake the drive in cycles of 1 ms, and call ``note`` before each cycle."""
-
     def watch() -> ServoState | None:
         note()
         host.cycles(1)
@@ -439,7 +435,6 @@ def test_a_drive_without_a_watchdog_gets_its_cycles_although_it_sends_nothing(
 
 @pytest.fixture
 def serial() -> Iterator[SerialHost]:
-    """Yield a serial drive under power, in motion."""
     host = make_serial_host()
     host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=2))
     host.servo.prepare(host.cycle_s)

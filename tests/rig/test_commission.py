@@ -102,30 +102,6 @@ def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake:
     assert record["drive"]["verified"]
 
 
-def test_a_lost_answer_while_the_drive_brakes_does_not_end_the_stop(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    brake, state = Cia402Servo.quick_stop, Cia402Servo.state
-    lost: list[LinkError] = []
-
-    def then_lose(self: Cia402Servo, **keys: bool) -> None:
-        lost.append(LinkError("no answer"))
-        brake(self, **keys)
-
-    def once_lost(self: Cia402Servo) -> ServoState:
-        if lost:
-            raise lost.pop()
-        return state(self)
-
-    monkeypatch.setattr(Cia402Servo, "quick_stop", then_lose)
-    monkeypatch.setattr(Cia402Servo, "state", once_lost)
-    ended, record = commissioned("--angle", "0")
-    assert (ended, record["state"]) == (0, "done"), record["message"]
-    assert not lost
-    stop = next(s for s in record["sessions"][0] if s["name"] == "stop")
-    assert "no answer" in {value["value"] for value in stop["measured"]}
-
-
 @pytest.mark.parametrize("mistake", FOUND)
 def test_what_no_value_corrects_ends_it(
     here: Path, mistake: str, monkeypatch: pytest.MonkeyPatch

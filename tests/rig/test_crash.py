@@ -44,14 +44,11 @@ Raise = Callable[[BaseException], None]
 
 @pytest.fixture(autouse=True)
 def folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Keep what is written out of the sources."""
     monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
 def effects_raise(monkeypatch: pytest.MonkeyPatch) -> Raise:
-    """Let `rig effects` raise."""
-
     def arrange(error: BaseException) -> None:
         def overview(shown: object) -> str:
             raise error

@@ -139,7 +139,6 @@ LIMITS = TEXT[TEXT.index("  limits:   ") : TEXT.index("  messages:  ")]
 
 @pytest.fixture
 def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Type lines on standard input, which then ends."""
     return lambda *lines: monkeypatch.setattr(
         sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines))
     )

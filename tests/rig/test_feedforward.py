@@ -72,7 +72,6 @@ def load(path: Path) -> Feedforward:
 
 
 def offsets_of(targets: Array, weight_kg: float = 0.0, model: Feedforward = KNOWN) -> Offsets:
-    """Offsets of a stage under the packaged benches' limits."""
     return stage_offsets(model, targets, weight_kg, CYCLE_S, 75.0, np.deg2rad(120.0))
 
 

@@ -23,7 +23,6 @@ ONE = stages(swing(duration_s=1))
 
 @pytest.fixture
 def stopped(runner: Any, fake_bench: Any) -> RunRecord:
-    """``run.json`` of a run that tripped on its current in the first excitation."""
     bench = fake_bench()
     bench.faults["exchange", 400] = lambda: bench.overrides.update(current_A=1000.0)
     folder, _ = runner(bench)
@@ -36,7 +35,6 @@ def changed(record: RunRecord, **fields: Any) -> RunRecord:
 
 
 def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -> None:
-    """The message of the run stands above these words on the terminal and on the page."""
     words = go_on_words(stopped, Path("runs/x"))
     assert f"{stopped.message}\n{words}".count(remedy(Check.CURRENT)) == 1
     assert words.splitlines() == [

@@ -63,7 +63,6 @@ class Guardian:
 
 
 def fill(guardian: Guardian) -> None:
-    """Fill the pipe of a guardian that does not read."""
     # Small writes last, so that not even a sign of life fits.
     for size in (4096, 1):
         while True:
@@ -123,8 +122,6 @@ def guardian(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guardian]:
 
 
 class Port:
-    """An open port, of which only the descriptor is wanted."""
-
     def __init__(self, *arguments: object, exclusive: bool) -> None:
         self.arguments = arguments
         self.exclusive = exclusive
@@ -368,7 +365,6 @@ def test_a_guardian_that_listens_again_hears_signs_of_life_and_may_take_over(
 
 
 def answered(guard: Guard, guardian: Guardian, time: Time, seconds: float) -> None:
-    """Feed for a time with a guardian that answers."""
     for _ in range(round(seconds * 50)):
         time.wait(0.02)
         guard.feed()
@@ -377,7 +373,6 @@ def answered(guard: Guard, guardian: Guardian, time: Time, seconds: float) -> No
 
 
 def unanswered(guard: Guard, time: Time) -> None:
-    """Feed for a second with a guardian that does not answer."""
     for _ in range(50):
         time.wait(0.02)
         guard.feed()

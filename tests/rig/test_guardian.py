@@ -32,8 +32,6 @@ RELEASED = b'{"armed": false}\n'
 
 
 class Witness:
-    """A guard that notes what it is told."""
-
     def __init__(self) -> None:
         self.told: list[str] = []
         self.fed = 0
@@ -50,8 +48,6 @@ class Witness:
 
 
 class Absent(Witness):
-    """A guard that cannot be had."""
-
     def arm(self, limit_s: float) -> None:
         raise LinkError("the guardian did not start")
 
@@ -321,8 +317,6 @@ ALL_OFF = "the drive is de-energised (read back: switch on disabled), 0.00 A, jo
 
 
 class Servo(FakeDrive):
-    """A drive that can be reached after so many attempts."""
-
     def __init__(self, failures: int = 0) -> None:
         self.failures = failures
         self.stopped = 0
@@ -360,7 +354,6 @@ class Process:
             os.write(self.writing, json.dumps(line).encode() + b"\n")
 
     def ends(self) -> int:
-        """Let the other program die."""
         os.close(self.writing)
         self.writing = -1
         return guardian.main()

@@ -63,7 +63,6 @@ stages:
 
 @contextmanager
 def running(tmp_path: Path, *options: str, hold: bool = False) -> Iterator[subprocess.Popen[str]]:
-    """Run the command in a process of its own that says where it is."""
     sequence = tmp_path / "long.yaml"
     sequence.write_text(SEQUENCE)
     command = ["run", str(sequence), "--realtime", "--out", str(tmp_path / "out"), *options]
@@ -77,7 +76,6 @@ def running(tmp_path: Path, *options: str, hold: bool = False) -> Iterator[subpr
 
 
 def wait_for(child: subprocess.Popen[str], words: str, times: int = 1) -> None:
-    """Read what the child says until it has said ``words``."""
     assert child.stdout is not None
     said = ""
     while said.count(words) < times:

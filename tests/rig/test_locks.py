@@ -37,8 +37,6 @@ KINDS = ("bench", "folder")
 
 @dataclass
 class Program:
-    """Another program, and what it is told and answers."""
-
     process: subprocess.Popen[str]
 
     @property
@@ -80,7 +78,6 @@ def program(kind: str, folder: Path, command: str = "rig run") -> Iterator[Progr
 
 
 def hold(kind: str, folder: Path, command: str = "rig jog") -> Lock:
-    """Hold the same lock in this process."""
     return (
         hold_bench("wired", [PART], command, folder)
         if kind == "bench"
@@ -89,7 +86,6 @@ def hold(kind: str, folder: Path, command: str = "rig jog") -> Lock:
 
 
 def lock_file(kind: str, folder: Path) -> Path:
-    """Return the file that is locked."""
     return folder / (file_name(PART.key) if kind == "bench" else OWNER_FILE)
 
 

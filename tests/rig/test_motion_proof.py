@@ -32,8 +32,6 @@ NOMINAL = Nominal(KM, GEAR)
 
 
 class Remedies:
-    """A drive that names factors."""
-
     def __init__(self, count: float = 0.0) -> None:
         self.count = count
 
@@ -134,14 +132,7 @@ def test_sign_of_the_current(share: float, wrong: bool) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "stated",
-    [
-        2.0,
-        1.6,
-        1.4,
-    ],
-)
+@pytest.mark.parametrize("stated", [2.0, 1.6, 1.4])
 @pytest.mark.parametrize("source", ["torque", "voltage", "rated"])
 def test_torque_constant(stated: float, source: str) -> None:
     gone = {name: nothing for name in ("torque", "voltage") if name != source}
@@ -309,8 +300,6 @@ JOINT_GEAR = LIMITS.gear_ratio
 
 
 class Named:
-    """A drive that names the factor as its remedy."""
-
     def speed_remedy(self, factor: float) -> str:
         return f"factor {factor:.4f}"
 

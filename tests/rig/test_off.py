@@ -357,7 +357,6 @@ def test_an_offset_of_the_current_sensor_can_be_stated(
 
 
 def test_the_weight_prompt_between_stages(runner: Any, fake_bench: Any) -> None:
-    """A current that begins after the release, as a person walks to the weights."""
     bench = fake_bench()
     finished = bench.hang
 

@@ -43,8 +43,6 @@ RUN, GUARDIAN = 101, 102
 
 
 class Servo(FakeDrive):
-    """A drive that is off after the first order, unless it cannot be reached."""
-
     def __init__(self) -> None:
         self.reachable = True
         self.told: list[str] = []
@@ -56,8 +54,6 @@ class Servo(FakeDrive):
 
 
 class Encoder:
-    """The encoder of a joint at rest."""
-
     def reading(self) -> float:
         return 0.0
 
@@ -66,8 +62,6 @@ class Encoder:
 
 
 class Link:
-    """A link that opens, unless it is broken."""
-
     has_watchdog = False
 
     def __init__(self) -> None:
@@ -288,7 +282,6 @@ def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_
 def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
     wired: PtyBench, tmp_path: Path
 ) -> None:
-    """On a line on which nobody answers."""
     ours, theirs = pty.openpty()
     wired.path.write_text(wired.path.read_text().replace(wired.port, os.ttyname(theirs)))
     file = tmp_path / "off.json"
@@ -312,7 +305,6 @@ def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
 
 
 def dead_terminal() -> int:
-    """Return the descriptor of a terminal whose adapter was unplugged."""
     ours, theirs = pty.openpty()
     os.close(ours)
     return theirs

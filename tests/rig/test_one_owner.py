@@ -50,13 +50,11 @@ class Rig:
             said += letter
 
     def answer(self, words: str) -> None:
-        """Type an answer."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{words}\n".encode())
         self.process.stdin.flush()
 
     def end(self) -> int:
-        """Let it end; returns its status."""
         self.process.communicate(timeout=60)
         return self.process.returncode
 
@@ -68,7 +66,6 @@ class Rig:
 
 @contextmanager
 def rig(*arguments: str) -> Iterator[Rig]:
-    """Start a command; it is gone afterwards."""
     pipe = subprocess.PIPE
     env = os.environ | {"CAN_CONFIG": '{"sleep_after_open": 0.0}'}
     with subprocess.Popen(
@@ -81,7 +78,6 @@ def rig(*arguments: str) -> Iterator[Rig]:
 
 
 def seconds(bench: PtyBench, sequence: Path, out: Path) -> list[list[str]]:
-    """Return every command that uses a bench."""
     file = str(bench.path)
     return [
         ["check", file],
@@ -172,7 +168,6 @@ def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Return every file of a folder."""
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 

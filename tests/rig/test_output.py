@@ -143,6 +143,5 @@ def test_complaining_without_stderr_is_no_error(
 
 
 def sequence_in(folder: Path) -> Path:
-    """Write a short sequence; returns the folder."""
     (folder / SHORT).write_text(SEQUENCE, encoding="utf-8")
     return folder

@@ -27,7 +27,6 @@ PRINTED = {
 
 
 def judged(path: Path, key: str, value: float) -> list[bool]:
-    """Return what is found at one key: whether each refuses."""
     text = path.read_text()
     old = f"  {key}: {PRINTED[key]}\n"
     assert old in text

@@ -19,8 +19,6 @@ from rig.terminal.stop_button import STOP_SIGNALS, OperatorStopError, StopButton
 
 
 class Pipe:
-    """Standard input from a pipe."""
-
     def __init__(self) -> None:
         self.reading, self.writing = os.pipe()
         self.stream = os.fdopen(self.reading, "r", encoding="utf-8")
@@ -145,8 +143,6 @@ def test_masses_as_they_are_typed(text: str, mass: float | None) -> None:
 
 
 class Script:
-    """Answers in order, and notes what was asked and said before each."""
-
     def __init__(self, *answers: str) -> None:
         self.answers = list(answers)
         self.asked: list[str] = []
@@ -157,8 +153,6 @@ class Script:
 
 
 class Told(ConsoleOperator):
-    """Keeps what it says."""
-
     def __init__(self, *answers: str, tolerance: float = 0.005) -> None:
         super().__init__(silent(), Script(*answers), tolerance=tolerance)
         self.told: list[str] = []

@@ -41,7 +41,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def bench(make: str, keys: str = "", packaged: str = "practical", eds: str = "") -> str:
-    """Write a bench with a drive of this make, and return its name."""
     Path("drive.eds").write_text(eds or description(make))
     text = resolve(packaged, "benches").read_text()
     assert "servo: {" in text
@@ -132,7 +131,6 @@ def test_the_maker_s_units_are_used_until_the_bench_says_otherwise(here: Path) -
 
 
 def shortened(make: str, *indices: str) -> str:
-    """Return the EDS of a make without objects."""
     return re.sub(rf"(?ms)^\[({'|'.join(indices)})(sub\d+)?\].*?(?=^\[)", "", description(make))
 
 

@@ -64,8 +64,6 @@ def on_serial() -> tuple[Any, Callable[[Any], None]]:
 
 
 class Recorder:
-    """Keeps the samples."""
-
     def __init__(self) -> None:
         self.samples: list[Sample] = []
 

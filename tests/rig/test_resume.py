@@ -35,8 +35,6 @@ def start(*options: str) -> int:
 
 
 def stop_in(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
-    """Press the button when the progress display hears of a stage."""
-
     def press(self: RunProgress, name: str, *rest: Any) -> None:
         if name == stage:
             raise KeyboardInterrupt
@@ -58,7 +56,6 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def stopped(once: Path) -> None:
-    """Put a copy of the stopped run into the present folder."""
     shutil.copytree(once / "out", "out")
     record = Path("out/run.json")
     text = record.read_text().replace(str(once / "three.yaml"), str(Path("three.yaml").resolve()))
@@ -209,7 +206,6 @@ def limits(name: str, *lines: str) -> str:
 
 
 def judged() -> tuple[str, bool, list[str]]:
-    """Return origin of the limits, verdict and limits of the certificate."""
     found = json.loads(Path("out/acceptance.json").read_text())
     return (
         Path(found["limits"]).name,

@@ -204,7 +204,6 @@ def test_recover_a_run_that_had_finished_its_stage(finished: Path) -> None:
 
 @pytest.fixture
 def holed(finished: Path, tmp_path: Path) -> Path:
-    """A copy of the finished run with a bad place in the middle of its recording."""
     folder = tmp_path / "holed"
     shutil.copytree(finished, folder)
     content = bytearray((folder / "recording.mcap").read_bytes())
@@ -250,7 +249,6 @@ def test_the_bus_libraries_speak_when_asked(tmp_path: Path) -> None:
 def test_a_real_bus_where_nobody_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """python-can's in-process bus, opened by name."""
     path = tmp_path / "b.yaml"
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
     text = text.replace("interface: mock", "interface: virtual, channel: nobody")

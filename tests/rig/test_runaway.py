@@ -38,7 +38,6 @@ stages:
 
 
 def moved(command: str, bench: str, folder: Path) -> int:
-    """Run a command that moves the joint; return its exit status."""
     if command == "jog":
         return status(["jog", bench, "--to", "5", "--json", str(folder / "jog.json")])
     (folder / "probe.yaml").write_text(SEQUENCE)
@@ -72,10 +71,7 @@ def test_a_slow_motion_against_the_command_names_the_sign(
 ) -> None:
     """A long cycle hides that the speed grows."""
     watch_machines(monkeypatch, loop)
-    changes = (
-        ("cycle_Hz: 1000", "cycle_Hz: 100"),
-        ("sample_age_ms: 5", "sample_age_ms: 50"),
-    )
+    changes = (("cycle_Hz: 1000", "cycle_Hz: 100"), ("sample_age_ms: 5", "sample_age_ms: 50"))
     bench = variant(tmp_path, *changes, source="practical_soft" if loop is None else "practical")
     file = tmp_path / "jog.json"
     assert status(["jog", str(bench), "--to", "5", "--speed", "2", "--json", str(file)]) == 1

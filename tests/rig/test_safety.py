@@ -69,7 +69,7 @@ def test_what_a_drive_does_not_report_is_not_checked_and_all_else_is() -> None:
 
 
 def test_a_good_sample_passes() -> None:
-    assert check(sample(), 0.0, 0.0, LIMITS) is None
+    assert check(sample(), LIMITS.sample_age, LIMITS.lateness, LIMITS) is None
 
 
 @pytest.mark.parametrize(
@@ -270,6 +270,13 @@ def test_the_latch_closes_only_by_a_reset_that_was_asked_for() -> None:
     opened = latch.reset(sample(), 0.0, 0.0, LIMITS)
     assert opened is not None
     assert opened.check is Check.NOT_RESET
+    # Opened on purpose, it forgets what was asked for before.
+    latch.ask()
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) is None
+    latch.ask()
+    latch.open()
+    assert latch.trip == opened
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) == opened
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,6 @@ class Terminal:
                 return data.decode()
 
     def stall(self) -> None:
-        """Do what Ctrl-S does."""
         termios.tcflow(self.slave, termios.TCOOFF)
 
     def go_on(self) -> None:

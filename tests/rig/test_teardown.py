@@ -51,8 +51,6 @@ EXCEPTIONS = [
 
 
 class Clock(SimulatedClock):
-    """Simulated time of a drive whose verbs raise where they are told to."""
-
     def __init__(self, servo: Servo) -> None:
         super().__init__()
         self._servo = servo
@@ -81,7 +79,6 @@ class Servo(FakeDrive):
         self.clock.sleep_until_ns(self.clock.now_ns() + ns)
 
     def fail(self, verb: str) -> None:
-        """Raise the exception of this verb, if any."""
         if verb in self.raising:
             raise self.raising[verb]()
 
@@ -305,7 +302,6 @@ class Deaf(Servo):
 
 
 def stopped(servo: Any, insistent: bool) -> SafeState:
-    """Make a drive without a watchdog safe."""
     options = {"watched": False, "insistent": insistent}
     return stopped_by_ramp(servo, servo.watch, servo.clock, CYCLE_NS, **options)
 
