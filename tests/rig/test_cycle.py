@@ -603,6 +603,16 @@ def test_a_sleep_of_the_computer_ends_the_commands_before_the_next_one() -> None
     cycle.watch()
 
 
+def test_a_sleep_between_two_stages_does_no_harm() -> None:
+    bench = Bench()
+    boot = Boot(bench)
+    cycle = begun(bench, suspension=boot.suspension)
+    boot.slept_ns += round(3600e9)
+    cycle.ask_reset()
+    cycle.begin(0.1)
+    cycle.follow([0.1] * 3, 1, "stage")
+
+
 def test_a_pause_between_two_clock_reads_is_no_sleep() -> None:
     """The second read may come late; only a difference above the greatest so far is a sleep."""
     delays = [0, 30_000_000, 0, 500_000_000, 0]

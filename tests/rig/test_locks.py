@@ -242,11 +242,10 @@ def test_what_somebody_put_in_the_place_of_a_file_is_refused(tmp_path: Path, tra
     assert stat.S_IMODE(victim.stat().st_mode) == 0o600
 
 
-@pytest.mark.parametrize("trap", ["link"])
-def test_what_somebody_put_in_the_place_of_the_folder_is_refused(tmp_path: Path, trap: str) -> None:
+def test_a_link_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     victim = tmp_path / "victim"
     victim.mkdir()
-    TRAPS[trap](tmp_path / "locks", victim)
+    (tmp_path / "locks").symlink_to(victim)
     with pytest.raises(StorageError, match=r"cannot be used: (Not a directory|Too many levels)"):
         hold("bench", tmp_path / "locks")
     assert not list(victim.iterdir())

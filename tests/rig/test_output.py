@@ -90,13 +90,12 @@ def test_a_run_is_recorded_whatever_becomes_of_its_output(tmp_path: Path, shell:
     }
 
 
-@pytest.mark.parametrize(("encoding", "shown"), [("cp437", "\udce6 \udcf8 \\u2603")])
-def test_what_an_encoding_lacks_is_escaped(tmp_path: Path, encoding: str, shown: str) -> None:
-    environment = {"PYTHONIOENCODING": encoding, "LC_ALL": "C", "PYTHONUTF8": "0"}
+def test_what_an_encoding_lacks_is_escaped(tmp_path: Path) -> None:
+    environment = {"PYTHONIOENCODING": "cp437", "LC_ALL": "C", "PYTHONUTF8": "0"}
     ended = rig("rows", "0", folder=tmp_path, entry=ROWS, environment=environment)
     assert_in_words(ended)
     assert ended.returncode == 0
-    assert ended.stdout.startswith(f"row 0 {shown}\n")
+    assert ended.stdout.startswith("row 0 \udce6 \udcf8 \\u2603\n")
 
 
 def test_an_outlet_whose_reader_went_away_takes_everything_and_does_not_fail() -> None:

@@ -56,10 +56,7 @@ def test_when_asked_it_is_cleared_after_the_prompt_and_noted(runner: Any, faulty
     assert faulty.order.index("reset_fault") < faulty.order.index("enable")
 
 
-@pytest.mark.parametrize("mended_before", [False])
-def test_a_run_whose_writer_died_is_known_as_such(
-    short_sequence: Path, tmp_path: Path, mended_before: bool
-) -> None:
+def test_a_run_whose_writer_died_is_known_as_such(short_sequence: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert status(["run", str(short_sequence), "--yes", "--out", str(out)]) == 0
     content = (out / "recording.mcap").read_bytes()
@@ -67,6 +64,5 @@ def test_a_run_whose_writer_died_is_known_as_such(
     record = json.loads((out / "run.json").read_text())
     record["state"] = record["parts"][0]["state"] = "running"
     (out / "run.json").write_text(json.dumps(record))
-    if mended_before:
-        assert status(["recover", str(out)]) == 0
+    assert status(["recover", str(out)]) == 0
     assert prepare(out).died
