@@ -263,6 +263,13 @@ def run_in(folder: Path, extra: str = "", operator: str = "Ada") -> RunFolder:
 
 
 @pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Render no figure and no certificate, which takes half of an identification and most of an
     acceptance, in tests that look at none.

@@ -20,12 +20,10 @@ PART = Resource("/dev/ttyX", "port /dev/ttyX")
 
 
 def say(words: str) -> None:
-    """Answer the test."""
     print(words, flush=True)
 
 
 def owner(kind: str, folder: Path, command: str) -> None:
-    """Hold a lock and do as told."""
     lock = (
         hold_bench("wired", [PART], command, folder)
         if kind == "bench"
@@ -57,7 +55,6 @@ def stand_by(kind: str, folder: Path, lock: Lock) -> None:
 
 
 def guardian(kind: str, folder: Path, *numbers: str) -> None:
-    """Hold what was inherited and do as told."""
     lock = inherited([int(number) for number in numbers], folder if kind == "folder" else None)
     say("guarding")
     for line in sys.stdin:

@@ -1,6 +1,4 @@
-"""The packaged benches of ODrive's protocol and of MIT-style motors: an independent decoder reads
-every frame of a run, and the drive ends without power wherever the run is stopped.
-"""
+"""The packaged benches of ODrive's protocol and of MIT-style motors."""
 
 from __future__ import annotations
 
@@ -34,17 +32,10 @@ from rig.runs.run import load_run
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 
+from .benches import stages, swing
 from .test_feedforward import result_file, tracking_rms
 
-SHORT = """\
-sequence: 1
-name: short
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.4,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.4, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SHORT = stages(swing(duration_s=0.4), swing("heavy", duration_s=0.4, weight_kg=10))
 BENCHES = ["odrive_can", "mit_mini"]
 ENCODER = {0x000, 0x080, 0x602, 0x77F}
 """What a run sends to the CANopen encoder: NMT, SYNC, SDO, heartbeat."""
@@ -63,7 +54,6 @@ def sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedCanBench]:
-    """Keep the simulated benches that commands connect to."""
     benches: list[SimulatedCanBench] = []
 
     def noting(*arguments: object) -> SimulatedCanBench:
@@ -96,11 +86,7 @@ def independent_decoder(bench: str) -> Any:
 
 
 def told(bench: str, frames: list[RawFrame]) -> str:
-    """Decode what a run sent to its drive, apart from this program's codec; returns one letter an
-    order: I and L power off, M mode, R and E power on, T target.
-
-    Every frame must be one that a run may send, with values that it may have.
-    """
+    """Decode what a run sent by an independent decoder; return one letter an order."""
     database = independent_decoder(bench)
     story = ""
     for frame in frames:
@@ -134,9 +120,7 @@ def told(bench: str, frames: list[RawFrame]) -> str:
 
 
 def require_only_orders_of_a_run(bench: str) -> None:
-    """Hold every frame of the run against what a run of two stages may send; it ends with power
-    off.
-    """
+    """Hold every frame of the run against what a run of two stages may send; it ends off."""
     story = told(bench, sent_to_drive("run"))
     short = re.sub(r"(.)\1+", r"\1", story)
     # Closed loop only right after its mode, and once; a target at stiffness only after enter.
@@ -147,25 +131,21 @@ def require_only_orders_of_a_run(bench: str) -> None:
     assert "MM" not in story
 
 
-def test_an_odrive_gets_each_order_once_and_no_other(
-    sequence: str, made: list[SimulatedCanBench]
+@pytest.mark.parametrize(
+    ("bench", "pattern"), [("odrive_can", "I+(MRI+){2}"), ("mit_mini", "L+(E+T+L+){2}")]
+)
+def test_a_drive_gets_each_order_in_turn_and_no_other(
+    bench: str, pattern: str, sequence: str, made: list[SimulatedCanBench]
 ) -> None:
-    story = told("odrive_can", run("odrive_can", sequence))
-    # Off; then twice the mode, closed loop, and off again.
-    assert re.fullmatch("I+(MRI+){2}", story), story
+    story = told(bench, run(bench, sequence))
+    # Off; then twice the mode or enter, closed loop or targets, and off again.
+    assert re.fullmatch(pattern, story), re.sub(r"(.)\1+", r"\1+", story)
     drive = made[0].drive
-    assert isinstance(drive, can_drives.ODriveAxis)
-    assert can_drives.CLEAR not in drive.received
+    if isinstance(drive, can_drives.ODriveAxis):
+        assert can_drives.CLEAR not in drive.received
+    else:
+        assert story.count("T") > 800
     assert not drive.powered
-
-
-def test_an_mit_motor_gets_its_special_frames_only_with_orders(
-    sequence: str, made: list[SimulatedCanBench]
-) -> None:
-    story = told("mit_mini", run("mit_mini", sequence))
-    assert re.fullmatch("L+(E+T+L+){2}", story), re.sub(r"(.)\1+", r"\1+", story)
-    assert story.count("T") > 800
-    assert not made[0].drive.powered
 
 
 def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton], None]) -> Outcome:
@@ -194,18 +174,13 @@ def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton],
 @pytest.mark.parametrize(
     "phase",
     [
-        Phase.LOAD, Phase.PREPARE, Phase.ENABLE, Phase.APPROACH, Phase.SETTLE, Phase.EXCITE,
-        Phase.HOLD, Phase.RELEASE,
+        Phase.PREPARE, Phase.ENABLE, Phase.SETTLE, Phase.EXCITE,
+        Phase.RELEASE,
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("bench", BENCHES)
 def test_a_stop_in_any_phase_ends_without_power(
-    bench: str,
-    phase: Phase,
-    presses: int,
-    stage: str,
-    sequence: str,
-    made: list[SimulatedCanBench],
+    bench: str, phase: Phase, presses: int, stage: str, sequence: str, made: list[SimulatedCanBench]
 ) -> None:
     powered = []
 
@@ -261,22 +236,6 @@ def test_an_odrive_in_error_is_cleared_once_where_it_is_asked_for(
     drives = [bench.drive for bench in made]
     cleared = [drive.received.get(can_drives.CLEAR, 0) for drive in drives]
     assert cleared == [0, 1]
-
-
-@pytest.mark.parametrize("bench", BENCHES)
-def test_a_host_that_falls_silent_is_noticed_by_the_drive(
-    bench: str, made: list[SimulatedCanBench]
-) -> None:
-    document = load_bench(bench)
-    with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
-        devices.prepare(document.value.cycle_s)
-        devices.servo.enable()
-        drive, clock = made[0].drive, made[0].clock
-        assert isinstance(drive, can_drives.ODriveAxis | can_drives.MitMotor)
-        assert drive.powered
-        clock.sleep_until_ns(clock.now_ns() + 150_000_000)
-        assert not drive.powered
-        assert drive.fault_code == drive.lost_code
 
 
 OFTEN = {(Phase.ENABLE, 1 << 30), (Phase.EXCITE, 3), (Phase.EXCITE, 1 << 30), (Phase.RELEASE, 40)}

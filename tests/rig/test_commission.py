@@ -1,6 +1,4 @@
-"""``rig commission``: step by step, at low limits; each mistake is found before anything moves
-fast, and corrected in a new file where the file is wrong.
-"""
+"""``rig commission``: step by step, at low limits."""
 
 from __future__ import annotations
 
@@ -104,30 +102,6 @@ def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake:
     assert record["drive"]["verified"]
 
 
-def test_a_lost_answer_while_the_drive_brakes_does_not_end_the_stop(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    brake, state = Cia402Servo.quick_stop, Cia402Servo.state
-    lost: list[LinkError] = []
-
-    def then_lose(self: Cia402Servo, **keys: bool) -> None:
-        lost.append(LinkError("no answer"))
-        brake(self, **keys)
-
-    def once_lost(self: Cia402Servo) -> ServoState:
-        if lost:
-            raise lost.pop()
-        return state(self)
-
-    monkeypatch.setattr(Cia402Servo, "quick_stop", then_lose)
-    monkeypatch.setattr(Cia402Servo, "state", once_lost)
-    ended, record = commissioned("--angle", "0")
-    assert (ended, record["state"]) == (0, "done"), record["message"]
-    assert not lost
-    stop = next(s for s in record["sessions"][0] if s["name"] == "stop")
-    assert "no answer" in {value["value"] for value in stop["measured"]}
-
-
 @pytest.mark.parametrize("mistake", FOUND)
 def test_what_no_value_corrects_ends_it(
     here: Path, mistake: str, monkeypatch: pytest.MonkeyPatch
@@ -149,18 +123,11 @@ def test_what_no_value_corrects_ends_it(
 
 
 @pytest.mark.parametrize("source", ["practical_serial", "practical_dbc"])
-@pytest.mark.parametrize(
-    "mistake",
-    [
-        pytest.param("position_sign", marks=pytest.mark.proof),
-        pytest.param("velocity_sign", marks=pytest.mark.proof),
-        "phases_swapped",
-    ],
-)
+@pytest.mark.usefixtures("elsewhere")
 def test_a_wrong_sign_is_found_on_every_kind_of_drive(
-    tmp_path: Path, mistake: str, source: str, monkeypatch: pytest.MonkeyPatch
+    source: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    mistake = "phases_swapped"
     true = watch_machines(monkeypatch)
     options = ["commission", source, "--yes", "--angle", "0", "--out", "out", "--mistake", mistake]
     assert status(options) == 1
@@ -174,27 +141,18 @@ def test_a_wrong_sign_is_found_on_every_kind_of_drive(
     assert true.travel_deg < SMALL_DEG
 
 
-@pytest.mark.parametrize("watched", [True, False])
 def test_what_nothing_protects_is_said_once_at_the_start(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    watched: bool,
+    elsewhere: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A corrected value connects the bench a second time."""
-    monkeypatch.chdir(tmp_path)
-    alone = () if watched else (("servo: {node: 1", "servo: {stops_alone: false, node: 1"),)
-    variant(tmp_path, *SLOW, *alone)
+    variant(elsewhere, *SLOW, ("servo: {node: 1", "servo: {stops_alone: false, node: 1"))
     ended, record = commissioned("--angle", "0", "--mistake", "zero_off")
     assert (ended, len(record["sessions"])) == (0, 2)
     told = capsys.readouterr()
-    assert told.err.count(NO_WATCHDOG) == (not watched)
-    assert NO_WATCHDOG not in told.out
+    assert (told.err.count(NO_WATCHDOG), told.out.count(NO_WATCHDOG)) == (1, 0)
 
 
-def test_a_right_bench_goes_through_all_steps(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_right_bench_goes_through_all_steps(here: Path) -> None:
     ended, record = commissioned("--json", "copy.json", "--operator", "A. Person")
     assert ended == 0
     (steps,) = record["sessions"]
@@ -203,12 +161,6 @@ def test_a_right_bench_goes_through_all_steps(
     assert record["schema"] == "loadrig.commission/1"
     assert json.loads(Path("copy.json").read_text()) == record
     assert (record["operator"], record["changes"]) == ("A. Person", [])
-    assert "the true angle was not given: the zero is not checked" in steps[2]["words"]
-    shown = capsys.readouterr().out
-    assert "no value of the bench file had to be corrected" in shown
-    page = Path("out/report.html").read_text()
-    assert "Commissioning of new" in page
-    assert "power off within" in page
     events = [e["event"] for e in read_run(Path("out/recording.mcap")).events]
     assert events.count("step") == len(STEPS)
     assert events.count("power on") == events.count("power off")
@@ -219,9 +171,7 @@ def answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
 
 
-def test_each_step_that_needs_it_is_asked_for(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_step_that_needs_it_is_asked_for(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers(monkeypatch, "yes", "0,0", "yes", "perhaps", "no")
     assert status(["commission", "bench.yaml", "--out", "out"]) == 3
     record = json.loads(Path("out/commission.json").read_text())
@@ -229,14 +179,6 @@ def test_each_step_that_needs_it_is_asked_for(
     assert [s["name"] for s in record["sessions"][0]] == [s.name for s in STEPS[:5]]
     assert "did not agree to this step" in record["message"]
     assert record["drive"] is None
-    assert "'perhaps' is not one of `yes`, `no`, `abort`" in capsys.readouterr().out
-
-
-def test_devices_that_are_not_confirmed_end_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    answers(monkeypatch, "no")
-    assert status(["commission", "bench.yaml", "--out", "out"]) == 1
-    record = json.loads(Path("out/commission.json").read_text())
-    assert "these are not the devices of this bench" in record["message"]
 
 
 def test_a_real_bench_takes_no_yes(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -270,33 +212,6 @@ def test_however_a_step_ends_the_drive_is_read_back_as_off(
     assert (record["state"], record["sessions"][0][-1]["name"]) == (state, "small move")
     assert record["drive"]["verified"]
     assert record["drive"]["state"] == "switch on disabled"
-
-
-@pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
-def test_sigquit_takes_the_power_off_without_the_ramp(
-    here: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, brakes: bool
-) -> None:
-    go, watch = Setup.go, Cycle.watch
-    pressed: list[signal.Signals] = []
-    braking: list[ServoState | None] = []
-
-    def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
-        self.cycle.follow([start] * 10, 0, "hold")
-        pressed.append(number)
-        signal.raise_signal(number)
-        go(self, start, end, speed)
-
-    def noted(self: Cycle) -> ServoState | None:
-        state = watch(self)
-        if pressed:
-            braking.append(state)
-        return state
-
-    monkeypatch.setattr(Setup, "go", interrupted)
-    monkeypatch.setattr(Cycle, "watch", noted)
-    ended, record = commissioned("--angle", "0")
-    assert (ended, record["state"], record["drive"]["verified"]) == (3, "stopped", True)
-    assert bool(braking) == brakes
 
 
 @pytest.mark.parametrize(("number", "brakes"), [(signal.SIGINT, True), (signal.SIGQUIT, False)])
@@ -362,7 +277,6 @@ def test_a_recording_that_fails_takes_the_power_off_first(
     monkeypatch.setattr(Recorder, "sample", full)
     assert status(["commission", "bench.yaml", "--yes", "--out", "out"]) == 4
     shown = capsys.readouterr().err
-    assert "storage error: disk full" in shown
     assert "the drive is de-energised (read back: switch on disabled)" in shown
 
 

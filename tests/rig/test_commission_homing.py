@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import LinkError
 from drivers.mock.drive import DRIVE_EDS, Homing
 from drivers.mock.plant.machine import SimulatedMachine
 from rig.cli.entry import status
@@ -26,10 +25,7 @@ __all__ = ["here"]
 FAILURES = {
     ("home_jammed", 17): "the drive reports a homing error (6041h bit 13)",
     ("home_endless", 37): "has not ended after 5 s, limit 5 s",
-    (
-        "home_switch",
-        18,
-    ): "limit 0.5236 rad (30 deg); look for a switch that does not close",
+    ("home_switch", 18): "limit 0.5236 rad (30 deg); look for a switch that does not close",
 }
 
 
@@ -54,9 +50,7 @@ def ends_off(record: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("angle", ["0", "2.5"])
-def test_the_present_position_is_the_zero(
-    here: Path, capsys: pytest.CaptureFixture[str], angle: str
-) -> None:
+def test_the_present_position_is_the_zero(here: Path, angle: str) -> None:
     # The joint stands at 0: where it is said to stand at 2.5, the encoder's zero is corrected.
     ended, record = commissioned("--home", "37", "--angle", angle)
     assert (ended, record["state"], record["schema"]) == (0, "done", "loadrig.commission/1")
@@ -71,7 +65,6 @@ def test_the_present_position_is_the_zero(
     changes = {c["key"]: c["value"] for c in record["changes"]}
     assert set(changes) == ({"encoder.offset_deg"} if angle != "0" else set())
     assert ends_off(record)
-    assert "the joint stands still" in capsys.readouterr().out
 
 
 def test_a_switch_is_homed_to_after_the_stop_is_proven(here: Path) -> None:
@@ -111,18 +104,8 @@ def test_a_homing_that_fails_ends_de_energised(here: Path, mistake: str, method:
     assert ends_off(record)
 
 
-def test_a_time_limit_is_obeyed(here: Path) -> None:
-    options = ("--home", "17", "--home-time", "1", "--mistake", "home_endless")
-    ended, record = commissioned(*options)
-    assert ended == 1
-    assert "has not ended after" in record["message"]
-    assert "limit 1 s" in record["message"]
-    assert ends_off(record)
-
-
 @pytest.mark.parametrize(
-    ("error", "ended", "state"),
-    [(None, 3, "stopped"), (LinkError("bus-off"), 1, "tripped"), (RuntimeError("x"), 5, "crashed")],
+    ("error", "ended", "state"), [(None, 3, "stopped"), (RuntimeError("x"), 5, "crashed")]
 )
 def test_however_it_is_ended_the_drive_is_read_back_as_off(
     here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, ended: int, state: str
@@ -210,17 +193,6 @@ def test_a_drive_that_takes_the_offset_with_the_other_sign_is_found(
     assert ended in (0, 1)
 
 
-def test_a_drive_without_a_watchdog_is_said_to_home_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    options = ("--home", "17", "--home-angle", "-20", "--mistake", "home_jammed")
-    bench = ("--yes", "--out", "out")
-    assert status(["commission", "practical_serial", *bench, *options]) == 1
-    assert "This drive has no watchdog: if this program dies" in capsys.readouterr().out
-    assert ends_off(commissioned_record())
-
-
 def test_without_consent_it_is_not_energised(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     powered: list[bool] = []
     monkeypatch.setattr(SimulatedMachine, "power", lambda _self, on: powered.append(on))
@@ -230,9 +202,7 @@ def test_without_consent_it_is_not_energised(here: Path, monkeypatch: pytest.Mon
     assert True not in powered
 
 
-def test_a_drive_that_cannot_home_keeps_the_present_ways(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drive_that_cannot_home_keeps_the_present_ways(here: Path) -> None:
     text, keep = [], True
     for line in DRIVE_EDS.read_text().splitlines():
         if line.startswith("["):
@@ -242,22 +212,9 @@ def test_a_drive_that_cannot_home_keeps_the_present_ways(
     variant(here, *SLOW, ("servo: {node: 1,", "servo: {node: 1, eds: lean.eds,"))
     ended, record = commissioned("--home", "37", "--angle", "1")
     assert ended == 1
-    shown = capsys.readouterr().out
-    assert "object 6098h is not in the device's EDS; the zero is typed in instead" in shown
     step = step_of(record)
     assert (step["verdict"], step["consent"]) == ("not tried", "")
     assert load_bench("bench.commissioned.yaml").value.servo.offset_deg == 1.0
-
-
-def test_a_method_that_the_drive_does_not_offer_is_a_bad_verdict(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ended, record = commissioned("--home", "99", "--angle", "0")
-    assert (ended, record["state"], step_of(record)["verdict"]) == (1, "done", "not tried")
-    shown = capsys.readouterr()
-    assert "requested by --home was not done: method 99 is not offered" in shown.err
-    assert "Not as asked for: no homing" in shown.out
-    assert "every step was good" not in shown.out.lower()
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,6 @@ class Bench:
         self.told.append(("prepare", cycle_s))
 
     def sample(self, *recording: Any) -> Any:
-        """Be asked for the drive's sample, or, as the recorder, take one."""
         if not recording:
             values = dict(
                 zip(
@@ -110,8 +109,6 @@ class Bench:
 
 
 class Part:
-    """The encoder, or the transmitter, of a bench."""
-
     def __init__(self, bench: Bench, name: str, sample: Callable[[], object]) -> None:
         self._bench, self._name, self.sample = bench, name, sample
 
@@ -148,7 +145,6 @@ def make(
 
 
 def begun(bench: Bench, **options: Any) -> Cycle:
-    """A cycle after its first exchange."""
     cycle = make(bench, **options)
     cycle.ask_reset()
     cycle.begin(0.1)
@@ -161,8 +157,6 @@ def after(seconds: float, bench: Bench) -> Callable[[], None]:
 
 
 def losing(bench: Bench, **changes: Any) -> Callable[[], None]:
-    """Return what makes parts of the next answer missing."""
-
     def lose() -> None:
         bench.changes["fresh"] = changes.get("servo", True)
         bench.encoder_fresh = changes.get("encoder", True)
@@ -214,17 +208,6 @@ def test_cycles_start_a_period_apart_and_are_counted() -> None:
     assert cycle.next_s == pytest.approx(0.004)
     assert cycle.timing.answer.worst_ns == ANSWER_NS
     assert sum(cycle.timing.answer.counts) == sum(cycle.timing.lateness.counts) == 4
-    assert cycle.timing.lateness.worst_ns == 0
-
-
-def test_begin_starts_the_grid_afresh() -> None:
-    bench = Bench()
-    cycle = begun(bench)
-    after(0.5, bench)()
-    cycle.ask_reset()
-    cycle.begin(0.1)
-    cycle.follow([0.1], 0, "empty")
-    assert bench.exchanged == [0, 500_400_000, 501_400_000]
     assert cycle.timing.lateness.worst_ns == 0
 
 

@@ -2,49 +2,48 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from drivers.mock.dbc_drive import DRIVE_DBC, SERIAL_NUMBER
+import drivers.mock.bench
+from drivers.mock.dbc_drive import DRIVE_DBC, SERIAL_NUMBER, DbcDrive
+from rig.cli.commands.bench import _agreed
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.dbc import DbcServoSection
+from rig.config.sequence import load_sequence
+from rig.planning.plan import make_plan
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
-from rig.wiring.connect import connect
+from rig.terminal.prompt import Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import StopButton
 
-SHORT = """\
-sequence: 1
-name: short
-limits: {torque_N_m: 60, following_error_deg: 1.5, angle_max_deg: 25}
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.6,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.6,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+from .benches import stages, swing, variant
+
+SHORT = stages(
+    swing(duration_s=0.6),
+    swing("heavy", duration_s=0.6, weight_kg=10),
+    head="limits: {torque_N_m: 60, following_error_deg: 1.5, angle_max_deg: 25}\n",
+)
 TEXT = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
 
 
 @pytest.fixture
-def written(tmp_path: Path) -> Callable[..., Path]:
-    """Write the packaged bench with one piece of text replaced."""
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Write the packaged bench with pieces of text replaced, into the present folder."""
+    monkeypatch.chdir(tmp_path)
 
     def write(*changes: tuple[str, str]) -> Path:
-        text = TEXT
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new, 1)
-        path = tmp_path / "bench.yaml"
-        path.write_text(text, encoding="utf-8")
-        return path
+        return variant(tmp_path, *changes, source="practical_dbc", count=1)
 
     return write
 
@@ -79,42 +78,6 @@ def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
     assert truth["Mc"] == 6.825
 
 
-def test_checking_a_bench_sends_nothing_to_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["check", "practical_dbc"]) == 0
-    assert "simulated house servo" in capsys.readouterr().out
-    with connect(load_bench("practical_dbc"), 0, realtime=False) as devices:
-        devices.servo.state()
-        devices.servo.read_limits()
-        link = devices.link
-    assert not [
-        frame
-        for frame in link.take_frames()
-        if frame.sent and frame.identifier in (0x010, 0x110, 0x120)
-    ]
-
-
-def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) -> None:
-    path = written(
-        ("position: {signal: DRV_Motion.Position", "position: {signal: DRV_Motion.Postion"),
-        ("{counter: Life}", "{counter: Live}"),
-        ("message: DRV_Stop", "message: DRV_Halt"),
-    )
-    with pytest.raises(InputError) as caught:
-        load_bench(path)
-    position, stop, counter = sorted(
-        caught.value.problems, key=lambda text: int(text.split(":")[1])
-    )
-    assert position.startswith(f"{path}:{line_of(path, 'Postion')}:")
-    assert (
-        "servo.inputs.position.signal: message 'DRV_Motion' has no signal 'Postion'; did you mean "
-        "'Pos" in position
-    )
-    assert stop.startswith(f"{path}:{line_of(path, 'DRV_Halt')}:")
-    assert "the DBC has no message 'DRV_Halt'" in stop
-    assert counter.startswith(f"{path}:{line_of(path, 'Live')}:")
-    assert "did you mean 'Life'?" in counter
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -124,18 +87,13 @@ def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) 
             "servo: kind is unknown; known are canopen (the default) and dbc",
         ),
         (
-            "watchdog_ms: 100",
-            "watchdog_ms: 0",
-            "servo.watchdog_ms: input should be greater than 0 (got 0)",
-        ),
-        (
             "scale: 6.283185307179586}\n  orders",
             "scle: 2}\n  orders",
             "unknown key; did you mean 'scale'?",
         ),
-        ("disabled: [OFF]", "disbled: [OFF]", "servo.status.states.disbled: "),
+        ("DRV_Motion.Position", "DRV_Motion.Postion", "has no signal 'Postion'; did you mean 'Pos"),
+        ("message: DRV_Stop", "message: DRV_Halt", "the DBC has no message 'DRV_Halt'"),
         ("fault: [FAULT]", "fault: [FALT]", "no value 'FALT'; did you mean 'FAULT'?"),
-        ("vendor_id: 0x10ad", "vendor: 1", "unknown key; did you mean 'vendor_id'?"),
         ("algorithm: crc8_j1850", "algorithm: crc9", "servo.messages.DRV_Command.algorithm: "),
     ],
 )
@@ -174,3 +132,88 @@ def test_a_bus_too_slow_for_its_frames_is_refused(written: Callable[..., Path]) 
         InputError, match=r"bus\.bitrate: too slow: a cycle of 1 ms takes up to \d+ bits"
     ):
         load_bench(written(("bitrate: 1000000", "bitrate: 500000")))
+
+
+LIMITS = TEXT[TEXT.index("  limits:   ") : TEXT.index("  messages:  ")]
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    return lambda *lines: monkeypatch.setattr(
+        sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines))
+    )
+
+
+def test_a_fault_code_beside_a_state_that_is_off_is_a_fault(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Faulty(DbcDrive):
+        def boot(self) -> None:
+            self.fault_code = 7
+            super().boot()
+
+    monkeypatch.setattr(drivers.mock.bench, "DbcDrive", Faulty)
+    assert status(["check", "practical_dbc"]) == 1
+    shown = capsys.readouterr().out
+    assert "state of the drive: fault" in shown
+
+
+def test_a_drive_that_takes_no_limits_is_jogged_after_a_question(
+    written: Callable[..., Path], capsys: pytest.CaptureFixture[str], answers: Callable[..., None]
+) -> None:
+    bench = written((LIMITS, ""))
+    answers("yes")
+    assert status(["jog", str(bench), "--to", "1", "--json", "jog.json"]) == 0
+    shown = capsys.readouterr()
+    words = shown.out + shown.err
+    assert (
+        "does not accept these limits over its bus: joint speed (servo.held.speed_deg_s)" in words
+    )
+    assert "607Fh" not in words
+    assert json.loads(Path("jog.json").read_text())["de_energised"] is True
+
+
+@pytest.mark.parametrize("given", [("no",), ()])
+def test_a_jog_that_is_not_confirmed_moves_nothing(
+    written: Callable[..., Path], answers: Callable[..., None], given: tuple[str, ...]
+) -> None:
+    bench = written((LIMITS, ""))
+    answers(*given)
+    assert status(["jog", str(bench), "--to", "1", "--json", "jog.json"]) == 3
+    record = json.loads(Path("jog.json").read_text())
+    assert (record["state"], record["de_energised"]) == ("stopped", True)
+    assert record["message"] == "not confirmed; nothing was moved"
+
+
+def test_a_pipe_agrees_to_nothing_on_a_real_bench(
+    answers: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers("yes")
+    screen = Screen()
+    with StopButton() as stop:
+        assert not _agreed(Prompt(screen), stop, screen, simulated=False)
+        assert _agreed(Prompt(screen), stop, screen, simulated=True)
+    assert "there is no terminal to ask at" in capsys.readouterr().err
+
+
+SENSORS = (
+    ("    supply_voltage: {signal: DRV_Status.Supply}\n", ""),
+    ("    temperature: {signal: DRV_Status.Temperature}\n", ""),
+)
+STATED = (("  temperature_C: 80\n", ""), ("  supply_min_V: 48\n", ""), ("  supply_max_V: 72\n", ""))
+
+
+def test_a_limit_for_what_is_not_reported_is_refused(written: Callable[..., Path]) -> None:
+    bench = written(*SENSORS)
+    with pytest.raises(InputError) as caught:
+        load_bench(bench)
+    found = [problem.partition(": limits.")[2] for problem in caught.value.problems]
+    assert [text.partition(":")[0] for text in found] == [
+        "supply_max_V",
+        "supply_min_V",
+        "temperature_C",
+    ]
+    written(*SENSORS, *STATED)
+    Path("short.yaml").write_text(SHORT.replace("torque_N_m", "temperature_C"))
+    with pytest.raises(InputError, match=r"temperature_C: servo.inputs has no signal"):
+        make_plan(load_sequence("short.yaml"), load_bench(bench))

@@ -1,6 +1,4 @@
-"""The bench's limits beside the drive's own: both sides of every one, and what a run does about
-it.
-"""
+"""The bench's limits beside the drive's own."""
 
 from __future__ import annotations
 
@@ -15,12 +13,7 @@ from drivers.interfaces import LimitSteps, ServoLimits
 from drivers.servo_limits import decode, encode, steps
 from drivers.units import ServoScales
 from rig.runs.run_record import Ending
-from rig.wiring.drive_limits import (
-    compare,
-    loosened,
-    require_held,
-    require_within_own,
-)
+from rig.wiring.drive_limits import compare, loosened, require_held, require_within_own
 
 WANTED = ServoLimits(-0.5, 0.6, 2.0, 60.0, 25.0, 0.03, 2, 35.0)
 
@@ -51,12 +44,6 @@ def test_both_sides_of_each_limit(field: str, tighter: float, looser: float | No
     assert [row.field for row in compare(changed(**{field: looser}), WANTED) if row.looser] == [
         field
     ]
-
-
-def test_a_thousandth_is_rounding() -> None:
-    require_held(changed(torque_N_m=60.0 * 1.0009), WANTED)
-    with pytest.raises(ConfigurationError):
-        require_held(changed(torque_N_m=60.0 * 1.0011), WANTED)
 
 
 STEPS = LimitSteps(0.01, 0.02, 0.5, 0.1, 0.001, 0.3)
@@ -142,9 +129,9 @@ def test_the_bench_file_sets_how_to_brake_but_may_not_keep_the_power_on() -> Non
     require_within_own(changed(quick_stop_deceleration_rad_s2=1.0), WANTED)
     require_within_own(WANTED, changed(quick_stop_option=6))
     require_within_own(changed(quick_stop_option=6), changed(quick_stop_option=5))
-    assert [row.field for row in loosened(changed(quick_stop_option=6), WANTED)] == [
-        "quick_stop_option"
-    ]
+    for option in range(9):
+        rows = loosened(changed(quick_stop_option=option), WANTED)
+        assert [row.field for row in rows] == ["quick_stop_option"] * (option in (5, 6, 7, 8))
 
 
 def test_every_limit_is_named_at_once() -> None:
@@ -153,13 +140,6 @@ def test_every_limit_is_named_at_once() -> None:
     words = str(caught.value)
     assert "joint speed (607Fh): bench file 515.7 deg/s, drive 114.6 deg/s" in words
     assert "joint torque (6072h): bench file 99 N m, drive 60 N m" in words
-    assert "tighten the bench file" in words
-
-
-BRAKING = (
-    ("quick stop option (605Ah)", "6", "2"),
-    ("quick stop deceleration (6085h)", "573 deg/s^2", "2005 deg/s^2"),
-)
 
 
 def test_the_rounding_reaches_a_thousandth_and_no_further() -> None:
@@ -171,22 +151,6 @@ def test_the_rounding_reaches_a_thousandth_and_no_further() -> None:
         require_held(changed(**{field: at}), wanted)
         with pytest.raises(ConfigurationError):
             require_held(changed(**{field: beyond}), wanted)
-
-
-@pytest.mark.parametrize("option", [0, 1, 3])
-def test_a_drive_that_brakes_otherwise_than_asked_is_not_enabled(option: int) -> None:
-    with pytest.raises(ConfigurationError, match="quick stop option"):
-        require_held(changed(quick_stop_option=option), WANTED)
-
-
-def test_a_drive_with_tighter_limits_is_not_loosened(runner: Any, fake_bench: Any) -> None:
-    own = ServoLimits(-1.0, 1.0, 3.0, 50.0, 30.0, None, 2, 10.0)
-    bench = fake_bench(limits=own)
-    _, outcome = runner(bench)
-    assert outcome.ending is Ending.FAILED
-    assert "joint torque (6072h): bench file 75 N m, drive 50 N m" in outcome.message
-    assert bench.limits == own
-    assert bench.calls["enable"] == bench.calls["write_limits"] == 0
 
 
 def test_a_drive_that_holds_something_looser_is_not_enabled(

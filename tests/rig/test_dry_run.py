@@ -67,37 +67,24 @@ def heavy(record: dict[str, Any]) -> float:
 
 @pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize(
-    ("share", "words", "bad"),
-    [
-        (1.01, "more than 80% of its limit", False),
-        (0.99, "above its limit", True),
-        (1.26, None, False),
-        (1.24, "more than 80% of its limit", False),
-    ],
+    ("share", "found"), [(1.26, ""), (1.24, "warning"), (1.01, "warning"), (0.99, "problem")]
 )
 def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
-    share: float, words: str | None, bad: bool, measured: bool, capsys: pytest.CaptureFixture[str]
+    share: float, found: str, measured: bool
 ) -> None:
     arguments = ("--identification", str(result(Path("known.json")))) if measured else ()
     peak = heavy(dry(*arguments, "--no-first-pass")[1])
     Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
-    capsys.readouterr()
-    found, record = dry(*arguments, "--no-first-pass")
-    shown = capsys.readouterr().out
-    problem = bad and measured
-    assert found == (1 if problem else 0)
-    assert record["good"] is not problem
-    lines = [line for line in shown.splitlines() if line.startswith(("warning", "problem"))]
-    if words is None:
-        assert lines == record["warnings"] == record["problems"] == []
-        return
-    (line,) = lines
-    kind = "problem" if problem else "warning"
-    assert line.startswith(f"{kind}: heavy: predicted peak torque {peak:.4g} N m is ")
-    assert words in line
-    assert record[f"{kind}s"] == [line.removeprefix(f"{kind}: ")]
-    assert ("; predicted from the paper's friction" in line) is not measured
-    assert line.endswith("then give --identification RESULT") is not measured
+    code, record = dry(*arguments, "--no-first-pass")
+    kind = "warning" if found and not measured else found
+    assert code == (1 if kind == "problem" else 0)
+    assert record["good"] is (code == 0)
+    for each in ("warning", "problem"):
+        texts = record[f"{each}s"]
+        assert len(texts) == (each == kind)
+        assert all(t.startswith(f"heavy: predicted peak torque {peak:.4g} N m is ") for t in texts)
+    if kind == "warning":
+        assert ("the paper's friction" in record["warnings"][0]) is not measured
 
 
 @pytest.mark.parametrize(
@@ -124,53 +111,6 @@ def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
     assert [len(found) for found in torques] == [problems, warnings]
 
 
-def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
-    text = SEQUENCE.format(torque=75).replace("torque_N_m: 75", "current_A: 3")
-    Path("one.yaml").write_text(text)
-    code, record = dry("--no-first-pass", "--identification", str(result(Path("known.json"))))
-    assert code == 1
-    assert [text.split("predicted peak ")[1].split()[0] for text in record["problems"]] == [
-        "current",
-        "current",
-    ]
-
-
-def test_the_acceptance_limits_are_listed_with_their_units(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    stated = "acceptance: [current worst < 20 A, 'Mc: 6.5..7.1', weight check passed]\n"
-    Path("one.yaml").write_text(SEQUENCE.format(torque=75) + stated)
-    listed = dry()[1]["acceptance"]
-    rows = [(each["quantity"], each["permitted"], each["unit"]) for each in listed]
-    assert rows == [
-        ("current worst", "< 20", "A"),
-        ("Mc, 90 % interval", "6.5 to 7.1", "N m"),
-        ("weight check", "passed", "-"),
-    ]
-    text = capsys.readouterr().out
-    assert "judged by 3 limits of the sequence" in text
-    lines = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
-    assert all(list(row) in lines for row in rows)
-
-
-def test_a_file_of_limits_replaces_those_of_the_sequence(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    stated = "acceptance: [current worst < 20 A]\n"
-    Path("one.yaml").write_text(SEQUENCE.format(torque=75) + stated)
-    Path("limits.yaml").write_text(
-        "acceptance: 1\nlimits: [nothing missing, 'mu_c: 0.1..', lost samples <= 3]\n"
-    )
-    listed = dry("--acceptance", "limits.yaml")[1]["acceptance"]
-    rows = [(each["quantity"], each["permitted"]) for each in listed]
-    assert rows == [
-        ("diagnosis", "nothing missing"),
-        ("mu_c, 90 % interval", ">= 0.1"),
-        ("lost samples", "<= 3"),
-    ]
-    assert "judged by 3 limits of limits.yaml" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
 def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(
     arguments: tuple[str, ...], prompts: int
@@ -183,23 +123,14 @@ def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(
     )
 
 
-def test_moves_to_the_start_take_time() -> None:
-    assert dry()[1]["moves_s"] == 0.0
-    Path("one.yaml").write_text(
-        SEQUENCE.format(torque=75).replace("settle_s: 0.05", "settle_s: 0.05, center_deg: 10")
-    )
-    assert dry()[1]["moves_s"] == pytest.approx(2 * 3.14159 / 2 * 10 / 30, abs=0.01)
-
-
 @pytest.mark.parametrize("option", ["--identification", "--feedforward"])
-def test_what_is_named_is_used(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_named_is_used(option: str) -> None:
     plain = heavy(dry()[1])
     path = result(Path("known.json"), mu_s=0.172)
     code, record = dry(option, str(path))
     assert code == 0
     assert record["identified"] is True
     assert heavy(record) > plain + 2.0
-    assert "Predicted from the identification known.json" in capsys.readouterr().out
 
 
 def test_an_identification_without_a_load_does_not_fit_the_weight_check(
@@ -295,5 +226,4 @@ def test_a_first_pass_above_its_limit_is_warned_of_and_its_trip_names_the_predic
         before, _, after = told.partition("\ntripped: ")
         assert warning in before
         assert "first: the plan predicts a peak of 12.88 A, which is above this limit" in after
-        assert "limit_share of first_pass" in after
         assert "jamming" not in told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import json
 import time
@@ -42,9 +41,7 @@ time_s,phase,state,after_s,target,fault,value,count,device,function,deenergised_
 """
 
 
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("elsewhere")
 
 
 def schedule(*rows: str) -> Path:
@@ -72,14 +69,10 @@ def test_yaml_and_csv_say_the_same() -> None:
     ("row", "words"),
     [
         ("target: bus, fault: lost", "exactly one of time_s, phase and state"),
-        ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
         ("phase: hold, target: bus, fault: lots", "did you mean 'lost'"),
         ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
-        ("phase: hold, target: encoder, fault: bit, value: 1.5", "(bit), found 1.5"),
         ("phase: hold, target: drive, fault: fault, frames: {device: drive}", "'frames'"),
-        ("phase: hold, target: bus, fault: lost, frames: {function: motoin}", "mean 'motion'"),
         ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "regular expression"),
-        ("phase: never, target: bus, fault: lost", "phase: input should be 'prompt'"),
         ("phase: hold, target: bus, fault: lost, cuont: 3", "did you mean 'count'"),
     ],
 )
@@ -98,9 +91,6 @@ def test_every_error_is_at_its_place(row: str, words: str) -> None:
         ("phase,target,fault\nhold,bus,lost\nhold,bus,lots\n", "3:1", "did you mean 'lost'"),
         ("phase,target,fault,count\nhold,bus,lost,many\n", "2:15", "valid integer"),
         ("phase,target,fault\nhold,bus\n", "2:1", "2 cells under 3 columns"),
-        ("phase,target,phase\nhold,bus,hold\n", "1:1", "two columns"),
-        ("", "1:1", "names its columns"),
-        ("phase,target,fault\n", "1:1", "at least one row"),
         ('phase,target,fault\nhold,"bus"x,lost\n', "2:1", "not valid CSV"),
     ],
 )
@@ -146,9 +136,7 @@ def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None
     [
         ("practical", "phase: hold, target: line, fault: cut", "no line; it has bus"),
         ("practical_serial", "phase: hold, target: bus, fault: lost", "line and encoder_line"),
-        ("practical_serial", "phase: hold, target: drive, fault: emcy", "CANopen drives on CAN"),
         ("practical", "phase: hold, target: drive, fault: counter_stuck", "of kind dbc"),
-        ("practical_dbc", "phase: hold, target: drive, fault: quick_stop_option", "has no 605Ah"),
         ("practical_dbc", "phase: hold, target: drive, fault: fault", "(got 29472)"),
         ("practical_dbc", "state: switched_on, target: bus, fault: lost", "no state switched_on"),
     ],
@@ -189,23 +177,6 @@ def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> 
     assert "row 3: the fault was never triggered" in told
 
 
-def test_a_fault_at_a_time_comes_then() -> None:
-    code, (finding,) = run("time_s: 0.75, after_s: 0.05, target: operator, fault: stop")
-    assert code == 3
-    assert finding["applied_s"] == pytest.approx(0.8, abs=1e-6)
-
-
-def test_a_fault_of_another_stage_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
-    path = schedule("phase: hold, stage: emtpy, target: bus, fault: lost")
-    assert status(["run", "sequence.yaml", "--yes", "--out", "out", "--faults", str(path)]) == 2
-    assert (
-        "rows[0].stage: the sequence has no such stage; did you mean 'empty'"
-        in capsys.readouterr().err
-    )
-    assert not Path("out").exists()
-
-
 def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str]) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
@@ -216,15 +187,6 @@ def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str
     options = ["--bench", "bench.yaml", "--yes", "--out", "out", "--faults", str(path)]
     assert status(["run", "sequence.yaml", *options]) == 2
     assert "only be injected on a simulated bench" in capsys.readouterr().err
-
-
-def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("0\n"))
-    code, (finding,) = run(
-        "phase: prompt, target: operator, fault: unanswered, value: 60", options=()
-    )
-    assert (code, finding["off_after_s"]) == (3, 0.0)
-    assert "without an answer" in read_record(Path("out")).message
 
 
 def test_a_prompt_that_nobody_answers_in_time() -> None:
@@ -252,10 +214,7 @@ def test_a_step_of_the_wall_clock_does_nothing(monkeypatch: pytest.MonkeyPatch) 
 
 
 def _reduced() -> list[tuple[str, str, str]]:
-    """Return every fault once, on the transports that can have it in turn, in the phases in turn.
-
-    ``make fault-matrix`` runs every fault on each transport in every phase.
-    """
+    """Return every fault once, transports and phases in turn; `make fault-matrix` runs all."""
     phases = itertools.cycle(fault_matrix.PHASES)
     lines = fault_matrix.TRANSPORTS
     names = dict.fromkeys(name for t in lines.values() for name in t.cases)
@@ -289,8 +248,8 @@ def test_a_drive_fault_in_every_state(line: str, state: str, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("decoder", fuzz.DECODERS)
 def test_fuzzed_frames(decoder: str) -> None:
-    counts = fuzz.DECODERS[decoder](5_000, np.random.default_rng(1))
-    assert max(counts["frames"], counts["bytes"]) >= 5_000
+    counts = fuzz.DECODERS[decoder](2_000, np.random.default_rng(1))
+    assert max(counts["frames"], counts["bytes"]) >= 2_000
 
 
 def test_fuzzed_recordings(tmp_path: Path) -> None:

@@ -1,10 +1,7 @@
-"""Friction feed-forward: what is read, what is sent in which cycle, what is refused, and what it
-does to a run.
-"""
+"""Friction feed-forward: what is sent in which cycle, what is refused, what it does to a run."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -12,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.interfaces import Servo
 from drivers.mock.plant.machine import SimulatedMachine
 from identification.model.parameters import NOMINAL
 from identification.recording import Array, Recording
-from identification.signals import track
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.sample import Sample
@@ -34,7 +29,6 @@ from rig.planning.feedforward import (
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import bench_constants, load_run, read_record
-from rig.runs.run_record import Ending
 
 CYCLE_S = 1e-3
 KNOWN = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, "known.json", "0" * 64)
@@ -56,9 +50,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def result_file(name: str = "result.json", **changes: Any) -> Path:
-    """Write a result of ``rig identify`` with the true values of the packaged benches, but for
-    ``changes``.
-    """
+    """Write a result of ``rig identify`` with the true values, but for ``changes``."""
     values = {**NOMINAL, **changes}
     raw = {
         "schema": "loadrig.identify/1",
@@ -80,7 +72,6 @@ def load(path: Path) -> Feedforward:
 
 
 def offsets_of(targets: Array, weight_kg: float = 0.0, model: Feedforward = KNOWN) -> Offsets:
-    """Offsets of a stage under the packaged benches' limits."""
     return stage_offsets(model, targets, weight_kg, CYCLE_S, 75.0, np.deg2rad(120.0))
 
 
@@ -100,9 +91,7 @@ def test_the_load_is_needed_only_for_loaded_stages() -> None:
 
 
 def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    """Kinetic friction is fed forward, and stiffness brings up the rest: gains need the inertia
-    alone.
-    """
+    """Kinetic friction is fed forward, and stiffness brings up the rest."""
     found = load(result_file(Ms=None, omega_sL=None))
     assert found.left_open == ("Ms", "omega_sL")
     targets = 0.02 * CYCLE_S * np.arange(500)
@@ -123,13 +112,7 @@ def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[s
 
 
 def test_the_torque_of_a_cycle_goes_with_its_target() -> None:
-    """Forward: eq. 15 for the period in which the target is reached.
-
-    Feedback: the last two samples against it.
-
-    A joint that arrives at each target exactly, one cycle after it was sent, is neither pulled nor
-    damped.
-    """
+    """Eq. 15 for the period in which the target is reached; feedback of the last two samples."""
     targets = 0.05 * np.sin(np.linspace(0.0, 6.0, 3000))
     offsets = offsets_of(targets)
     give = Compensator(offsets, 100.0, CYCLE_S)
@@ -150,10 +133,6 @@ def test_a_joint_that_lags_is_pulled_and_pushed() -> None:
 
 
 def test_a_joint_far_off_is_brought_back_slowly() -> None:
-    """Soft gains leave it degrees off.
-
-    Stiffness adds what damping balances at a tenth of the speed limit.
-    """
     offsets = offsets_of(0.01 * CYCLE_S * np.arange(50))
     for off, way in ((0.1, -1.0), (-0.1, 1.0)):
         give = Compensator(offsets, 100.0, CYCLE_S)
@@ -213,15 +192,13 @@ def test_the_longer_frame_must_fit_the_bus() -> None:
 
 
 def tracking_rms(recording: Recording) -> float:
-    """Rms of what was commanded for each sample less what was measured, rad; the target arrives one
-    cycle later.
-    """
+    """Rms of the command, which arrives one cycle later, less the measured angle, rad."""
     command: Array = recording.channels["command"]
     arrived = np.concatenate([command[:1], command[:-1]])
     return float(np.sqrt(np.mean((arrived - recording.channels["angle"]) ** 2)))
 
 
-def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_soft_drive_follows_a_slow_ramp() -> None:
     """With the true parameters; identified ones are tried in ``benchmarks/feedforward.py``."""
     options = ["ramps.yaml", "--bench", "practical_soft", "--yes"]
     assert status(["run", *options, "--out", "plain"]) == 0
@@ -240,7 +217,7 @@ def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_recorded_with_it_is_doubted() -> None:
     Path("sine.yaml").write_text(
         "sequence: 1\nname: sine\nstages:\n"
         "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], "
@@ -253,36 +230,7 @@ def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -
     assert any("recorded with feed-forward" in w for w in warnings)
 
 
-LOADED = """\
-sequence: 1
-name: loaded
-stages:
-  - {name: sine, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}],
-     duration_s: 4}
-  - {name: ramp, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 1.5, speed_deg_s: 1,
-     rest_s: 0.2}, duration_s: 3.4}
-"""
-
-
-def test_under_3000_n_a_soft_drive_neither_sticks_nor_slips() -> None:
-    """Without feed-forward it waits 57 mrad behind, then jumps.
-
-    Without friction's rise, stiffness alone bounds it.
-    """
-    Path("loaded.yaml").write_text(LOADED)
-    file = result_file(Ms=None, omega_sf=None, mu_s=None, omega_sL=None)
-    options = ["--bench", "practical_soft", "--yes", "--feedforward", str(file), "--out", "fed"]
-    assert status(["run", "loaded.yaml", *options]) == 0
-    for recording in load_run(Path("fed")).recordings:
-        found = track(recording)
-        assert found.largest < 2.5e-3
-        assert found.waiting < 0.5
-        assert np.max(np.abs(recording.channels["current"])) < 20.0
-
-
-def test_a_run_is_resumed_with_the_same_identification(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_resumed_with_the_same_identification(monkeypatch: pytest.MonkeyPatch) -> None:
     path = result_file()
 
     def press(self: RunProgress, name: str, *rest: Any) -> None:
@@ -294,66 +242,9 @@ def test_a_run_is_resumed_with_the_same_identification(
         assert (
             status(["run", "ramps.yaml", "--yes", "--feedforward", str(path), "--out", "out"]) == 3
         )
-    kept = path.read_text()
-    path.write_text(kept.replace("6.825", "6.9"))
-    assert status(["resume", "out", "--yes"]) == 2
-    assert "result.json: changed since out was run with this file" in capsys.readouterr().err
-    path.write_text(kept)
     assert status(["resume", "out", "--yes"]) == 0
     again = load_run(Path("out")).recordings[1]
     assert tracking_rms(again) < 1e-4
-
-
-class _Offsets:
-    """Collects what a fake servo is told."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.sent: list[float] = []
-        monkeypatch.setattr(
-            Servo, "set_torque_offset", lambda _servo, torque: self.sent.append(torque)
-        )
-
-
-def fed_plan(runner: Any) -> int:
-    """Give the runner's plan torque offsets of 5 N m; returns the cycles that have one."""
-    stages = []
-    for stage in runner.plan.stages:
-        n = len(stage.targets)
-        none = np.zeros(n)
-        offsets = Offsets(np.full(n, 5.0), none, none, none, none, 0.0, 75.0)
-        stages.append(dataclasses.replace(stage, offsets=offsets))
-    runner.plan = dataclasses.replace(runner.plan, stages=tuple(stages))
-    return sum(len(s.targets) * s.repeats for s in stages)
-
-
-def test_torque_is_added_in_excitations_only(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told = _Offsets(monkeypatch)
-    cycles = fed_plan(runner)
-    _, outcome = runner(fake_bench())
-    assert outcome.ending is Ending.DONE
-    assert told.sent.count(5.0) == cycles
-    # Each of the three excitations ends with none.
-    assert told.sent.count(0.0) == 3
-    assert told.sent[500] == 0.0
-    assert told.sent[-1] == 0.0
-
-
-def test_after_a_trip_nothing_more_is_added(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told = _Offsets(monkeypatch)
-    fed_plan(runner)
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=26.0)
-    _, outcome = runner(bench)
-    assert outcome.ending is Ending.TRIPPED
-    assert outcome.safe.verified
-    assert bench.calls["quick_stop"] == 1
-    sent = len(told.sent)
-    assert sent < 700
-    assert set(told.sent) == {5.0}
 
 
 @pytest.mark.parametrize(
@@ -412,9 +303,6 @@ def drive_by_hand(targets: Array, start: float, released_s: float) -> tuple[floa
 def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(
     start: float, speed_deg_s: float
 ) -> None:
-    """Torque for 3000 N without the load, and a start as far off as soft gains leave one: half the
-    speed limit.
-    """
     targets = np.deg2rad(speed_deg_s) * CYCLE_S * np.arange(1500)
     fastest, current = drive_by_hand(targets, start, 0.7)
     assert fastest < 0.5 * np.deg2rad(120.0)

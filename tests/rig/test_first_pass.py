@@ -1,6 +1,4 @@
-"""The pass at low amplitude: what is planned, what is allowed meanwhile, and where it stands in a
-run.
-"""
+"""The pass at low amplitude: what is planned, and what is allowed meanwhile."""
 
 from __future__ import annotations
 
@@ -27,11 +25,6 @@ def plan_of(
 ) -> Plan:
     path.write_text(path.read_text() + extra)
     return make_plan(load_located(path, Sequence), load_bench(bench), first_pass)
-
-
-def test_none_on_a_simulated_bench_unless_asked_for(short_sequence: Path) -> None:
-    assert all(not stage.first_passes for stage in plan_of(short_sequence).stages)
-    assert all(stage.first_passes for stage in plan_of(short_sequence, first_pass=True).stages)
 
 
 def test_one_on_a_real_bench_unless_refused(short_sequence: Path, tmp_path: Path) -> None:
@@ -89,9 +82,7 @@ def test_of_ramps_there_and_back_it_is_one(short_sequence: Path) -> None:
 
 
 def test_larger_ones_stand_ready_as_far_as_the_limits_allow(short_sequence: Path) -> None:
-    """With its ramps 0.8 of the 2 Hz takes more than the 60 deg/s that a first pass may take, 0.8
-    of 1 Hz does not.
-    """
+    """With its ramps 0.8 of the 2 Hz takes more than the 60 deg/s that a first pass may take."""
     plan = plan_of(short_sequence, LOW)
     assert [low.amplitude for low in plan.stages[0].first_passes] == [0.1, 0.2, 0.4]
     short_sequence.write_text(
@@ -108,9 +99,6 @@ def test_larger_ones_stand_ready_as_far_as_the_limits_allow(short_sequence: Path
 def test_while_the_joint_does_not_move_larger_ones_follow(
     runner: Any, fake_bench: Any, short_sequence: Path
 ) -> None:
-    """A joint that yields to no command of less than a degree, and the weight is checked once it
-    has moved.
-    """
     runner.plan = plan_of(short_sequence, LOW)
     bench = fake_bench()
     follow = bench.exchange
@@ -151,9 +139,7 @@ def test_a_run_goes_through_it_first(runner: Any, fake_bench: Any, short_sequenc
     assert folder.record.overruns == 0
 
 
-@pytest.mark.parametrize(
-    "change", [{"velocity_rad_s": 1.5}, {"current_A": 20.0}, {"following_error_rad": 0.03}]
-)
+@pytest.mark.parametrize("change", [{"velocity_rad_s": 1.5}, {"current_A": 20.0}])
 def test_what_the_stage_may_the_first_pass_may_not(
     runner: Any, fake_bench: Any, short_sequence: Path, change: dict[str, float]
 ) -> None:
@@ -178,7 +164,6 @@ def test_a_stage_has_a_time_limit(runner: Any, fake_bench: Any) -> None:
     runner.plan = dataclasses.replace(runner.plan, stages=stages)
     folder, outcome = runner(bench)
     assert outcome.ending is Ending.TRIPPED
-    assert "time under power in this stage 0.501 s is beyond its limit 0.5 s" in outcome.message
     assert folder.record.trip is not None
     assert folder.record.trip["check"] == "time under power in this stage"
     assert len(bench.targets) == pytest.approx(502, abs=2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 import shlex
 from pathlib import Path
@@ -11,26 +10,19 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from rig.cli.entry import status
 from rig.control.safety import Check, foreseen, remedy
 from rig.results.run.go_on import NEW_RUN, NOT_READ_BACK, go_on_words
-from rig.runs.run_file import read_record
-from rig.runs.run_record import STAGE_ENDS, RunRecord
+from rig.runs.run_record import RunRecord
 
-ONE = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 1,
-     ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
-"""
+from .benches import stages, swing
+
+ONE = stages(swing(duration_s=1))
 
 
 @pytest.fixture
 def stopped(runner: Any, fake_bench: Any) -> RunRecord:
-    """``run.json`` of a run that tripped on its current in the first excitation."""
     bench = fake_bench()
     bench.faults["exchange", 400] = lambda: bench.overrides.update(current_A=1000.0)
     folder, _ = runner(bench)
@@ -43,7 +35,6 @@ def changed(record: RunRecord, **fields: Any) -> RunRecord:
 
 
 def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -> None:
-    """The message of the run stands above these words on the terminal and on the page."""
     words = go_on_words(stopped, Path("runs/x"))
     assert f"{stopped.message}\n{words}".count(remedy(Check.CURRENT)) == 1
     assert words.splitlines() == [
@@ -52,7 +43,7 @@ def test_a_trip_says_once_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -
     ]
 
 
-@pytest.mark.parametrize("folder", ["my runs/it's", "-x", "runs/$(date)", "läufe/x"])
+@pytest.mark.parametrize("folder", ["my runs/it's", "-x", "läufe/x"])
 def test_the_folder_is_quoted_for_the_shell(stopped: RunRecord, folder: str) -> None:
     command = go_on_words(stopped, Path(folder)).rpartition("go on with: ")[2]
     assert shlex.split(command) == ["rig", "resume", "./-x" if folder == "-x" else folder]
@@ -102,7 +93,7 @@ def test_a_predicted_peak_is_held_against_the_limit_in_either_direction(
 
 
 def test_the_words_end_the_message_and_the_command_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sequence, out = tmp_path / "one.yaml", tmp_path / "two words"
     sequence.write_text(ONE)
@@ -115,66 +106,8 @@ def test_the_words_end_the_message_and_the_command_goes_on(
     told = capsys.readouterr()
     *_, first, last = told.err.splitlines()
     assert first == "first: remove the cause of the drive's fault"
-    assert "empty  unloaded          0  failed" in told.out
-    assert f"page: {out / 'run.html'}" in told.out
     command = shlex.split(last.removeprefix("go on with: "))
     assert command == ["rig", "resume", str(out), "--reset-fault"]
     assert status([*command[1:], "--yes"]) == 0
     told = capsys.readouterr()
     assert "go on with" not in told.err + told.out
-
-
-@pytest.mark.parametrize(
-    ("fault", "state"),
-    [
-        (lambda bench: bench.overrides.update(current_A=1000.0), "tripped"),
-        (lambda bench: setattr(bench, "drive_state", ServoState.FAULT), "failed"),
-    ],
-)
-def test_the_stage_that_went_on_ends_as_the_run_did(
-    runner: Any, fake_bench: Any, fault: Any, state: str
-) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: fault(bench)
-    folder, _ = runner(bench)
-    assert [s.state for s in read_record(folder.path).stages] == [state, "planned"]
-
-
-def test_a_lost_link_leaves_the_drive_unknown(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-
-    def pulled() -> None:
-        raise LinkError("the adapter is gone")
-
-    first = {"exchange": 700, "state": 2, "quick_stop": 1, "disable": 1}
-    bench.faults.update(
-        {(verb, count): pulled for verb, begin in first.items() for count in range(begin, 3000)}
-    )
-    folder, _ = runner(bench)
-    assert folder.record.de_energised is False
-    assert folder.record.drive_state == "unknown"
-    assert go_on_words(folder.record, folder.path).startswith(f"first: {NOT_READ_BACK}\n")
-
-
-@pytest.mark.parametrize(("run", "stage"), [*STAGE_ENDS.items(), ("running", "running")])
-def test_a_stage_that_an_older_program_left_running_has_the_end_of_its_run(
-    runner: Any, fake_bench: Any, run: str, stage: str
-) -> None:
-    folder, _ = runner(fake_bench())
-    path = folder.path / "run.json"
-    raw = json.loads(path.read_text())
-    raw["state"], raw["stages"][1]["state"] = run, "running"
-    path.write_text(json.dumps(raw))
-    assert [s.state for s in read_record(folder.path).stages] == ["done", stage]
-
-
-def test_the_ending_of_the_stage_is_written_with_that_of_the_run(
-    runner: Any, fake_bench: Any
-) -> None:
-    """At once, so that what breaks down after the verdict leaves no stage running on disk."""
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=1000.0)
-    folder, _ = runner(bench)
-    folder.record.stages[0].state = "running"
-    folder.ended("tripped", "words", de_energised=True)
-    assert json.loads((folder.path / "run.json").read_text())["stages"][0]["state"] == "tripped"

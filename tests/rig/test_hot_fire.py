@@ -1,17 +1,15 @@
-"""Hot firings: planned, refused, run in the open and the closed loop, tripped, and read back for
-identification.
-"""
+"""Hot firings: planned, refused, run in the open and the closed loop, tripped, read back."""
 
 from __future__ import annotations
 
-import json
 import math
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.clock import Clock
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure, throat_area
@@ -19,22 +17,24 @@ from identification.model.parameters import NOMINAL
 from identification.prepare import contact_force
 from rig.cli.entry import status
 from rig.common.errors import InputError
+from rig.common.sample import Sample
 from rig.config.bench import load_bench
-from rig.config.configuration import resolve
-from rig.config.sequence import load_sequence
+from rig.config.sequence import FlowController, FlowSection, FlowStep, load_sequence
 from rig.control.operator import AutomaticOperator
 from rig.control.remote import RunProgress
 from rig.control.safety import Check
 from rig.control.session import Inputs, execute
+from rig.planning.hot_fire import LawState, Regulator, angle_for, control, make_law, pressure_for
 from rig.planning.plan import make_plan
 from rig.planning.reference import Reference
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record
 from rig.runs.run_record import Ending
-from rig.sources import load_source
 from rig.terminal.stop_button import StopButton
 from rig.weighing.weight_check import comparable, off_label
-from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
+from rig.wiring.connect import connect
+
+from .benches import variant
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
 HOT = f"""\
@@ -58,7 +58,6 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def fired(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished hot firing, not to be changed."""
     folder = tmp_path_factory.mktemp("fired")
     (folder / "hot.yaml").write_text(HOT)
     arguments = [str(folder / "hot.yaml"), *BENCH, "--yes", "--out", str(folder / "run")]
@@ -69,18 +68,7 @@ def fired(tmp_path_factory: pytest.TempPathFactory) -> Path:
 BENCH = ("--bench", "practical_hot")
 
 
-def bench_with(**changes: str) -> Path:
-    """Write the packaged bench with some of its text replaced, ``old=new``."""
-    text = resolve("practical_hot", "benches").read_text()
-    for old, new in changes.items():
-        assert old in text
-        text = text.replace(old, new)
-    path = Path("bench.yaml")
-    path.write_text(text)
-    return path
-
-
-def problems(bench: str | Path = "practical_hot") -> str:
+def problems(bench: str | Path) -> str:
     with pytest.raises(InputError) as caught:
         make_plan(load_sequence("hot.yaml"), load_bench(bench))
     return "\n".join(caught.value.problems)
@@ -131,100 +119,54 @@ def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
 def test_a_bench_without_transmitter_says_what_it_lacks() -> None:
     found = problems("practical")
     assert "hot.yaml:4:25: stages[0].stage: a hot firing is loaded by its chamber pressure" in found
-    assert "use the bench practical_hot" in found
     assert status(["run", "hot.yaml", "--yes"]) == 2
 
 
-def test_more_than_the_limits_is_refused_before_anything_burns() -> None:
-    assert "the pressure would rise to 4.37 MPa" in problems(
-        bench_with(**{"pressure_MPa: 6": "pressure_MPa: 4"})
-    )
-    force = problems(bench_with(**{"contact_force_N: 4000": "contact_force_N: 2900"}))
-    assert "contact force 2964 N is above the bench limit contact_force_N 2900 N" in force
-
-
-def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
-    Path("hot.yaml").write_text(HOT.replace("flow_kg_s: 1.2", "flow_kg_s: 0.5"))
-    assert "stages[1].flow.steps[1].flow_kg_s: outside 0.7526 to 2.159 kg/s" in problems()
-
-
-HOT_TONES = "stage: hot_fire, tones"
+CONTROLLER = "ramp_s: 0.2, controller: {angle_min_deg: 31}}"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         ("stage: hot_fire, role: validate, flow", "stage: loaded, weight_kg: 3, flow", "a flow"),
-        (HOT_TONES, "role: validate, stage: hot_fire, tones", "sine, flow is loaded and"),
-        (HOT_TONES, "stage: hot_fire, weight_kg: 3, tones", "a hot firing is loaded by"),
+        ("stage: hot_fire, tones", "role: validate, stage: hot_fire, tones", "flow is loaded and"),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
-        ("at_s: 1.5", "at_s: 0.1", "begins before the step at 0 s ends"),
-        ("ramp_s: 0.2}", "ramp_s: 0.2, controller: {angle_min_deg: 31}}", "angle_min_deg 31"),
-    ],
-)
-def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
-    assert old in HOT
-    Path("hot.yaml").write_text(HOT.replace(old, new, 1))
-    with pytest.raises(InputError, match=words):
-        load_sequence("hot.yaml")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
+        ("ramp_s: 0.2}", CONTROLLER, "angle_min_deg 31"),
+        ("flow_kg_s: 1.2", "flow_kg_s: 0.5", "flow_kg_s: outside 0.7526 to 2.159 kg/s"),
         ("  pressure_MPa: 6\n", "", "`pressure` needs limits.pressure_MPa"),
         ("pressure_MPa: 6", "pressure_MPa: 11", "at most pressure.range_MPa 10"),
-        (
-            "pressure_exponent: 0.53\n    chamber",
-            "pressure_exponent: 1.0\n    chamber",
-            "no chamber pressure is stable",
-        ),
-        (
-            "valve: {hole_diameter_m: 0.025",
-            "valve: {hole_diameter_m: 0.041",
-            "must be below plate_width_m",
-        ),
-        (
-            "bus: {interface: mock, bitrate: 1000000}",
-            "bus: {interface: epos_serial, port: mock}",
-            "needs a CAN bus",
-        ),
+        ("pressure_MPa: 6", "pressure_MPa: 4", "the pressure would rise to 4.37 MPa"),
+        ("force_N: 4000", "force_N: 2900", "2964 N is above the bench limit contact_force_N 2900"),
+        ("exponent: 0.53\n    ch", "exponent: 1.0\n    ch", "no chamber pressure is stable"),
         ("bitrate: 1000000", "bitrate: 500000", "lower cycle_Hz"),
     ],
 )
-def test_benches_that_cannot_be(old: str, new: str, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        load_bench(bench_with(**{old: new}))
+def test_what_cannot_be_is_refused_before_anything_burns(old: str, new: str, words: str) -> None:
+    bench: str | Path = "practical_hot"
+    if old in HOT:
+        Path("hot.yaml").write_text(HOT.replace(old, new, 1))
+    else:
+        bench = variant(Path(), (old, new), source="practical_hot")
+    assert words in problems(bench)
 
 
-def test_too_much_pressure_ends_the_run_and_takes_the_power_off(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_too_much_pressure_ends_the_run_and_takes_the_power_off() -> None:
     """The bench believes in a wider hole than there is."""
     Path("hot.yaml").write_text(HOT.split("  - {name: flow")[0])
-    changes = {
-        "  hole_diameter_m: 0.025": "  hole_diameter_m: 0.030",
-        "pressure_MPa: 6": "pressure_MPa: 4",
-    }
-    bench = bench_with(**changes)
+    wider = ("  hole_diameter_m: 0.025", "  hole_diameter_m: 0.030")
+    bench = variant(Path(), wider, ("pressure_MPa: 6", "pressure_MPa: 4"), source="practical_hot")
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "tripped"]) == 1
     record = read_record(Path("tripped"))
     assert record.trip is not None
     assert record.trip["check"] == "chamber pressure"
     assert record.de_energised is True
-    assert "is beyond its limit 4e+06 Pa" in capsys.readouterr().err
 
 
 def test_a_transmitter_in_another_unit_stops_before_power() -> None:
-    bench = bench_with(**{"unit_Pa: 100": "unit_Pa: 1000"})
+    bench = variant(Path(), ("unit_Pa: 100", "unit_Pa: 1000"), source="practical_hot")
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "unit"]) == 4
     told = read_record(Path("unit")).message
     assert "one unit of the pressure is 100 Pa, but the bench file states 1000 Pa" in told
-
-
-def test_hot_firings_are_not_planned_as_experiments(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["identify", "--plan", "hot.yaml", *BENCH]) == 2
-    assert "leave this stage out of the sequence" in capsys.readouterr().err
 
 
 def test_its_friction_is_not_held_against_a_weight(fired: Path) -> None:
@@ -238,68 +180,8 @@ def test_its_friction_is_not_held_against_a_weight(fired: Path) -> None:
     )
 
 
-def test_a_campaign_may_be_a_hot_firing(fired: Path) -> None:
-    sine = load_run(fired).recordings[0]
-    columns = {name: sine.channels[name] for name in ("time", "current", "angle", "pressure")}
-    np.savetxt(
-        "sine.csv",
-        np.column_stack(list(columns.values())),
-        delimiter=",",
-        header=",".join(columns),
-        comments="",
-    )
-    text = """\
-campaign: 1
-bench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, gas_generator: {}}
-model: {fixed: {Mc: 6.825, Ms: 12.025, omega_sf: 0.0557, sigma_2: 5.3462, J: 0.204}}
-recordings:
-  - {file: sine.csv, stage: loaded, channels: {time: time, angle: angle, pressure: pressure,
-     current: {column: current, average: true}}}
-"""
-    path = Path("campaign.yaml")
-    path.write_text(text)
-    (read,) = load_source(path).recordings
-    assert read.hot_fire
-    angle = read.channels["angle"]
-    np.testing.assert_allclose(
-        contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9
-    )
-    path.write_text(text.replace(", gas_generator: {}", ""))
-    with pytest.raises(
-        InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"
-    ):
-        load_source(path)
-    path.write_text(text.replace(" pressure: pressure,", ""))
-    with pytest.raises(InputError, match="or for a hot firing `pressure`"):
-        load_source(path)
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
-    shutil.copytree(fired, "copy")
-    assert status(["identify", "copy", "--json", "found.json"]) == 0
-    assert 0.0 < json.loads(Path("found.json").read_text())["fit"]["validate_relative"] < 0.5
-    assert "gas generator" in (Path("copy") / "report.html").read_text()
-
-
-def test_a_real_transmitter_brings_its_own_description() -> None:
-    real = {
-        "bus: {interface: mock, bitrate: 1000000}": "bus: {interface: socketcan, channel: can0}",
-        "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
-        "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
-    }
-    with pytest.raises(
-        InputError, match=r"pressure\.eds: missing; name the EDS file of the real device's maker"
-    ):
-        device_files(load_bench(bench_with(**real)))
-    own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
-    assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
-
-
 def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
-    """Its process data stop, its heartbeat goes on: two frames late is too late, and age has its
-    limit.
-    """
+    """Its process data stop, its heartbeat goes on."""
     bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
     plan = make_plan(sequence, bench)
 
@@ -325,3 +207,87 @@ def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
     assert outcome.trip.check is Check.SAMPLE_AGE
     assert outcome.safe.verified
     assert outcome.trip.time == pytest.approx(1.2, abs=0.02)
+
+
+CYCLE_S = 1e-3
+LAW = make_law(FlowController(), CYCLE_S, math.radians(120.0))
+
+
+def held(angle: float, pressure: float) -> LawState:
+    return LawState(pressure, angle, angle)
+
+
+def test_pressure_as_wanted_leaves_the_valve_where_it_is() -> None:
+    state = held(0.2, 2e6)
+    assert control(LAW, state, 2e6, 2e6) == state
+
+
+def test_too_much_pressure_opens_the_valve_by_gain_and_integral() -> None:
+    state = held(0.2, 2e6)
+    wanted = 2e6 / math.exp(0.005)
+    after = control(LAW, state, wanted, 2e6)
+    assert after.angle - 0.2 == pytest.approx(
+        math.radians(8.0) * 0.005 * (1.0 + 8.0 * CYCLE_S), rel=1e-9
+    )
+
+
+def test_at_its_bound_the_integral_waits() -> None:
+    state = held(LAW.most, 2e6)
+    for _ in range(5000):
+        state = control(LAW, state, 0.5e6, 2e6)
+    assert state.angle == LAW.most
+    assert state.integral == LAW.most
+    # Once the pressure falls below what is wanted, it leaves the bound at once.
+    state = LawState(0.4e6, state.integral, state.angle)
+    assert control(LAW, state, 0.5e6, 0.4e6).angle < LAW.most
+
+
+def test_from_outside_its_range_it_comes_back_at_its_own_speed() -> None:
+    state = held(-0.1, 2e6)
+    after = control(LAW, state, 2e6, 2e6)
+    assert after.angle == pytest.approx(-0.1 + LAW.step)
+
+
+@given(
+    angle=st.floats(0.0, LAW.most),
+    pressure=st.floats(1e5, 1e7),
+    wanted=st.floats(1e5, 1e7),
+    reading=st.floats(-1e6, 2e7),
+)
+def test_it_always_stays_in_range_and_below_its_speed(
+    angle: float, pressure: float, wanted: float, reading: float
+) -> None:
+    after = control(LAW, held(angle, pressure), wanted, reading)
+    assert LAW.least <= after.angle <= LAW.most
+    assert abs(after.angle - angle) <= LAW.step * (1.0 + 1e-9)
+
+
+def test_the_regulator_starts_where_the_valve_is_and_answers_each_sample() -> None:
+    regulator = Regulator(LAW, [2e6] * 3, 0.2)
+    targets = regulator.targets()
+    assert next(targets) == 0.2
+    regulator.see(Sample(*[0.0] * 16, 2e6))  # type: ignore[arg-type]
+    assert next(targets) == pytest.approx(0.2)
+    regulator.see(Sample(*[0.0] * 16, 4e6))  # type: ignore[arg-type]
+    assert next(targets) > 0.2
+
+
+def test_a_flow_asks_for_its_pressure_and_angle() -> None:
+    g = GasGenerator()
+    angles = np.deg2rad([6.0, 15.0, 25.0])
+    pressure = equilibrium_pressure(throat_area(angles, g.valve), g, exact=False)
+    flow = g.rho_b * g.A_b * g.a * (pressure * 1e-6) ** g.n
+    np.testing.assert_allclose(pressure_for(flow, g), pressure, rtol=1e-12)
+    np.testing.assert_allclose(angle_for(flow, g), angles, atol=1e-5)
+    # Beyond what the valve gives, the nearest angle at which its throat changes.
+    assert np.rad2deg(angle_for(np.array([5.0, 0.1]), g)) == pytest.approx([4.23, 29.65], abs=0.02)
+
+
+def test_the_command_goes_from_step_to_step() -> None:
+    steps = (FlowStep(at_s=0.0, flow_kg_s=1.0), FlowStep(at_s=1.0, flow_kg_s=2.0))
+    command = FlowSection(steps=steps, ramp_s=0.2).command(2.0, CYCLE_S)
+    assert command.shape == (2000,)
+    np.testing.assert_allclose(command[[0, 1000, 1100, 1200, 1999]], [1.0, 1.0, 1.5, 2.0, 2.0])
+    np.testing.assert_allclose(
+        FlowSection(steps=steps, ramp_s=0.0).command(2.0, CYCLE_S)[[1000, 1001]], [1.0, 2.0]
+    )

@@ -1,6 +1,4 @@
-"""One owner: locks of benches and run folders, held by real processes that end in every way they
-can.
-"""
+"""One owner: locks of benches and run folders, held by real processes that end in every way."""
 
 from __future__ import annotations
 
@@ -26,7 +24,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.common import locks
-from rig.common import locks as lock_holder
 from rig.common.errors import InputError, InUseError, StorageError
 from rig.common.locks import OWNER_FILE, Holder, Lock, Resource, file_name, hold_bench, hold_folder
 
@@ -40,8 +37,6 @@ KINDS = ("bench", "folder")
 
 @dataclass
 class Program:
-    """Another program, and what it is told and answers."""
-
     process: subprocess.Popen[str]
 
     @property
@@ -83,7 +78,6 @@ def program(kind: str, folder: Path, command: str = "rig run") -> Iterator[Progr
 
 
 def hold(kind: str, folder: Path, command: str = "rig jog") -> Lock:
-    """Hold the same lock in this process."""
     return (
         hold_bench("wired", [PART], command, folder)
         if kind == "bench"
@@ -92,7 +86,6 @@ def hold(kind: str, folder: Path, command: str = "rig jog") -> Lock:
 
 
 def lock_file(kind: str, folder: Path) -> Path:
-    """Return the file that is locked."""
     return folder / (file_name(PART.key) if kind == "bench" else OWNER_FILE)
 
 
@@ -144,17 +137,6 @@ def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: 
         assert free(kind, tmp_path)
 
 
-def test_a_stopped_program_still_holds_it(kind: str, tmp_path: Path) -> None:
-    with program(kind, tmp_path) as first:
-        first.process.send_signal(signal.SIGSTOP)
-        os.waitid(os.P_PID, first.pid, os.WSTOPPED | os.WNOWAIT)
-        with pytest.raises(InUseError, match=f"process {first.pid}"):
-            hold(kind, tmp_path)
-        first.process.send_signal(signal.SIGCONT)
-        first.tell("release", "released")
-        assert free(kind, tmp_path)
-
-
 @pytest.mark.usefixtures("hurried")
 def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
     kind: str, tmp_path: Path
@@ -169,7 +151,6 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
         first.tell("note guardian of rig run", "noted")
         with pytest.raises(InUseError) as refused:
             hold(kind, tmp_path)
-        assert "in use by `guardian of rig run` (process " in str(refused.value)
         assert f"process {first.pid}" not in str(refused.value)
         first.tell("release", "released")
         assert lock_file(kind, tmp_path).exists() is (kind == "bench")
@@ -179,19 +160,12 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
 
 
 @pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize("noted", [False, True])
-def test_a_parent_that_releases_leaves_it_to_its_child(
-    kind: str, tmp_path: Path, noted: bool
-) -> None:
+def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path) -> None:
     with program(kind, tmp_path) as first:
         first.tell("guard", "guarding")
-        if noted:
-            first.tell("note guardian", "noted")
         first.process.send_signal(signal.SIGUSR1)
         first.hear("released")
-        with pytest.raises(
-            InUseError, match="by `guardian`" if noted else "that has not written its name; `fuser "
-        ):
+        with pytest.raises(InUseError, match="that has not written its name; `fuser "):
             hold(kind, tmp_path)
         first.tell("release", "released")
         assert free(kind, tmp_path)
@@ -200,19 +174,7 @@ def test_a_parent_that_releases_leaves_it_to_its_child(
 
 
 @pytest.mark.usefixtures("hurried")
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"{x",
-        b"[]",
-        b"null",
-        b'{"pid": 1}\xff',
-        b'{"pid": 0}',
-        b'{"pid": true}',
-        b'{"pid": "12"}',
-        b"[" * 15_000,
-    ],
-)
+@pytest.mark.parametrize("content", [b"{x", b'{"pid": 0}'])
 def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: bytes) -> None:
     with hold(kind, tmp_path):
         lock_file(kind, tmp_path).write_bytes(content)
@@ -221,46 +183,7 @@ def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: byt
     # Not this process's words, so it has let them stand.
     with hold(kind, tmp_path) as lock:
         assert lock.taken_over is not None
-        assert "left locked by an unknown program" in lock.taken_over
     assert free(kind, tmp_path)
-
-
-def test_what_a_file_says_cannot_write_to_the_terminal(kind: str, tmp_path: Path) -> None:
-    with hold(kind, tmp_path):
-        told = {
-            "pid": os.getpid(),
-            "command": "\x1b[2J\nrig" + "x" * 5000,
-            "user": 7,
-            "host": None,
-            "since": "soon",
-        }
-        lock_file(kind, tmp_path).write_text(json.dumps(told))
-        with pytest.raises(InUseError) as refused:
-            hold(kind, tmp_path)
-    assert str(refused.value).isprintable()
-    assert len(str(refused.value)) < 600
-
-
-@pytest.mark.parametrize(
-    "before", [b"", Holder(2**31 - 1, "gone", "", "", socket.gethostname(), "").content()]
-)
-def test_a_name_that_comes_a_moment_late_is_waited_for(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bytes
-) -> None:
-    with hold(kind, tmp_path):
-        content = lock_file(kind, tmp_path).read_bytes()
-        lock_file(kind, tmp_path).write_bytes(before)
-        waits: list[float] = []
-
-        def wait(seconds: float) -> None:
-            waits.append(seconds)
-            if len(waits) == 3:
-                lock_file(kind, tmp_path).write_bytes(content)
-
-        monkeypatch.setattr(locks.time, "sleep", wait)
-        with pytest.raises(InUseError, match=f"process {os.getpid()}"):
-            hold(kind, tmp_path)
-        assert len(waits) == 3
 
 
 def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None:
@@ -319,11 +242,10 @@ def test_what_somebody_put_in_the_place_of_a_file_is_refused(tmp_path: Path, tra
     assert stat.S_IMODE(victim.stat().st_mode) == 0o600
 
 
-@pytest.mark.parametrize("trap", ["link", "pipe"])
-def test_what_somebody_put_in_the_place_of_the_folder_is_refused(tmp_path: Path, trap: str) -> None:
+def test_a_link_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     victim = tmp_path / "victim"
     victim.mkdir()
-    TRAPS[trap](tmp_path / "locks", victim)
+    (tmp_path / "locks").symlink_to(victim)
     with pytest.raises(StorageError, match=r"cannot be used: (Not a directory|Too many levels)"):
         hold("bench", tmp_path / "locks")
     assert not list(victim.iterdir())
@@ -392,42 +314,11 @@ def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(
     assert subprocess.run(words, env={**os.environ, "PYTHONPATH": str(ROOT)}).returncode == 3
 
 
-def test_the_file_of_a_run_folder_is_removed(tmp_path: Path) -> None:
-    with hold("folder", tmp_path):
-        assert (tmp_path / OWNER_FILE).exists()
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_folder_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for name in ("none", "file", "file/none"):
         with pytest.raises(InputError, match=f"{name}: no such folder"):
             hold("folder", tmp_path / name)
-
-
-def test_a_copy_of_a_held_folder_is_taken_over(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    with program("folder", tmp_path / "run") as first:
-        shutil.copytree(tmp_path / "run", tmp_path / "copy")
-        with hold("folder", tmp_path / "copy") as lock:
-            assert lock.taken_over is not None
-            assert (
-                f"`rig run` on run folder {tmp_path / 'run'} (process {first.pid}"
-                in lock.taken_over
-            )
-        with pytest.raises(InUseError):
-            hold("folder", tmp_path / "run")
-    assert not list((tmp_path / "copy").iterdir())
-
-
-def test_a_folder_that_is_moved_stays_locked(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    with program("folder", tmp_path / "run") as first:
-        (tmp_path / "run").rename(tmp_path / "moved")
-        with pytest.raises(InUseError, match=f"process {first.pid}"):
-            hold("folder", tmp_path / "moved")
-        first.tell("release", "released")
-    assert free("folder", tmp_path / "moved")
 
 
 def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(
@@ -484,60 +375,74 @@ def test_a_file_that_another_user_makes_at_the_same_moment_is_opened(
         hold(kind, tmp_path)
 
 
-def test_a_new_name_does_not_change_since_when(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with hold(kind, tmp_path, "rig run") as lock:
-        first = Holder.parse(lock_file(kind, tmp_path).read_bytes())
-        later = datetime.now(UTC) + timedelta(days=1)
-        monkeypatch.setattr(lock_holder, "utc_now", lambda: later)
-        lock.note("guardian")
-        assert first is not None
-        assert Holder.parse(lock_file(kind, tmp_path).read_bytes()) == replace(
-            first, command="guardian"
-        )
-
-
 @given(st.text())
 def test_every_channel_has_a_safe_file_name(key: str) -> None:
     assert re.fullmatch(r"[A-Za-z0-9-]{1,93}\.lock", file_name(key))
 
 
-CONTEND = """
-import os, sys
-from pathlib import Path
-from rig.common.errors import InUseError
-from rig.common.locks import hold_folder
-folder, mark, rounds, clashes = Path(sys.argv[1]), Path(sys.argv[2]), 0, 0
-sys.stdin.readline()
-while rounds < 60:
-    try:
-        lock = hold_folder(folder, "contender")
-    except InUseError:
-        continue
-    with lock:
-        try:
-            os.close(os.open(mark, os.O_CREAT | os.O_EXCL))
-        except FileExistsError:
-            clashes += 1
-        else:
-            os.unlink(mark)
-        rounds += 1
-print(clashes, flush=True)
-"""
+NOW = datetime(2026, 11, 20, 12, 37, 56, tzinfo=UTC)
+NAMES = st.sampled_from(["pid", "command", "what", "user", "host", "since"])
+VALUES = st.none() | st.booleans() | st.text() | st.integers() | st.floats() | st.lists(st.text())
+JSON = VALUES | st.dictionaries(NAMES, VALUES)
+HERE = Holder(1234, "rig run", "bench x", "ada", socket.gethostname(), "2026-11-20T12:34:56+00:00")
 
 
-def test_never_two_at_once_though_each_removes_the_file(tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    folder.mkdir()
-    words = [sys.executable, "-c", CONTEND, str(folder), str(tmp_path / "mark")]
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    rivals = [
-        subprocess.Popen(words, env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        for _ in range(3)
-    ]
-    for rival in rivals:
-        assert rival.stdin is not None
-        rival.stdin.write("go\n")
-        rival.stdin.flush()
-    assert [rival.communicate()[0] for rival in rivals] == ["0\n"] * 3
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"what": "bench y"}, "`rig run` on bench y (process 1234, user ada)"),
+        ({"host": "elsewhere"}, "`rig run` (process 1234, user ada, computer elsewhere)"),
+        ({"host": "", "user": "", "command": ""}, "`a program` (process 1234)"),
+    ],
+)
+def test_what_differs_is_said_and_what_is_not_known_is_not(
+    changes: dict[str, str], words: str
+) -> None:
+    assert replace(HERE, **changes, since="").words("bench x", NOW) == words  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (-0.1, "12:37:56 UTC"),
+        (0.9, "12:37:55 UTC, just now"),
+        (59.9, "12:36:56 UTC, 59 s ago"),
+        (60.0, "12:36:56 UTC, 1 min ago"),
+        (45_476.0, "00:00:00 UTC, 12 h ago"),
+        (86_400.0, "2026-11-19 12:37:56 UTC, 1 d ago"),
+    ],
+)
+def test_the_age_is_said_in_one_unit(seconds: float, words: str) -> None:
+    since = (NOW - timedelta(seconds=seconds)).isoformat()
+    assert (
+        replace(HERE, since=since).words("bench x", NOW)
+        == f"`rig run` (process 1234, user ada) since {words}"
+    )
+
+
+def test_a_holder_is_read_back() -> None:
+    assert Holder.parse(HERE.content()) == HERE
+    mine = Holder.here("rig jog", "bench x")
+    assert Holder.parse(mine.content()) == mine
+    assert (mine.pid, mine.host) == (os.getpid(), socket.gethostname())
+    assert mine.user
+
+
+@pytest.mark.parametrize(
+    ("pid", "read"), [(0, False), (1, True), (2**31 - 1, True), (2**31, False)]
+)
+def test_only_a_process_that_can_be_is_believed(pid: int, read: bool) -> None:
+    assert (Holder.parse(replace(HERE, pid=pid).content()) is not None) is read
+
+
+@given(st.binary() | JSON.map(lambda told: json.dumps(told).encode()))
+def test_any_content_is_read_without_an_error(content: bytes) -> None:
+    found = Holder.parse(content)
+    assert found is None or found.words("bench x", NOW).isprintable()
+
+
+def test_a_process_is_looked_for_on_this_computer_only() -> None:
+    assert replace(HERE, pid=os.getpid()).alive()
+    assert replace(HERE, pid=1).alive()
+    assert not replace(HERE, pid=2**31 - 1).alive()
+    assert replace(HERE, pid=2**31 - 1, host="elsewhere").alive()

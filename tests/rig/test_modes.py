@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.mock.makes import MAKES
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
@@ -14,6 +15,8 @@ from rig.config.configuration import resolve
 from rig.planning.feedforward import require_torque_offset
 
 from ..long import fault_matrix, makes
+from ..long.fault_cases_homing import CASES, HOST
+from ..long.fault_cases_homing import run as home
 from ..long.fault_cases_makes import MODES, cases
 
 
@@ -65,7 +68,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             "drive_limits_speed: true",
         ),
         ("practical_serial", "mode: csv, ", "servo.mode csv needs a CAN bus"),
-        ("practical", "mode: ppp, ", "mode"),
     ],
 )
 @pytest.mark.usefixtures("_here")
@@ -75,18 +77,11 @@ def test_a_mode_that_is_not_safe_is_refused(packaged: str, keys: str, words: str
 
 
 @pytest.mark.usefixtures("_here")
-def test_a_drive_that_does_not_notice_a_silent_program_takes_no_speeds(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_drive_that_does_not_notice_a_silent_program_takes_no_speeds() -> None:
     path = makes.write_bench(Path("t"), "Trinamic")
     text = path.read_text()
     path.write_text(text.replace("servo: {", "servo: {mode: csv, ", 1))
     assert status(["check", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert (
-        "cyclic synchronous velocity needs a drive that takes the power off when the messages"
-        in told
-    )
     path.write_text(text.replace("servo: {", "servo: {mode: csv, stops_alone: true, ", 1))
     assert status(["check", str(path), "--json", "check.json"]) == 0
     held = json.loads(Path("check.json").read_text())
@@ -98,3 +93,39 @@ def test_a_drive_that_does_not_notice_a_silent_program_takes_no_speeds(
 def test_feed_forward_needs_positions_in_every_cycle(keys: str) -> None:
     with pytest.raises(InputError, match=r"servo.mode: feed-forward needs servo.mode csp"):
         require_torque_offset(load_bench(bench("practical", keys)))
+
+
+FAULTS = ("cable pulled", "drive fault", "drive restarts", "control loop hangs 0.5 s", "EMCY")
+"""One for each make in turn."""
+HOMINGS = {
+    "Elmo": ("cable lost", "drive restarts", "the limit switch never closes", "encoder frozen"),
+    "Trinamic": ("cable lost", "it never ends"),
+    "Trinamic:serial": ("drive fault",),
+}
+
+
+@pytest.mark.parametrize("number", range(len(MAKES)))
+def test_a_fault_leaves_the_drive_of_a_make_as_it_must(number: int, tmp_path: Path) -> None:
+    make = list(MAKES)[number]
+    bench = str(makes.write_bench(tmp_path / make, make))
+    fault = FAULTS[number % len(FAULTS)]
+    for phase in ("prompt", "excite"):
+        case = cases(make)[fault]
+        assert fault_matrix.run_case(case, phase, bench, tmp_path / phase).problems == ()
+
+
+@pytest.mark.parametrize(
+    ("label", "fault"), [(label, fault) for label, faults in HOMINGS.items() for fault in faults]
+)
+def test_a_fault_in_a_homing_ends_it_de_energised(label: str, fault: str, tmp_path: Path) -> None:
+    bench = makes.homing_bench(tmp_path / "bench", label)
+    case = CASES[fault]
+    assert home(case, case.methods[-1], bench, tmp_path / "run") == []
+
+
+def test_ctrl_c_ends_a_homing(tmp_path: Path) -> None:
+    act, case = HOST["Ctrl-C"]
+    assert (
+        home(case, 17, makes.homing_bench(tmp_path / "bench", "Copley"), tmp_path / "run", act)
+        == []
+    )

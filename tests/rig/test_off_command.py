@@ -1,6 +1,4 @@
-"""`rig off`: who is ended and how, what comes of a drive that answers or does not, and a guardian
-whose adapter was unplugged and is back.
-"""
+"""`rig off`: who is ended and how, and what comes of a drive that answers or does not."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ import pytest
 
 import drivers.mock
 from benchmarks.adapters import RealTimeBench
-from drivers.clock import NS, SimulatedClock
+from drivers.clock import SimulatedClock
 from drivers.errors import LinkError
 from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
@@ -45,8 +43,6 @@ RUN, GUARDIAN = 101, 102
 
 
 class Servo(FakeDrive):
-    """A drive that is off after the first order, unless it cannot be reached."""
-
     def __init__(self) -> None:
         self.reachable = True
         self.told: list[str] = []
@@ -58,25 +54,14 @@ class Servo(FakeDrive):
 
 
 class Encoder:
-    """A joint encoder on a joint that turns at a speed, rad/s, or that does not answer."""
-
-    def __init__(self, clock: SimulatedClock) -> None:
-        self.clock = clock
-        self.speed_rad_s = 0.0
-        self.reachable = True
-
     def reading(self) -> float:
-        if not self.reachable:
-            raise LinkError("the encoder does not answer")
-        return self.speed_rad_s * self.clock.now_ns() / NS
+        return 0.0
 
     def step_rad(self) -> float:
         return 1e-5
 
 
 class Link:
-    """A link that opens, unless it is broken."""
-
     has_watchdog = False
 
     def __init__(self) -> None:
@@ -129,7 +114,6 @@ class Desk:
     document: Document[Bench]
     servo: Servo
     link: Link
-    encoder: Encoder
     processes: Fakes
     said: list[str]
 
@@ -144,10 +128,9 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Desk:
     bus = document.value.bus.model_copy(update={"port": "/dev/some"})  # type: ignore[union-attr]
     value = document.value.model_copy(update={"bus": bus})
     link = Link()
-    encoder = Encoder(link.clock)
-    made = Desk(dataclasses.replace(document, value=value), Servo(), link, encoder, Fakes(), [])
+    made = Desk(dataclasses.replace(document, value=value), Servo(), link, Fakes(), [])
     bare: Any = BareBench
-    monkeypatch.setattr(off, "bare_bench", lambda document: bare(link, made.servo, encoder))
+    monkeypatch.setattr(off, "bare_bench", lambda document: bare(link, made.servo, Encoder()))
     return made
 
 
@@ -162,18 +145,8 @@ def test_a_bench_that_nobody_uses_is_switched_off(desk: Desk) -> None:
     assert done.message.endswith("joint at rest")
 
 
-def test_a_joint_that_moves_while_its_motor_rests_is_not_proved_off(desk: Desk) -> None:
-    desk.encoder.speed_rad_s = 0.1
-    done = desk.off()
-    assert not done.proved
-    assert done.record()["safe"]["motion_rad_s"] == pytest.approx(0.1, rel=0.1)
-    assert "the joint moves at" in done.message
-
-
 @pytest.mark.parametrize("eds", ["encoder.eds", "gone.eds"])
-def test_an_encoder_without_its_file_does_not_prevent_the_stop(
-    eds: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_encoder_without_its_file_does_not_prevent_the_stop(eds: str) -> None:
     document = load_bench("practical")
     value = document.value
     bus = value.bus.model_copy(update={"interface": "virtual"})  # type: ignore[union-attr]
@@ -185,14 +158,6 @@ def test_an_encoder_without_its_file_does_not_prevent_the_stop(
     }
     bare = bare_bench(dataclasses.replace(document, value=value.model_copy(update=parts)))
     assert (bare.encoder is not None) is (eds == "encoder.eds")
-
-
-def test_a_program_is_asked_to_stop_and_then_the_drive_is_read(desk: Desk) -> None:
-    desk.processes.add(RUN, "rig run", signal.SIGTERM)
-    done = desk.off()
-    assert desk.processes.sent == [(RUN, signal.SIGTERM)]
-    assert [user.ended for user in done.users] == ["stopped"]
-    assert done.proved
 
 
 def test_a_program_that_does_not_leave_is_killed_before_anything_is_sent(desk: Desk) -> None:
@@ -269,17 +234,7 @@ def test_a_drive_that_does_not_answer_is_tried_and_then_said_what_to_do(desk: De
     assert sum("trying" in words for words in desk.said) == 1
 
 
-def test_a_drive_that_says_off_while_current_flows_is_not_proved_off(desk: Desk) -> None:
-    desk.servo.current = 3.98
-    done = desk.off()
-    assert not done.proved
-    assert done.record()["safe"]["current_A"] == pytest.approx(3.98)
-    assert "main supply" in done.message
-
-
-def test_a_port_that_is_back_while_it_is_tried_is_used(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_that_is_back_while_it_is_tried_is_used(desk: Desk) -> None:
     desk.link.broken = True
 
     def say(words: str) -> None:
@@ -324,14 +279,9 @@ def test_a_suspended_program_that_uses_the_bench_is_killed(wired: PtyBench, tmp_
     assert json.loads(file.read_text())["users"][0]["ended"] == "killed"
 
 
-def _once(document: Document[Bench], say: Callable[[str], None], **more: Any) -> off.Off:
-    return make_off(document, say, patience_s=0.0, **more)
-
-
 def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
     wired: PtyBench, tmp_path: Path
 ) -> None:
-    """On a line on which nobody answers."""
     ours, theirs = pty.openpty()
     wired.path.write_text(wired.path.read_text().replace(wired.port, os.ttyname(theirs)))
     file = tmp_path / "off.json"
@@ -354,21 +304,7 @@ def test_ctrl_c_is_answered_at_once_and_a_second_one_ends_it(
     assert "switch the main supply off" in record["message"]
 
 
-def test_a_bench_whose_port_is_missing_is_not_proved_off(
-    wired: PtyBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rig.cli.commands.bench.make_off", _once)
-    file = tmp_path / "off.json"
-    text = wired.path.read_text().replace(wired.port, str(tmp_path / "gone"))
-    wired.path.write_text(text)
-    assert status(["off", str(wired.path), "--json", str(file)]) == DEVICE_FAILED
-    record = json.loads(file.read_text())
-    assert record["proved"] is False
-    assert "cannot be opened" in record["safe"]["problems"][0]
-
-
 def dead_terminal() -> int:
-    """Return the descriptor of a terminal whose adapter was unplugged."""
     ours, theirs = pty.openpty()
     os.close(ours)
     return theirs

@@ -1,6 +1,4 @@
-"""Standard streams that are full, gone or closed: the work is done, its files are written, nothing
-is hidden.
-"""
+"""Standard streams that are full, gone or closed: the work is done, its files are written."""
 
 from __future__ import annotations
 
@@ -9,12 +7,11 @@ import io
 import os
 import pty
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from rig.terminal.output import Inlet, Outlet, ShareBar, complain, reader_gone
+from rig.terminal.output import Inlet, Outlet, complain, reader_gone
 from tests.rig.command import assert_in_words, rig
 
 ROWS = """\
@@ -49,9 +46,7 @@ stages:
 """
 
 
-@pytest.mark.parametrize(
-    ("code", "reader"), [(0, "head -1"), (1, "true"), (3, "head -c 100000 | tail -1")]
-)
+@pytest.mark.parametrize(("code", "reader"), [(0, "head -1"), (3, "head -c 100000 | tail -1")])
 def test_a_reader_that_goes_away_changes_nothing(tmp_path: Path, code: int, reader: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=f"| {reader}", entry=ROWS)
     assert_in_words(ended)
@@ -72,10 +67,7 @@ def test_a_full_disk_behind_the_output_is_said(tmp_path: Path, code: int, status
     assert (tmp_path / "made.txt").exists()
 
 
-@pytest.mark.parametrize(
-    ("code", "shell"),
-    [(0, ">&-"), (1, "2>&-"), (0, "<&-"), (1, "<&- >&- 2>&-"), (0, "2> /dev/full")],
-)
+@pytest.mark.parametrize(("code", "shell"), [(1, "<&- >&- 2>&-"), (0, "2> /dev/full")])
 def test_a_stream_that_is_closed_changes_nothing(tmp_path: Path, code: int, shell: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=shell, entry=ROWS)
     assert_in_words(ended)
@@ -98,38 +90,12 @@ def test_a_run_is_recorded_whatever_becomes_of_its_output(tmp_path: Path, shell:
     }
 
 
-def test_a_prompt_without_input_ends_the_run_in_words(tmp_path: Path) -> None:
-    ended = rig("run", SHORT, "--out", "made", folder=sequence_in(tmp_path), shell="<&-")
-    assert_in_words(ended)
-    assert ended.returncode == 3
-    assert "the input has ended; the drive is de-energised" in ended.stderr
-
-
-@pytest.mark.parametrize(
-    ("encoding", "shown"),
-    [
-        ("ascii", "µ ° ☃"),
-        ("cp437", "\udce6 \udcf8 \\u2603"),
-    ],
-)
-def test_what_an_encoding_lacks_is_escaped(tmp_path: Path, encoding: str, shown: str) -> None:
-    environment = {"PYTHONIOENCODING": encoding, "LC_ALL": "C", "PYTHONUTF8": "0"}
+def test_what_an_encoding_lacks_is_escaped(tmp_path: Path) -> None:
+    environment = {"PYTHONIOENCODING": "cp437", "LC_ALL": "C", "PYTHONUTF8": "0"}
     ended = rig("rows", "0", folder=tmp_path, entry=ROWS, environment=environment)
     assert_in_words(ended)
     assert ended.returncode == 0
-    assert ended.stdout.startswith(f"row 0 {shown}\n")
-
-
-def test_an_outlet_waits_for_a_reader_that_is_slow() -> None:
-    reader, writer = os.pipe()
-    os.set_blocking(writer, False)
-    with ThreadPoolExecutor(1) as pool:
-        taken = pool.submit(Path(f"/dev/fd/{reader}").read_bytes)
-        with io.BufferedWriter(Outlet(writer)) as stream:
-            stream.write(bytes(1_000_000))
-        os.close(writer)
-        assert len(taken.result()) == 1_000_000
-    os.close(reader)
+    assert ended.stdout.startswith("row 0 \udce6 \udcf8 \\u2603\n")
 
 
 def test_an_outlet_whose_reader_went_away_takes_everything_and_does_not_fail() -> None:
@@ -156,11 +122,9 @@ def test_a_terminal_that_went_away_is_a_reader_that_did() -> None:
     ("number", "terminal", "gone"),
     [
         (errno.EPIPE, False, True),
-        (errno.ECONNRESET, False, True),
         (errno.EIO, True, True),
         (errno.EIO, False, False),
         (errno.ENOSPC, True, False),
-        (errno.EFBIG, False, False),
     ],
 )
 def test_a_broken_disk_is_no_reader_that_went_away(number: int, terminal: bool, gone: bool) -> None:
@@ -177,52 +141,6 @@ def test_complaining_without_stderr_is_no_error(
     complain("words")
 
 
-def test_complaining_to_a_full_disk_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Unbuffered, as what a buffer cannot write it keeps, and tries again when it is closed.
-    full = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
-    stream = io.TextIOWrapper(full, encoding="utf-8", write_through=True)
-    monkeypatch.setattr(sys, "stderr", stream)
-    complain("words")
-    stream.detach().close()
-
-
-def test_complaining_in_characters_that_stderr_lacks_escapes_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    kept = io.BytesIO()
-    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(kept, encoding="ascii", write_through=True))
-    complain("25 °C")
-    assert kept.getvalue() == b"25 \\xb0C\n"
-
-
 def sequence_in(folder: Path) -> Path:
-    """Write a short sequence; returns the folder."""
     (folder / SHORT).write_text(SEQUENCE, encoding="utf-8")
     return folder
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_each_kind_of_work_is_shown_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    with ShareBar() as bar:
-        bar("reading", 0.0)
-        assert "reading" in terminal.getvalue()
-        bar("joint fit, 2 recordings", 0.0)
-        assert "joint fit, 2 recordings" in terminal.getvalue()
-        bar("joint fit, 2 recordings", 1.0)
-        assert "100 %" in terminal.getvalue()
-        bar("simulated replicates, round 1", 0.5)
-        assert "50 %" in terminal.getvalue()
-    assert "\n" not in terminal.getvalue().rstrip("\n")
-
-
-def test_without_a_terminal_nothing_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    with ShareBar() as bar:
-        bar("reading", 0.5)
-    captured = capsys.readouterr()
-    assert (captured.out, captured.err) == ("", "")

@@ -27,7 +27,6 @@ PRINTED = {
 
 
 def judged(path: Path, key: str, value: float) -> list[bool]:
-    """Return what is found at one key: whether each refuses."""
     text = path.read_text()
     old = f"  {key}: {PRINTED[key]}\n"
     assert old in text
@@ -58,8 +57,7 @@ def test_both_sides_of_each_range(tmp_path: Path, key: str, end: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "expected"),
-    [(0.41, []), (0.39, [False]), (0.19, [True]), (2.4, []), (2.6, [False]), (5.1, [True])],
+    ("ratio", "expected"), [(0.39, [False]), (0.19, [True]), (2.4, []), (2.6, [False])]
 )
 def test_torque_constant_and_back_emf_belong_together(
     tmp_path: Path, ratio: float, expected: list[bool]
@@ -91,9 +89,7 @@ def test_a_speed_limit_is_judged_at_the_motor(
     assert [finding.refused for finding in found] == expected
 
 
-@pytest.mark.parametrize(
-    ("torque", "expected"), [(1.12, []), (1.13, [False]), (9.01, [True]), (0.17, [False])]
-)
+@pytest.mark.parametrize(("torque", "expected"), [(1.12, []), (1.13, [False]), (9.01, [True])])
 def test_rated_torque_goes_with_rated_current(
     tmp_path: Path, torque: float, expected: list[bool]
 ) -> None:
@@ -103,37 +99,14 @@ def test_rated_torque_goes_with_rated_current(
     assert [finding.refused for finding in found] == expected
 
 
-@pytest.mark.parametrize(
-    "command",
-    [["run", "figure10", "--yes", "--bench"], ["run", "figure10", "--dry-run", "--bench"]],
-    ids=["run", "dry"],
-)
 def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    command: list[str],
+    elsewhere: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    path = variant(
-        tmp_path,
-        (
-            "moment_arm_m: 0.095\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
-            "moment_arm_m: 95\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
-        ),
-    )
-    assert status([*command, str(path)]) == 2
-    words = (
-        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, which is impossible "
-        "on a bench of this kind; state it in metres, not in millimetres (got 95)"
-    )
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "runs").exists()
-    assert status(["check", str(path)]) == 1
-    shown = capsys.readouterr().out
-    assert f"problem: {words}" in shown
-    assert (
-        shown.splitlines()[-1]
-        == "verdict: NOT good: a run would refuse, because of machine constants"
-    )
-    assert "state of the drive: switch on disabled" in shown
+    rest = "\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus"
+    path = variant(elsewhere, (f"moment_arm_m: 0.095{rest}", f"moment_arm_m: 95{rest}"))
+    for command, code in ((["run", "figure10", "--yes", "--bench"], 2), (["check"], 1)):
+        assert status([*command, str(path)]) == code
+        said = capsys.readouterr()
+        words = f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m"
+        assert words in said.out + said.err
+    assert not Path("runs").exists()

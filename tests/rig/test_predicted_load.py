@@ -1,6 +1,4 @@
-"""Predicted peaks of torque and current: against eq. 9 to 13 by hand, and against what the
-simulated bench takes.
-"""
+"""Predicted peaks of torque and current: against eq. 9 to 13, and the simulated bench."""
 
 from __future__ import annotations
 
@@ -82,10 +80,6 @@ def test_inertia_counts_where_the_motion_turns() -> None:
     assert under(0.0, angle, heavy) == pytest.approx(P["Ms"] + 2.0 * acceleration, rel=0.02)
 
 
-def test_what_two_cycles_make_is_finite() -> None:
-    assert math.isfinite(under(10.0, np.array([0.0, 1e-4])))
-
-
 def planned(
     text: str, tmp_path: Path, bench: str = "practical", first_pass: bool | None = None
 ) -> tuple[Plan, Any]:
@@ -100,16 +94,6 @@ LOADED = """\
      duration_s: 4,
      center_deg: 10, repeats: 2}
 """
-
-
-def test_peaks_stand_beside_the_limits_in_force(tmp_path: Path) -> None:
-    plan, bench = planned(LOADED, tmp_path, first_pass=True)
-    low, whole = predicted_peaks(plan, bench, MODEL)
-    assert (low.stage, low.part, whole.part) == ("heavy", "first pass", "stage")
-    assert (low.torque_limit_N_m, low.current_limit_A) == (0.75 * 75.0, 0.75 * 25.0)
-    assert (whole.torque_limit_N_m, whole.current_limit_A) == (75.0, 25.0)
-    assert whole.current_A == pytest.approx(whole.torque_N_m / 3.0)
-    assert whole.torque_N_m >= P["Ms"] + 20 * PER_KG * P["mu_s"]
 
 
 def test_the_moves_to_each_part_are_known(tmp_path: Path) -> None:
@@ -127,11 +111,6 @@ def test_the_moves_to_each_part_are_known(tmp_path: Path) -> None:
     assert max(speeds) <= plan.approach_speed * (1 + 1e-6)
 
 
-def test_a_bench_on_a_serial_line_is_judged_by_its_cut_limits(tmp_path: Path) -> None:
-    plan, bench = planned(LOADED, tmp_path, bench="practical_serial")
-    assert {peak.torque_limit_N_m for peak in predicted_peaks(plan, bench, MODEL)} == {45.0}
-
-
 SIMULATED = """\
 sequence: 1
 name: s
@@ -144,26 +123,15 @@ stages:
 """
 
 
-@pytest.mark.parametrize("bench", ["practical", "practical_soft"])
-def test_the_simulated_bench_takes_what_was_predicted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: str
-) -> None:
-    """What its loops add where the joint breaks away is not in the prediction: a quarter at the
-    most, here.
-    """
-    monkeypatch.chdir(tmp_path)
+def test_the_simulated_bench_takes_what_was_predicted(elsewhere: Path) -> None:
+    """What its loops add where the joint breaks away is not in the prediction."""
     Path("s.yaml").write_text(SIMULATED)
-    document = load_bench(bench)
-    if bench == "practical_soft":
-        Path("s.yaml").write_text(
-            "\n".join(line for line in SIMULATED.splitlines() if "quick" not in line)
-        )
+    document = load_bench("practical")
     plan = make_plan(load_sequence("s.yaml"), document)
     model = friction_model(bench_constants(document.value))
-    predicted = {
-        peak.stage: peak.torque_N_m for peak in predicted_peaks(plan, document.value, model)
-    }
-    assert status(["run", "s.yaml", "--bench", bench, "--yes", "--out", "run"]) == 0
+    peaks = predicted_peaks(plan, document.value, model)
+    predicted = {peak.stage: peak.torque_N_m for peak in peaks}
+    assert status(["run", "s.yaml", "--yes", "--out", "run"]) == 0
     for recording in load_run(Path("run")).recordings:
         taken = 3.0 * float(np.max(np.abs(recording.channels["current"])))
         assert 0.8 < taken / predicted[recording.name.partition("[")[0]] < 1.25, recording.name

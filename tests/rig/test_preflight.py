@@ -1,6 +1,4 @@
-"""What a run refuses, `rig check` and `rig run --dry-run` report: the same, once, in the same
-words.
-"""
+"""What a run refuses, `rig check` and `rig run --dry-run` report in the same words."""
 
 from __future__ import annotations
 
@@ -13,29 +11,26 @@ from typing import Any
 import pytest
 
 import rig.wiring.connect
-from drivers.interfaces import Lacks, RawFrame, ServoLimits
+from drivers.interfaces import RawFrame, ServoLimits
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.canopen.dictionary import key
-from rig.cli.entry import status
-from rig.common.errors import Cause, Finding, refusals, verdict, warnings
+from rig.cli.entry import BAD_INPUT, status
+from rig.common.errors import Cause, InputError
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.configuration import names
+from rig.config.sequence import load_sequence
+from rig.control.attendance import kept_awake, require_attendance
 from rig.control.operator import AutomaticOperator, StopButton
 from rig.control.session import execute
+from rig.planning.plan import Plan, make_plan
 from rig.runs.run_record import Ending
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.wiring.preflight import bench_findings, device_findings
 
-from .benches import variant
+from .benches import stages, swing, variant
 
-SEQUENCE = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+SEQUENCE = stages(swing())
 TODAY = utc_now().date()
 
 
@@ -87,32 +82,14 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
             [("servo: {node: 1", "servo: {node: 127")],
             "servo.node: 127 is also the node identifier of this program's own",
         ),
-        (
-            [("encoder: {node: 2", "encoder: {node: 127")],
-            "encoder.node: 127 is also the node identifier of this program's",
-        ),
         ([("servo: {", "servo: {eds: none.eds, ")], "servo.eds: EDS file "),
-        ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
         (
             [("servo: {", "servo: {eds: poor.eds, ")],
             "servo.eds: object 6061h:00h is not in the device's EDS; every run needs this object, "
             "because it shows",
         ),
-        (
-            [("servo: {", "servo: {eds: encoder.eds, ")],
-            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs this object, "
-            "because it switches",
-        ),
     ],
-    ids=[
-        "same node",
-        "master is servo",
-        "master is encoder",
-        "no EDS",
-        "no EDS file",
-        "object missing",
-        "wrong device",
-    ],
+    ids=["same node", "master is servo", "no EDS", "object missing"],
 )
 def test_a_bench_that_cannot_be_connected_to_is_bad_input(
     tmp_path: Path, outcomes: Any, changes: list[tuple[str, str]], words: str
@@ -157,52 +134,23 @@ def test_a_real_device_without_its_file_and_others_are_found_at_once(tmp_path: P
     assert [finding.text.split(": ")[1] for finding in found] == ["servo.eds", "encoder.eds"]
 
 
-@pytest.mark.parametrize(("due", "good"), [("2001-01-31", False), ("2999-01-31", True)])
-def test_an_overdue_calibration_is_named_and_not_the_drive(
-    tmp_path: Path, outcomes: Any, due: str, good: bool
-) -> None:
+def test_an_overdue_calibration_is_named_and_not_the_drive(tmp_path: Path, outcomes: Any) -> None:
     bench = variant(tmp_path)
-    bench.write_text(
-        f"{bench.read_text()}calibrations: [{{device: lever, id: L-2, due: "
-        f'"{due}"}}]\noverdue_calibration: refuse\n'
-    )
+    overdue = 'calibrations: [{device: lever, id: L-2, due: "2001-01-31"}]'
+    bench.write_text(f"{bench.read_text()}{overdue}\noverdue_calibration: refuse\n")
     found = outcomes(bench)
-    assert [found[name][0] for name in ("dry", "check", "run")] == (
-        [0, 0, 0] if good else [2, 1, 2]
-    )
+    assert [found[name][0] for name in ("dry", "check", "run")] == [2, 1, 2]
     shown = found["check"][1]
-    assert "state of the drive: switch on disabled\n" in shown
-    if good:
-        return
     (problem,) = problems(shown)
     assert problem in found["run"][1]
     assert problem in found["dry"][1]
     assert shown.splitlines()[-1] == "verdict: NOT good: a run would refuse, because of calibration"
 
 
-UNSTABLE = ("current_gain_V_A: 5\n", "current_gain_V_A: 60\n")
-
-
-def test_an_unstable_simulated_drive_is_named_instead_of_a_jam(
-    tmp_path: Path, outcomes: Any
-) -> None:
-    found = outcomes(variant(tmp_path, UNSTABLE))
-    assert [found[name][0] for name in ("dry", "check", "run")] == [2, 1, 2]
-    (problem,) = problems(found["check"][1])
-    assert (
-        "mock.loops.current_gain_V_A: with 0.00132 H and 1.56 ohm at 20000 Hz the current loop of "
-        "the" in problem
-    )
-    assert problem in found["run"][1]
-    assert found["check"][1].splitlines()[-1].endswith("because of simulated drive")
-
-
 Tamper = Callable[[SimulatedBench], None]
 
 
 def tampered(monkeypatch: pytest.MonkeyPatch, tamper: Tamper) -> None:
-    """Have every simulated bench changed before it is connected to."""
-
     def made(*arguments: Any) -> SimulatedBench:
         bench = simulated_bench(*arguments)
         tamper(bench)
@@ -229,36 +177,16 @@ def alarmed(bench: SimulatedBench) -> None:
     ("changes", "tamper", "cause"),
     [
         ([], lambda bench: rates(bench, 0x6075, 10_000), Cause.DRIVE),
-        ([], lambda bench: rates(bench, 0x6076, 500), Cause.DRIVE),
-        (
-            [("counts_per_motor_turn: 4096, sign", "counts_per_motor_turn: 4000, sign")],
-            None,
-            Cause.DRIVE,
-        ),
         (
             [("node: 2, counts_per_turn: 262144", "node: 2, counts_per_turn: 4096")],
             None,
             Cause.ENCODER,
         ),
-        ([("servo: {", "servo: {temperature_object: [0x2100, 1], ")], None, None),
         ([("servo: {", "servo: {temperature_object: [0x2555, 0], ")], None, None),
         ([], alarmed, Cause.ENCODER),
         ([], looser_than_own, Cause.LIMITS),
         ([], lambda bench: bench.drive.fail(0x3220), Cause.STATE),
-        ([("current_A: 25\n  following", "current_A: 1000\n  following")], None, Cause.LIMITS),
         ([("servo: {", "servo: {velocity_unit_rad_s: 1.0e-12, ")], None, Cause.LIMITS),
-    ],
-    ids=[
-        *(
-            "rated current",
-            "rated torque",
-            "motor counts",
-            "encoder counts",
-            "no such member",
-            "no such object",
-            "encoder alarm",
-        ),
-        *("looser", "fault", "looser in the file", "does not fit"),
     ],
 )
 def test_what_devices_refuse_is_reported_once_in_the_words_of_the_run(
@@ -301,23 +229,7 @@ def test_a_drive_under_power_is_refused_in_the_words_of_the_run() -> None:
     assert finding.cause is Cause.STATE
 
 
-@pytest.mark.parametrize(("asked", "count"), [(False, 1), (True, 0)])
-def test_a_fault_that_may_be_cleared_is_no_refusal(
-    monkeypatch: pytest.MonkeyPatch, asked: bool, count: int
-) -> None:
-    tampered(monkeypatch, lambda bench: bench.drive.fail(0x3220))
-    with connect(load_bench("practical"), 0, realtime=False) as devices:
-        found = list(
-            device_findings(devices, devices.servo.read_limits(), 0.001, reset_fault=asked)
-        )
-    assert len(found) == count
-    assert all("DC link under-voltage" in finding.text for finding in found)
-    assert all("clear the fault with --reset-fault" in finding.text for finding in found)
-
-
-@pytest.mark.parametrize(
-    "name", ["practical", "practical_hot", "practical_serial", "practical_dbc"]
-)
+@pytest.mark.parametrize("name", ["practical", "practical_serial", "practical_dbc"])
 def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     frames: list[RawFrame] = []
     powered: list[bool] = []
@@ -383,48 +295,88 @@ def test_a_real_bench_is_refused_before_a_weight_is_asked_for(
         assert bench.calls["enable"] == 0
 
 
-def test_what_the_encoder_does_not_report_is_said_before_a_weight_is_asked_for(
-    runner: Any, fake_bench: Any
-) -> None:
-    said = []
-
-    class Told(AutomaticOperator):
-        def tell(self, words: str, typed: str = "") -> None:
-            said.append(words)
-
-        def confirm_weight(self, stage: str, weight_kg: float) -> float:
-            said.append("prompt")
-            return weight_kg
-
-    devices = dataclasses.replace(fake_bench().devices(), hang=None)
-    words = ("joint encoder: not monitored: alarms (6503h)",)
-    devices.encoder.lacks = lambda cycle_s: Lacks(words=words)
-    runner.folder.mkdir()
-    arguments = Told(), StopButton(), lambda *_: None
-    execute(runner.inputs, runner.plan, devices, runner.folder, *arguments)
-    assert said.index("warning: joint encoder: not monitored: alarms (6503h)") == 0
-    assert said.count("warning: joint encoder: not monitored: alarms (6503h)") == 1
-    assert "prompt" in said
-
-
 def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bench = variant(tmp_path, ("encoder: {node: 2", "encoder: {node: 1"))
     assert status(["jog", str(bench), "--to", "1"]) == 2
     assert "encoder.node: 1 is also the node identifier of the servo" in capsys.readouterr().err
 
 
-def test_a_verdict_names_each_cause_once() -> None:
-    found = [
-        Finding(Cause.LIMITS, "a"),
-        Finding(Cause.CALIBRATION, "b"),
-        Finding(Cause.LIMITS, "c"),
-        Finding(Cause.STATE, "d"),
-        Finding(Cause.CONSTANTS, "e", refused=False),
-    ]
-    assert (
-        verdict(found)
-        == "NOT good: a run would refuse, because of limits, calibration and state of the drive"
-    )
-    assert refusals(found) == ["a", "b", "c", "d"]
-    assert warnings(found) == ["e"]
-    assert verdict(found[-1:]) == "good: a run would start"
+EMPTY = """\
+sequence: 1
+name: one
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 3}
+"""
+HEAVY = EMPTY + (
+    "  - {name: heavy, stage: loaded, weight_kg: 5, duration_s: 3,\n"
+    "     tones: [{amplitude_deg: 5, frequency_Hz: 2}]}\n"
+)
+REAL = ("interface: mock", "interface: virtual")
+
+
+def planned(folder: Path, text: str) -> Plan:
+    path = folder / "sequence.yaml"
+    path.write_text(text)
+    return make_plan(load_sequence(path), load_bench("practical"))
+
+
+@pytest.mark.parametrize(("yes", "terminal"), [(True, True), (False, False)])
+def test_weights_and_nobody_to_ask_on_a_real_bench_are_refused(
+    tmp_path: Path, yes: bool, terminal: bool
+) -> None:
+    bench = load_bench(variant(tmp_path, REAL))
+    reason = "--yes would answer" if yes else "no terminal for the prompts"
+    with pytest.raises(InputError, match=rf"{reason}.* stages heavy have weights.*without --yes"):
+        require_attendance(planned(tmp_path, HEAVY), bench, yes, terminal)
+
+
+def test_who_can_be_asked_or_needs_no_asking_may_run(tmp_path: Path) -> None:
+    heavy, empty = planned(tmp_path, HEAVY), planned(tmp_path, EMPTY)
+    real = load_bench(variant(tmp_path, REAL))
+    require_attendance(heavy, real, yes=False, terminal=True)
+    require_attendance(empty, real, yes=True, terminal=False)
+    require_attendance(heavy, load_bench("practical"), yes=True, terminal=False)
+    hoist = variant(tmp_path, REAL, ("\nbus:", "\nweights_hung_by: hoist\nbus:"))
+    require_attendance(heavy, load_bench(hoist), yes=True, terminal=False)
+
+
+def test_weights_and_yes_on_a_real_bench_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planned(tmp_path, HEAVY)
+    servo = ("\nservo: {", f"\nservo: {{eds: {DRIVE_EDS}, ")
+    encoder = ("\nencoder: {", f"\nencoder: {{eds: {ENCODER_EDS}, ")
+    bench, out = variant(tmp_path, REAL, servo, encoder), tmp_path / "run"
+    sequence = str(tmp_path / "sequence.yaml")
+    arguments = ["run", sequence, "--bench", str(bench), "--yes", "--out", str(out)]
+    assert status(arguments) == BAD_INPUT
+    assert "--yes would answer the weight prompts" in capsys.readouterr().err
+    assert not out.exists()
+
+
+INHIBIT = """#!/bin/sh
+[ -z "$REFUSED" ] || exit 1
+while [ "${1#--}" != "$1" ]; do shift; done
+exec "$@"
+"""
+
+
+@pytest.mark.parametrize(
+    ("installed", "refused", "why"),
+    [
+        (True, "", ""),
+        (True, "1", "systemd-inhibit is refused"),
+        (False, "", "systemd-inhibit is not installed"),
+    ],
+)
+def test_the_computer_is_kept_awake_where_the_system_permits_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, installed: bool, refused: str, why: str
+) -> None:
+    if installed:
+        tool = tmp_path / "systemd-inhibit"
+        tool.write_text(INHIBIT)
+        tool.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin" if installed else str(tmp_path))
+    monkeypatch.setenv("REFUSED", refused)
+    with kept_awake("rig run") as reason:
+        assert reason == why

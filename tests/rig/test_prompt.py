@@ -1,6 +1,4 @@
-"""Prompts: what was typed before the question does not answer it; the end of input, patience and
-Ctrl-C end it.
-"""
+"""Prompts: what was typed before the question does not answer it."""
 
 from __future__ import annotations
 
@@ -21,8 +19,6 @@ from rig.terminal.stop_button import STOP_SIGNALS, OperatorStopError, StopButton
 
 
 class Pipe:
-    """Standard input from a pipe."""
-
     def __init__(self) -> None:
         self.reading, self.writing = os.pipe()
         self.stream = os.fdopen(self.reading, "r", encoding="utf-8")
@@ -42,13 +38,6 @@ def pipe() -> Iterator[Pipe]:
 def silent() -> Screen:
     with open(os.devnull, "w", encoding="utf-8") as nothing:
         return Screen(SimulatedClock(), nothing, nothing)
-
-
-def test_lines_from_a_pipe_are_answers_in_order(pipe: Pipe) -> None:
-    prompt = Prompt(silent(), pipe.stream)
-    pipe.type("30.6\n repeat \nhalf")
-    assert prompt.ask("Mass: ") == "30.6"
-    assert prompt.ask("Mass: ") == "repeat"
 
 
 def test_the_end_of_the_input_is_said(pipe: Pipe) -> None:
@@ -80,15 +69,6 @@ def test_what_was_typed_before_the_question_does_not_answer_it() -> None:
     os.close(master)
 
 
-def test_a_terminal_that_hung_up_has_ended() -> None:
-    master, slave = os.openpty()
-    with os.fdopen(slave, "r", encoding="utf-8") as stream:
-        prompt = Prompt(silent(), stream)
-        os.close(master)
-        with pytest.raises(InputEndedError):
-            prompt.ask("Mass: ")
-
-
 def test_without_an_input_there_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(InputEndedError):
@@ -110,8 +90,7 @@ def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
     )
     prompt = Prompt(silent(), pipe.stream, patience_s=60.0, clock=Impatient())
     with pytest.raises(
-        OperatorStopError,
-        match="nobody answered the prompt within 60 s; continue with",
+        OperatorStopError, match="nobody answered the prompt within 60 s; continue with"
     ):
         prompt.ask("Mass: ")
     waited = [wait for wait in waits if wait]
@@ -150,20 +129,12 @@ def test_every_stop_signal_is_heard_at_the_prompt(
         ("30.6", 30.6),
         ("30,6", 30.6),
         ("30.6 kg", 30.6),
-        ("30.6KG", 30.6),
         ("30600 g", 30.6),
-        (" 0 ", 0.0),
-        (".5", 0.5),
-        ("30.", 30.0),
-        ("+1", 1.0),
         ("-1", -1.0),
         ("", None),
-        ("kg", None),
         ("1e3", None),
-        ("nan", None),
         ("inf", None),
         ("30.6 lb", None),
-        ("3 0", None),
         ("1.2.3", None),
     ],
 )
@@ -172,8 +143,6 @@ def test_masses_as_they_are_typed(text: str, mass: float | None) -> None:
 
 
 class Script:
-    """Answers in order, and notes what was asked and said before each."""
-
     def __init__(self, *answers: str) -> None:
         self.answers = list(answers)
         self.asked: list[str] = []
@@ -184,8 +153,6 @@ class Script:
 
 
 class Told(ConsoleOperator):
-    """Keeps what it says."""
-
     def __init__(self, *answers: str, tolerance: float = 0.005) -> None:
         super().__init__(silent(), Script(*answers), tolerance=tolerance)
         self.told: list[str] = []
@@ -200,14 +167,3 @@ def test_the_planned_mass_is_not_shown_before_an_answer() -> None:
     before, after = operator.told[:1], operator.told[1:]
     assert not any("30.6" in words for words in before)
     assert "29 kg is not the planned 30.6 kg (tolerance 0.153 kg)" in after[0]
-
-
-def test_the_tolerance_is_that_of_the_bench() -> None:
-    assert Told("30.9", "30.6").confirm_weight("heavy", 30.6) == 30.6
-    assert Told("30.9", tolerance=0.01).confirm_weight("heavy", 30.6) == 30.9
-
-
-def test_an_empty_lever_is_confirmed_with_zero() -> None:
-    operator = Told("0.5", "0")
-    assert operator.confirm_weight("empty", 0.0) == 0.0
-    assert "Take every weight off the lever" in operator.told[0]

@@ -1,6 +1,4 @@
-"""Live readings of `rig check`: what is shown, what goes into JSON, and which end a run as soon as
-it begins.
-"""
+"""Live readings of `rig check`: what is shown, and which end a run as soon as it begins."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ from rig.config.serial_bus import UNWATCHED_SHARE
 from rig.control.readings import NOT_AVAILABLE, Readings, reading_findings
 from rig.planning.limits import Limits
 from rig.planning.plan import bench_limits
-from rig.wiring.devices import Watcher, bench_line, watcher, watcher_of
+from rig.wiring.devices import Watcher, bench_line, watcher_of
 
 from .benches import variant
 
@@ -44,45 +42,32 @@ def found(limits: Limits = LIMITS, **changes: float) -> list[str]:
         ("temperature_C", LIMITS.temperature, "motor temperature"),
         ("speed_rad_s", LIMITS.speed, "joint speed"),
         ("current_A", LIMITS.current, "motor current"),
+        ("motor_encoder_at_joint_rad", 0.1 + 0.999 * LIMITS.encoder_disagreement, "encoder "),
+        ("motor_encoder_at_joint_rad", 0.1 - 0.999 * LIMITS.encoder_disagreement, "encoder "),
     ],
 )
 def test_both_sides_of_each_reading(name: str, inside: float, words: str) -> None:
-    outward = -math.inf if inside == LIMITS.supply_min else math.inf
+    outward = -1 if inside in (LIMITS.supply_min, 0.1 - 0.999 * LIMITS.encoder_disagreement) else 1
     assert found(**{name: inside}) == []
-    (text,) = found(**{name: math.nextafter(inside, outward)})
-    assert text.startswith(f"{words} ")
-    assert " at 0.000 s" not in text
-    assert "; " in text
+    (text,) = found(**{name: inside + outward * 2e-3 * abs(inside)})
+    assert text.startswith(words)
 
 
 @pytest.mark.parametrize("end", ["angle_min", "angle_max"])
 def test_both_ends_of_the_angle(end: str) -> None:
-    limit = getattr(LIMITS, end)
-    inside, outside = (
-        math.nextafter(limit, sign * math.copysign(math.inf, limit)) for sign in (-1, 1)
-    )
-    assert found(joint_encoder_rad=inside, motor_encoder_at_joint_rad=inside) == []
-    (text,) = found(joint_encoder_rad=outside, motor_encoder_at_joint_rad=outside)
-    assert text.startswith("joint angle ")
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_both_sides_of_the_encoders_difference(sign: float) -> None:
-    limit = LIMITS.encoder_disagreement
-    assert found(motor_encoder_at_joint_rad=0.1 + sign * limit * 0.999) == []
-    (text,) = found(motor_encoder_at_joint_rad=0.1 + sign * limit * 1.001)
-    assert text.startswith("encoder against drive ")
+    for share, count in ((0.999, 0), (1.001, 1)):
+        at = share * getattr(LIMITS, end)
+        texts = found(joint_encoder_rad=at, motor_encoder_at_joint_rad=at)
+        assert [text.startswith("joint angle ") for text in texts] == [True] * count
 
 
 def test_both_sides_of_the_pressure() -> None:
     gas = HOT.gas
     assert gas is not None
     anywhere = dataclasses.replace(HOT, gas=dataclasses.replace(gas, contact_force=math.inf))
-    at_limit = dataclasses.replace(CALM, pressure_Pa=gas.pressure)
-    assert list(reading_findings(at_limit, anywhere)) == []
-    above = dataclasses.replace(at_limit, pressure_Pa=math.nextafter(gas.pressure, math.inf))
-    (finding,) = reading_findings(above, anywhere)
-    assert finding.text.startswith("chamber pressure ")
+    for share, count in ((1.0, 0), (1.001, 1)):
+        readings = dataclasses.replace(CALM, pressure_Pa=share * gas.pressure)
+        assert len(list(reading_findings(readings, anywhere))) == count
 
 
 @pytest.mark.parametrize("angle", [-0.1, 0.1, math.nan])
@@ -103,17 +88,7 @@ def test_both_sides_of_the_force_that_the_pressure_makes_where_the_valve_is(angl
         ] == [True] * count
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "motor_encoder_at_joint_rad",
-        "joint_encoder_rad",
-        "speed_rad_s",
-        "current_A",
-        "supply_V",
-        "temperature_C",
-    ],
-)
+@pytest.mark.parametrize("name", ["joint_encoder_rad", "speed_rad_s", "current_A", "temperature_C"])
 def test_what_is_not_available_is_shown_so_and_not_judged(name: str) -> None:
     readings = dataclasses.replace(CALM, **{name: math.nan})
     assert list(reading_findings(readings, LIMITS)) == []
@@ -125,9 +100,7 @@ def test_what_is_not_available_is_shown_so_and_not_judged(name: str) -> None:
 
 
 def moved(*arguments: Any) -> SimulatedBench:
-    """Return a simulated bench whose joint stands elsewhere, with a coupling that has slipped a
-    little.
-    """
+    """Return a simulated bench whose joint stands elsewhere, by a coupling that slipped."""
     bench = simulated_bench(*arguments)
     bench.encoder.distort = lambda counts: counts + 728  # one degree
     return bench
@@ -139,56 +112,17 @@ def test_check_shows_what_the_bench_shows(
     monkeypatch.setattr(rig.wiring.connect, "simulated_bench", moved)
     path = variant(tmp_path, ("supply_V: 60", "supply_V: 40"))
     assert status(["check", str(path), "--json", str(tmp_path / "c.json")]) == 1
-    shown = capsys.readouterr().out
-    lines = shown.splitlines()
+    lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"simulated bench practical ({path})"
-    assert lines[-1] == "verdict: NOT good: a run would refuse, because of readings"
-    assert "state of the drive: switch on disabled" in lines
     rows = {line.split("  ")[0]: line.split()[-2:] for line in lines}
-    assert rows["joint encoder"] == ["1.000", "deg"]
     assert rows["difference of the two"] == ["-1.000", "deg"]
     assert rows["supply voltage"] == ["40.0", "V"]
-    assert "problem: DC link voltage 40 V is beyond its limit 48 V; check the supply and" in shown
     record = json.loads((tmp_path / "c.json").read_text())
     readings = record["readings"]
-    assert readings["supply_V"] == 40.0
     assert readings["joint_encoder_rad"] == pytest.approx(math.radians(1), abs=1e-4)
-    assert (
-        readings["motor_encoder_at_joint_rad"]
-        == readings["speed_rad_s"]
-        == readings["current_A"]
-        == 0.0
-    )
+    assert [readings[key] for key in ("supply_V", "speed_rad_s", "current_A")] == [40.0, 0.0, 0.0]
     assert (record["real"], record["good"], record["causes"]) == (False, False, ["readings"])
-    assert (record["watched_by"], record["watch_s"], record["bench_file"]) == (
-        "drive",
-        0.1,
-        str(path),
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "reading", "unit"),
-    [("practical_hot", "chamber pressure", "MPa"), ("practical_serial", "joint encoder", "deg")],
-)
-def test_every_kind_of_bench_is_read(
-    name: str, reading: str, unit: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert status(["check", name]) == 0
-    (line,) = [
-        line for line in capsys.readouterr().out.splitlines() if line.startswith(f"{reading}  ")
-    ]
-    assert line.endswith(unit)
-
-
-def test_a_drive_that_says_its_speed_only_when_commanded(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert status(["check", "practical_dbc"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split("  ")[-1].strip() for line in lines if line.startswith("joint speed ")] == [
-        NOT_AVAILABLE
-    ]
+    assert (record["watched_by"], record["watch_s"]) == ("drive", 0.1)
 
 
 REAL = ("interface: mock", "interface: virtual, channel: nobody")
@@ -203,10 +137,8 @@ UNWATCHED = ("watchdog_ms: 100", "watchdog_ms: null")
     ("source", "changes", "real", "watch"),
     [
         ("practical", (), False, Watcher("drive", 0.1)),
-        ("practical", (REAL,), True, Watcher("drive", 0.1)),
         ("practical_serial", (), False, Watcher("nobody")),
         ("practical_serial", SERIAL, True, Watcher("guardian", 0.2)),
-        ("practical_dbc", (), False, Watcher("drive", 0.1)),
         ("practical_dbc", (UNWATCHED,), False, Watcher("nobody")),
     ],
 )
@@ -222,19 +154,3 @@ def test_the_first_line_says_real_in_capitals_and_the_file_says_who_watches(
     assert ("200 ms" in watch.words) is (watch.kind == "guardian")
     share = 1.0 if watch.kind == "drive" else UNWATCHED_SHARE
     assert document.value.limits.torque_N_m == pytest.approx(share * 75.0)
-
-
-@pytest.mark.parametrize(
-    ("watchdog", "guard", "expected"),
-    [
-        (True, None, Watcher("drive", 0.1)),
-        (False, object(), Watcher("guardian", 0.2)),
-        (False, None, Watcher("nobody")),
-    ],
-)
-def test_who_watches_a_connected_bench(
-    fake_bench: Any, watchdog: bool, guard: Any, expected: Watcher
-) -> None:
-    bench = fake_bench()
-    bench.has_watchdog, bench.watch_s = watchdog, 0.1
-    assert watcher(dataclasses.replace(bench.devices(), guard=guard)) == expected

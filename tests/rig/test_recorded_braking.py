@@ -1,6 +1,4 @@
-"""The recording contains the ramp of the drive also after another device was lost, or after a
-fault.
-"""
+"""The recording contains the ramp of the drive also after another device was lost."""
 
 from __future__ import annotations
 
@@ -20,13 +18,13 @@ from rig.common.sample import Sample
 from rig.control.cycle import Cycle
 from rig.terminal.stop_button import StopButton
 from rig.wiring.devices import Devices
-from rig.wiring.teardown import make_safe
 from tests.drivers.dbc_host import enabled as enabled_dbc
 from tests.drivers.dbc_host import make_dbc_host
 from tests.drivers.host import enabled, make_host
 from tests.drivers.serial_host import make_serial_host
 from tests.drivers.test_servo import LIMITS as DRIVE_LIMITS
 
+from .drives import stopped_by_ramp
 from .test_cycle import LIMITS
 
 Make = Callable[[], tuple[Any, Callable[[Any], None]]]
@@ -66,8 +64,6 @@ def on_serial() -> tuple[Any, Callable[[Any], None]]:
 
 
 class Recorder:
-    """Keeps the samples."""
-
     def __init__(self) -> None:
         self.samples: list[Sample] = []
 
@@ -80,15 +76,9 @@ def stopped(host: Any) -> list[Sample]:
     recorder, cycle_ns = Recorder(), round(host.cycle_s * NS)
     devices = Devices(host.link, host.servo, host.encoder, lambda mass: None)
     cycle = Cycle(LIMITS, cycle_ns, devices, recorder, StopButton(), lambda *_: None)
-    safe = make_safe(
-        host.servo,
-        cycle.watch,
-        host.link.clock,
-        cycle_ns,
-        brake=True,
-        hurry=lambda: False,
-        watched=host.link.has_watchdog,
-        insistent=not host.link.has_watchdog,
+    watched = host.link.has_watchdog
+    safe = stopped_by_ramp(
+        host.servo, cycle.watch, host.link.clock, cycle_ns, watched=watched, insistent=not watched
     )
     host.link.close()
     assert safe.verified

@@ -1,6 +1,4 @@
-"""``rig resume``: into the same folder, at the first unfinished stage, after a stop, a trip or a
-crash.
-"""
+"""``rig resume``: into the same folder, at the first unfinished stage."""
 
 from __future__ import annotations
 
@@ -15,25 +13,15 @@ import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import status
-from rig.common.errors import StorageError
 from rig.config.configuration import resolve
 from rig.control.remote import RunProgress
-from rig.results.acceptance import certificate
-from rig.results.document import Document
 from rig.runs.mcap.reader import read_run
-from rig.runs.recorder import Recorder
 from rig.runs.run import load_run, read_record
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
 
-STAGES = """\
-sequence: 1
-name: three
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05, repeats: 2}
-  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
+from .benches import stages, swing
+
+STAGES = stages(swing("a", more=", repeats: 2"), swing("b", weight_kg=10))
 
 
 @pytest.fixture(autouse=True)
@@ -47,8 +35,6 @@ def start(*options: str) -> int:
 
 
 def stop_in(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
-    """Press the button when the progress display hears of a stage."""
-
     def press(self: RunProgress, name: str, *rest: Any) -> None:
         if name == stage:
             raise KeyboardInterrupt
@@ -70,7 +56,6 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def stopped(once: Path) -> None:
-    """Put a copy of the stopped run into the present folder."""
     shutil.copytree(once / "out", "out")
     record = Path("out/run.json")
     text = record.read_text().replace(str(once / "three.yaml"), str(Path("three.yaml").resolve()))
@@ -78,33 +63,9 @@ def stopped(once: Path) -> None:
 
 
 @pytest.mark.usefixtures("stopped")
-def test_the_time_left_does_not_count_stages_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    left: dict[str, float] = {}
-    advance = RunProgress.__call__
-
-    def note(self: RunProgress, name: str, *rest: Any) -> None:
-        left.setdefault(name, self.left_s)
-        advance(self, name, *rest)
-
-    with monkeypatch.context() as context:
-        context.setattr(RunProgress, "__call__", note)
-        assert status(["run", "three.yaml", "--yes", "--out", "whole"]) == 0
-    whole = dict(left)
-    left.clear()
-    monkeypatch.setattr(RunProgress, "__call__", note)
-    assert status(["resume", "out", "--yes"]) == 0
-    assert "a" not in left
-    assert left["b"] == pytest.approx(whole["b"], rel=0.2)
-    assert left["b"] < 0.8 * whole["a"]
-
-
-@pytest.mark.usefixtures("stopped")
-def test_a_stopped_run_goes_on_at_its_stage(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stopped_run_goes_on_at_its_stage() -> None:
     first = Path("out/recording.mcap").read_bytes()
     assert status(["resume", "out", "--yes", "--operator", "Bob", "--json", "copy.json"]) == 0
-    assert "three: 1 of 2 stages done; stopped: " in capsys.readouterr().out
     assert Path("out/recording.mcap").read_bytes() == first
     record = read_record(Path("out"))
     assert record.state == "done"
@@ -142,17 +103,6 @@ def crash(part: str, keep: float) -> None:
 
 
 @pytest.mark.usefixtures("stopped")
-def test_a_run_that_died_is_mended_and_goes_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    crash("recording.mcap", 0.9)
-    assert status(["resume", "out", "--yes"]) == 0
-    assert "recording.mcap: whole up to byte" in capsys.readouterr().out
-    assert Path("out/recording.damaged.mcap").exists()
-    assert [r.name for r in load_run(Path("out")).recordings] == ["a[1]", "a[2]", "b"]
-
-
-@pytest.mark.usefixtures("stopped")
 def test_a_resumed_run_that_died_is_mended_too(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as context:
         stop_in(context, "b")
@@ -166,46 +116,32 @@ def test_a_resumed_run_that_died_is_mended_too(monkeypatch: pytest.MonkeyPatch) 
     assert len(load_run(Path("out")).recordings) == 3
 
 
-@pytest.mark.parametrize("left", ["nothing", "an empty file"])
 @pytest.mark.usefixtures("stopped")
-def test_a_part_that_never_began_is_forgotten(monkeypatch: pytest.MonkeyPatch, left: str) -> None:
+def test_a_part_that_never_began_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as context:
         stop_in(context, "b")
         assert status(["resume", "out", "--yes"]) == 3
     crash("recording-2.mcap", 0.0)
-    if left == "nothing":
-        Path("out/recording-2.mcap").unlink()
+    Path("out/recording-2.mcap").unlink()
     assert status(["resume", "out", "--yes"]) == 0
-    assert [p.file for p in read_record(Path("out")).parts] == [
-        "recording.mcap",
-        "recording-2.mcap",
-    ]
+    files = [part.file for part in read_record(Path("out")).parts]
+    assert files == ["recording.mcap", "recording-2.mcap"]
 
 
-def test_a_finished_run_has_nothing_to_go_on_with(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_finished_run_has_nothing_to_go_on_with() -> None:
     assert start() == 0
     before = Path("out/run.json").read_bytes()
     assert status(["resume", "out", "--yes"]) == 2
-    assert "all 2 stages are done" in capsys.readouterr().err
     assert Path("out/run.json").read_bytes() == before
 
 
 @pytest.mark.usefixtures("stopped")
-def test_a_changed_sequence_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_changed_sequence_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     Path("three.yaml").write_text(STAGES.replace("weight_kg: 10", "weight_kg: 12"))
     assert status(["resume", "out", "--yes"]) == 2
     assert "three.yaml: changed since out was run with this file" in capsys.readouterr().err
     Path("three.yaml").unlink()
     assert status(["resume", "out", "--yes"]) == 2
-    assert "attached to the recording as sequence.yaml" in capsys.readouterr().err
-
-
-def test_what_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("empty").mkdir()
-    assert status(["resume", "empty"]) == 2
-    assert "recording.mcap: cannot be read" in capsys.readouterr().err
 
 
 def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
@@ -224,22 +160,12 @@ def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
     assert [s.confirmed_kg for s in record.stages] == [0.0, 10.0]
     assert record.parts[0].devices["encoder"]["product_code"] == 0x406
     assert record.warnings == []
-    page = Path("out/run.html").read_text()
-    for words in (
-        "Ann",
-        "C-17",
-        "simulated drive",
-        record.inputs["bench.yaml"]["sha256"],
-        "How late cycles started",
-    ):
-        assert words in page
 
 
 @pytest.mark.parametrize(
     ("bench", "files"),
     [
         ("practical", {"servo.eds": DRIVE_EDS, "encoder.eds": ENCODER_EDS}),
-        ("practical_serial", {"servo.eds": DRIVE_EDS}),
         ("practical_dbc", {"servo.dbc": DRIVE_DBC, "encoder.eds": ENCODER_EDS}),
     ],
 )
@@ -259,46 +185,14 @@ def test_a_recording_says_by_which_device_files_it_was_made(
     assert metadata["encoder"]["name"]
 
 
-def test_a_device_file_that_changed_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copy(DRIVE_EDS, "drive.eds")
-    text = (
-        resolve("practical", "benches").read_text().replace("servo: {", "servo: {eds: drive.eds, ")
+def test_an_overdue_calibration_is_warned_of(capsys: pytest.CaptureFixture[str]) -> None:
+    overdue = (
+        'calibrations: [{device: lever, id: L-2, due: "2001-01-31"}]\noverdue_calibration: warn\n'
     )
-    Path("b.yaml").write_text(text)
-    with monkeypatch.context() as context:
-        stop_in(context, "b")
-        assert start("--bench", str(Path("b.yaml").resolve())) == 3
-    with open("drive.eds", "a") as stream:
-        stream.write("; edited\n")
-    assert status(["resume", "out", "--yes"]) == 2
-    assert "drive.eds: changed since out was run with this file" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])
-def test_an_overdue_calibration(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], rule: str, expected: int
-) -> None:
-    bench = tmp_path / "b.yaml"
-    text = resolve("practical", "benches").read_text()
-    extra = (
-        f'calibrations: [{{device: lever, id: L-2, due: "2001-01-31"}}]\noverdue_calibration: '
-        f"{rule}\n"
-    )
-    bench.write_text(text + extra)
-    assert start("--bench", str(bench)) == expected
-    error = capsys.readouterr().err
-    if rule == "warn":
-        assert "warning: calibration L-2 of lever was due on 2001-01-31" in error
-        assert "(OVERDUE)" in Path("out/run.html").read_text()
-        assert status(["check", str(bench)]) == 0
-        shown = capsys.readouterr().out
-        assert "warning: calibration L-2" in shown
-        assert "verdict: good" in shown
-    else:
-        assert "calibrations[0].due: calibration L-2 of lever is overdue" in error
-        assert not Path("out").exists()
+    Path("b.yaml").write_text(resolve("practical", "benches").read_text() + overdue)
+    assert start("--bench", str(Path("b.yaml").resolve())) == 0
+    assert "warning: calibration L-2 of lever" in capsys.readouterr().err
+    assert "(OVERDUE)" in Path("out/run.html").read_text()
 
 
 def limits(name: str, *lines: str) -> str:
@@ -308,7 +202,6 @@ def limits(name: str, *lines: str) -> str:
 
 
 def judged() -> tuple[str, bool, list[str]]:
-    """Return origin of the limits, verdict and limits of the certificate."""
     found = json.loads(Path("out/acceptance.json").read_text())
     return (
         Path(found["limits"]).name,
@@ -337,104 +230,14 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
 
 
 @pytest.mark.usefixtures("stopped")
-def test_the_certificate_states_a_stop_and_the_continuation(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    made: list[Document] = []
-    write = certificate.certificate_pdf
-    monkeypatch.setattr(
-        certificate, "certificate_pdf", lambda found: made.append(found) or write(found)
-    )
+def test_the_certificate_states_a_stop_and_the_continuation() -> None:
     given = limits("given.yaml", "lost samples < 1")
     resume = ["resume", "out", "--yes", "--operator", "Bob", "--acceptance", given]
     assert status(resume) == 0
-    first, second = read_record(Path("out")).parts
     page = Path("out/certificate.html").read_text()
-    on_paper = "\n".join(certificate.certificate_lines(made[-1]))
-    for shown in (page, on_paper):
-        for words in ("Course of the run", "continued", "Ann", "Bob"):
-            assert words in shown
-        for part in (first, second):
-            assert part.ended is not None
-            assert part.created[:19].replace("T", " ") in shown
-            assert f" to {part.ended[11:19]}" in shown
-    assert "phase excite: stopped by the operator; the drive is de-energised" in page
-    assert "phase excite: stopped by the" in on_paper
-    assert "<dd>1 (stopped); continued 1 time; see Course of the run</dd>" in page
-    html = Path("out/run.html").read_text()
-    assert "<p>stopped: stage b, phase excite: stopped by the operator;" in html
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_certificate_of_a_run_without_a_stop_says_so() -> None:
-    assert start("--acceptance", limits("given.yaml", "lost samples < 1")) == 0
-    page = Path("out/certificate.html").read_text()
-    assert "<dt>interruptions</dt><dd>none</dd>" in page
-    assert "Course of the run" not in page
-
-
-@pytest.mark.usefixtures("stopped")
-def test_a_record_without_the_ends_of_its_recordings_is_read(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    path = Path("out/run.json")
-    raw = json.loads(path.read_text())
-    for name in ("ended", "message"):
-        del raw["parts"][0][name]
-    path.write_text(json.dumps(raw))
-    (part,) = read_record(Path("out")).parts
-    assert (part.ended, part.message) == (None, "")
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.usefixtures("stopped")
-def test_a_run_is_resumed_with_limits_of_its_own(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wrong = limits("wrong.yaml", "Mx: 1..2")
-    assert status(["resume", "out", "--yes", "--acceptance", wrong]) == 2
-    assert "wrong.yaml:3:5" in capsys.readouterr().err
-    assert len(read_record(Path("out")).parts) == 1
-    given = limits("given.yaml", "lost samples < 1")
-    assert status(["resume", "out", "--yes", "--acceptance", given]) == 0
-    assert judged() == ("given.yaml", True, ["lost samples < 1"])
-    assert status(["runs", "accept", "out"]) == 0
-    assert judged() == ("given.yaml", True, ["lost samples < 1"])
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    given = limits("given.yaml", "lost samples < 1")
-
-    def full(*_: object) -> None:
-        raise StorageError("no space left on device")
-
-    with monkeypatch.context() as context:
-        context.setattr(Recorder, "attach", full)
-        assert start("--acceptance", given) == 4
-    changed = limits("given.yaml", "lost samples < 2")
-    assert status(["resume", "out", "--yes"]) == 2
-    assert "give these limits with --acceptance FILE" in capsys.readouterr().err
-    limits(changed, "lost samples < 1")
-    assert status(["resume", "out", "--yes"]) == 0
-    assert judged() == ("given.yaml", True, ["lost samples < 1"])
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("resumed", [False, True])
-def test_a_file_of_limits_that_changes_during_the_run_changes_no_verdict(
-    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, resumed: bool
-) -> None:
-    if resumed:
-        request.getfixturevalue("stopped")
-    given = limits("given.yaml", "current worst < 1 mA")
-
-    def change(*_: Any) -> None:
-        limits("given.yaml", "lost samples < 1")
-
-    monkeypatch.setattr(RunProgress, "__call__", change)
-    options = ("--acceptance", given)
-    assert (status(["resume", "out", "--yes", *options]) if resumed else start(*options)) == 1
-    assert judged() == ("given.yaml", False, ["current worst < 1 mA"])
+    for words in ("Course of the run", "continued", "Ann", "Bob"):
+        assert words in page
+    for part in read_record(Path("out")).parts:
+        assert part.ended is not None
+        assert part.created[:19].replace("T", " ") in page
+        assert f" to {part.ended[11:19]}" in page

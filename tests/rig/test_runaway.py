@@ -38,7 +38,6 @@ stages:
 
 
 def moved(command: str, bench: str, folder: Path) -> int:
-    """Run a command that moves the joint; return its exit status."""
     if command == "jog":
         return status(["jog", bench, "--to", "5", "--json", str(folder / "jog.json")])
     (folder / "probe.yaml").write_text(SEQUENCE)
@@ -62,24 +61,17 @@ def test_a_motion_that_runs_away_is_cut(
     assert found.peak_deg_s < peak_deg_s, found
     assert found.travel_deg < travel_deg, found
     record = tmp_path / ("jog.json" if command == "jog" else "run/run.json")
-    message = json.loads(record.read_text())["message"]
+    assert json.loads(record.read_text())["de_energised"] is True
     assert "two swapped motor phases" in capsys.readouterr().err
-    assert "read back: switch on disabled" in message
 
 
-@pytest.mark.parametrize("cycle_Hz", [250, 100])
 @pytest.mark.parametrize("loop", [*LOOPS, None])
 def test_a_slow_motion_against_the_command_names_the_sign(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop | None, cycle_Hz: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loop: Loop | None
 ) -> None:
-    """A long cycle hides that the speed grows; a right drive with soft gains also trips, in
-    stick-slip.
-    """
+    """A long cycle hides that the speed grows."""
     watch_machines(monkeypatch, loop)
-    changes = (
-        ("cycle_Hz: 1000", f"cycle_Hz: {cycle_Hz}"),
-        ("sample_age_ms: 5", f"sample_age_ms: {5000 / cycle_Hz:g}"),
-    )
+    changes = (("cycle_Hz: 1000", "cycle_Hz: 100"), ("sample_age_ms: 5", "sample_age_ms: 50"))
     bench = variant(tmp_path, *changes, source="practical_soft" if loop is None else "practical")
     file = tmp_path / "jog.json"
     assert status(["jog", str(bench), "--to", "5", "--speed", "2", "--json", str(file)]) == 1
@@ -107,7 +99,9 @@ def test_a_fault_of_the_drive_in_a_motion_against_the_command_names_the_sign(
     assert SIGNS in message
 
 
-@pytest.mark.parametrize(("command", "bench"), MOST)
+@pytest.mark.parametrize(
+    ("command", "bench"), [("jog", "practical_serial"), ("run", "practical_dbc")]
+)
 def test_loops_of_the_right_sign_are_not_cut(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, bench: str
 ) -> None:

@@ -1,11 +1,8 @@
-"""The screen: nothing that a terminal or pipe does can hold it up, and what is shown is
-readable.
-"""
+"""The screen: nothing that a terminal or pipe does can hold it up."""
 
 from __future__ import annotations
 
 import fcntl
-import io
 import os
 import struct
 import termios
@@ -42,7 +39,6 @@ class Terminal:
                 return data.decode()
 
     def stall(self) -> None:
-        """Do what Ctrl-S does."""
         termios.tcflow(self.slave, termios.TCOOFF)
 
     def go_on(self) -> None:
@@ -106,21 +102,6 @@ def test_draining_ends_after_its_patience_in_simulated_time(terminal: Terminal) 
     screen.close()
 
 
-def test_a_pipe_that_nobody_reads_takes_no_time() -> None:
-    reading, writing = os.pipe()
-    stream = os.fdopen(writing, "w", encoding="utf-8")
-    screen = Screen(SimulatedClock(), stream, stream)
-    began = time.monotonic()
-    for _ in range(300):
-        screen.say("x" * 1000)
-    assert time.monotonic() - began < 1.0
-    os.close(reading)
-    screen.say("after the reader is gone")
-    assert isinstance(screen._err.trouble, BrokenPipeError)
-    screen.close()
-    stream.close()
-
-
 def test_a_full_device_is_noted_and_raises_nothing() -> None:
     with open("/dev/full", "w", encoding="utf-8") as full:
         screen = Screen(SimulatedClock(), full, full)
@@ -140,19 +121,6 @@ def test_a_hung_up_terminal_raises_nothing() -> None:
     screen.close()
     terminal.stream.close()
     os.close(terminal.slave)
-
-
-def test_without_streams_nothing_happens() -> None:
-    outlet = Outlet(None)
-    outlet.put("words")
-    assert not outlet.pending
-    assert outlet.trouble is None
-
-
-def test_a_stream_without_descriptor_is_written_as_it_is() -> None:
-    stream = io.StringIO()
-    Screen(SimulatedClock(), stream, stream).say("words")
-    assert stream.getvalue() == "words\n"
 
 
 def test_what_the_encoding_lacks_is_escaped() -> None:
@@ -186,72 +154,6 @@ def test_a_message_takes_the_place_of_the_status_line(terminal: Terminal) -> Non
     screen.close()
 
 
-def test_a_status_line_that_a_narrower_window_broke_is_erased_whole(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.status("x" * 79)
-    terminal.resize(40)
-    screen.say("words")
-    assert terminal.shown().endswith("\r\x1b[1A\x1b[Jwords\n")
-    screen.close()
-
-
-def test_long_lines_break_between_words_and_tables_stay(terminal: Terminal) -> None:
-    terminal.resize(20)
-    screen = on(terminal)
-    screen.say("the drive is de-energised now\na  table  that  is  wider")
-    assert terminal.shown() == "the drive is\nde-energised now\na  table  that  is  wider\n"
-    screen.close()
-
-
-def test_a_message_beside_another_program_begins_a_line_of_its_own(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.share()
-    screen.say("guardian: off")
-    screen.say("more")
-    assert terminal.shown() == "\nguardian: off\n\nmore\n"
-    screen.close()
-    stream = io.StringIO()
-    piped = Screen(SimulatedClock(), io.StringIO(), stream)
-    piped.share()
-    piped.say("guardian: off")
-    assert stream.getvalue() == "guardian: off\n"
-
-
-def test_a_message_after_an_unanswered_prompt_begins_a_line_of_its_own(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.ask("Mass: ")
-    screen.say("stopped")
-    assert terminal.shown() == "Mass: \nstopped\n"
-    screen.ask("Mass: ")
-    screen.answered()
-    screen.say("thank you")
-    assert terminal.shown() == "Mass: thank you\n"
-    screen.close()
-
-
-def test_the_status_line_is_left_out_while_the_terminal_takes_nothing(terminal: Terminal) -> None:
-    clock = SimulatedClock()
-    screen = on(terminal, clock)
-    terminal.stall()
-    screen.say("a message")
-    pending = len(screen._err._pending)
-    clock.sleep_until_ns(10**9)
-    screen.status("busy")
-    assert len(screen._err._pending) == pending
-    screen.close()
-
-
-def test_no_status_line_where_the_output_is_no_terminal() -> None:
-    reading, writing = os.pipe()
-    with os.fdopen(writing, "w", encoding="utf-8") as stream:
-        screen = Screen(SimulatedClock(), stream, stream)
-        assert not screen.has_status
-        screen.status("busy")
-        screen.say("words")
-    assert os.read(reading, 100) == b"words\n"
-    os.close(reading)
-
-
 def echoes(terminal: Terminal) -> bool:
     return bool(termios.tcgetattr(terminal.slave)[3] & termios.ECHO)
 
@@ -270,19 +172,3 @@ def test_keys_are_shown_at_a_prompt_and_after_the_end_and_not_between(terminal: 
     assert terminal.shown() == "mass: \nstopped: by the operator\n"
     screen.close()
     assert echoes(terminal)
-
-
-def test_a_screen_that_was_not_silenced_leaves_the_keys_alone(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.ask("mass: ")
-    screen.listened()
-    screen.close()
-    assert not echoes(terminal)
-
-
-def test_silence_on_what_is_no_terminal_does_nothing() -> None:
-    screen = Screen(SimulatedClock(), io.StringIO(), io.StringIO())
-    screen.silence()
-    screen.ask("mass: ")
-    screen.listened()
-    screen.close()

@@ -44,7 +44,7 @@ def test_a_group_that_no_sequence_splits_has_none() -> None:
     )
 
 
-def test_it_is_sized_by_the_bench(tmp_path: Path) -> None:
+def test_it_is_sized_by_the_bench() -> None:
     bench = load_bench("practical").value
     narrow = bench.model_copy(
         update={"limits": bench.limits.model_copy(update={"angle_max_deg": 10.0})}

@@ -14,14 +14,18 @@ import pytest
 from drivers.clock import NS
 from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
+from rig.common.sample import Phase
 from rig.control.motion_proof import MotionWitness
 from rig.control.operator import AutomaticOperator
+from rig.control.phase_handlers import TRANSITIONS, Event, next_phase
 from rig.runs.mcap.reader import read_run
 from rig.runs.mcap.writer import McapWriter
 from rig.runs.run import load_run, read_record
 from rig.runs.run_record import Ending
-from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.terminal.stop_button import OperatorStopError
 from rig.wiring.devices import Nominal
+
+from .test_cycle import Pacer
 
 
 def throw(error: BaseException) -> Callable[[], None]:
@@ -81,9 +85,6 @@ def test_commands_never_jump(runner: Any, fake_bench: Any) -> None:
     ("change", "words"),
     [
         ({"current_A": 26.0}, "motor current 26 A is beyond its limit 25 A"),
-        ({"velocity_rad_s": -2.2}, "joint speed 2.2 rad/s"),
-        ({"following_error_rad": 0.1}, "following error 0.1 rad"),
-        ({"temperature_C": 81.0}, "motor temperature 81 deg C"),
         ({"current_A": float("nan")}, "motor current nan A"),
     ],
 )
@@ -113,58 +114,29 @@ def test_a_limit_trips_mid_motion(
     [
         ("exchange", 1, LinkError("bus-off")),
         ("exchange", 800, LinkError("bus-off")),
-        ("exchange", 800, DriveFault(0x8611, "following error")),
         ("prepare", 1, StateError("no")),
         ("write_limits", 2, LinkError("no answer")),
-        ("enable", 1, StateError("not reached")),
         ("enable", 2, DriveFault(0x2310, "over-current")),
         ("disable", 1, StateError("still on")),
         ("state", 1, LinkError("no answer")),
+        *(
+            (verb, count, KeyboardInterrupt())
+            for verb, count in (
+                *(("state", 1), ("prepare", 1), ("write_limits", 1), ("enable", 1)),
+                *(("exchange", 1), ("exchange", 300), ("set_target", 900), ("disable", 2)),
+            )
+        ),
     ],
 )
-def test_a_device_error_anywhere(
-    runner: Any, fake_bench: Any, verb: str, count: int, error: Exception
+def test_whatever_a_verb_raises_anywhere(
+    runner: Any, fake_bench: Any, verb: str, count: int, error: BaseException
 ) -> None:
     bench = fake_bench()
     bench.faults[verb, count] = throw(error)
     folder, outcome = runner(bench)
-    assert outcome.ending is Ending.FAILED
+    stopped = isinstance(error, KeyboardInterrupt)
+    assert outcome.ending is (Ending.STOPPED if stopped else Ending.FAILED)
     assert str(error) in outcome.message
-    assert_safe_and_readable(runner, bench, folder, outcome)
-
-
-@pytest.mark.parametrize(
-    ("verb", "count"),
-    [
-        ("state", 1),
-        ("prepare", 1),
-        ("encoder.prepare", 2),
-        ("write_limits", 1),
-        ("enable", 1),
-        ("enable", 2),
-        ("exchange", 1),
-        ("exchange", 30),
-        ("exchange", 300),
-        ("exchange", 1200),
-        ("set_target", 900),
-        ("disable", 1),
-        ("disable", 2),
-    ],
-)
-def test_ctrl_c_anywhere(runner: Any, fake_bench: Any, verb: str, count: int) -> None:
-    bench = fake_bench()
-    bench.faults[verb, count] = throw(KeyboardInterrupt())
-    folder, outcome = runner(bench)
-    assert outcome.ending is Ending.STOPPED
-    assert_safe_and_readable(runner, bench, folder, outcome)
-
-
-def test_the_stop_button_is_seen_within_a_cycle(runner: Any, fake_bench: Any) -> None:
-    bench, stop = fake_bench(), StopButton()
-    bench.faults["exchange", 900] = stop.press
-    folder, outcome = runner(bench, stop=stop)
-    assert outcome.ending is Ending.STOPPED
-    assert len(bench.targets) == 900
     assert_safe_and_readable(runner, bench, folder, outcome)
 
 
@@ -182,17 +154,6 @@ def test_the_operator_gives_up_at_the_second_prompt(runner: Any, fake_bench: Any
     assert [s.state for s in folder.record.stages] == ["done", "stopped"]
     assert_safe_and_readable(runner, bench, folder, outcome)
     assert len(load_run(folder.path).recordings) == 2
-
-
-def test_lost_answers_trip_after_the_sample_age(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: setattr(bench, "fresh", False)
-    folder, outcome = runner(bench)
-    assert outcome.ending is Ending.FAILED
-    assert "sample age" in outcome.message
-    assert folder.record.stale == folder.record.cycles - 699
-    assert np.count_nonzero(read_run(folder.recording).samples["segment"][699:]) == 6
-    assert_safe_and_readable(runner, bench, folder, outcome)
 
 
 def test_a_few_lost_answers_are_left_out_of_the_recording(runner: Any, fake_bench: Any) -> None:
@@ -216,13 +177,11 @@ def test_a_drive_that_drops_out_is_a_device_failure(runner: Any, fake_bench: Any
     assert outcome.safe.verified
 
 
-@pytest.mark.parametrize("nth", [3, 8, 20])
+@pytest.mark.parametrize("nth", [3, 20])
 def test_a_full_disk(
     runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, nth: int
 ) -> None:
-    """Out of space at the n-th flush after the run's head: stopped, safe, and what got through
-    reads back.
-    """
+    """Out of space at the n-th flush after the run's head."""
     flush, calls = McapWriter.flush, itertools.count()
 
     def full(self: McapWriter) -> None:
@@ -235,7 +194,6 @@ def test_a_full_disk(
     folder, outcome = runner(bench)
     assert outcome.ending is Ending.FAILED
     assert "No space left on device" in outcome.message
-    assert "free disk space" in outcome.message
     assert not bench.drive_state.energised
     assert outcome.safe.verified
     log = read_run(folder.recording)
@@ -283,7 +241,6 @@ def test_a_defect_in_the_explanation_does_not_hide_the_state_of_the_drive(
     assert outcome.trip is not None
     assert outcome.safe.verified
     assert "motor current 26 A is beyond its limit" in outcome.message
-    assert "the drive is de-energised" in outcome.message
     assert bench.order[-2:] == ["state", "write_limits"]
     record = read_record(runner.folder)
     assert (record.state, record.de_energised) == ("crashed", True)
@@ -307,73 +264,11 @@ def test_a_drive_that_is_found_under_power_ends_its_ramp(runner: Any, fake_bench
     assert ended == [ServoState.SWITCH_ON_DISABLED]
 
 
-class Pacer:
-    """A real clock that nobody has to wait for."""
-
-    def __init__(self) -> None:
-        self.now = 7_000_000_000
-        self.deadlines: list[int] = []
-
-    def now_ns(self) -> int:
-        return self.now
-
-    def sleep_until_ns(self, deadline_ns: int) -> None:
-        self.now = max(self.now, deadline_ns)
-        self.deadlines.append(deadline_ns)
-
-
-def test_real_time_holds_every_cycle_to_its_instant(runner: Any, fake_bench: Any) -> None:
-    """Prompts and state changes take no simulated time; each stage starts its own real-time
-    grid.
-    """
-    pacer = Pacer()
-    folder, outcome = runner(fake_bench(pacer=pacer))
-    assert outcome.ending is Ending.DONE
-    assert len(pacer.deadlines) == folder.record.cycles
-    assert set(np.diff(pacer.deadlines)) == {1_000_000, 0}
-    assert pacer.deadlines.count(pacer.deadlines[0]) == 1
-
-
-def test_a_cycle_that_is_far_too_late_ends_the_run(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(
-        bench.clock.now_ns() + 30_000_000
-    )
-    folder, outcome = runner(bench)
-    assert outcome.ending is Ending.FAILED
-    assert "lateness of the control cycle 0.0294 s is beyond its limit 0.025 s" in outcome.message
-    assert len(bench.targets) == 701
-    assert_safe_and_readable(runner, bench, folder, outcome)
-
-
-def test_lateness_and_losses_are_counted(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 300] = lambda: bench.clock.sleep_until_ns(
-        bench.clock.now_ns() + 3_500_000
-    )
-    bench.faults["exchange", 700] = lambda: setattr(bench, "fresh", False)
-    bench.faults["exchange", 703] = lambda: setattr(bench, "fresh", True)
-    folder, _ = runner(bench)
-    timing = read_record(folder.path).parts[0].timing
-    late = timing["lateness"]
-    assert sum(late["counts"]) == folder.record.cycles
-    assert (late["counts"][0], late["worst_us"]) == (
-        folder.record.cycles - 1,
-        pytest.approx(2900.0),
-    )
-    assert timing["missed_syncs"] == 2
-    assert (timing["lost_servo"], timing["lost_encoder"]) == (3, 3)
-    assert timing["oldest_sample_s"] == pytest.approx(0.003)
-    assert timing["answer"]["p50_us"] == pytest.approx(400.0, rel=0.01)
-
-
 @pytest.mark.parametrize(("busy_ms", "ending"), [(26, Ending.DONE), (27, Ending.FAILED)])
 def test_lateness_against_real_time_is_counted_and_judged(
     runner: Any, fake_bench: Any, busy_ms: int, ending: Ending
 ) -> None:
-    """A simulated bench that is held to real time is judged by this computer's lateness; its limit
-    is 25 ms.
-    """
+    """A simulated bench that is held to real time is judged by this computer's lateness."""
     pacer = Pacer()
     bench = fake_bench(pacer=pacer)
 
@@ -387,7 +282,50 @@ def test_lateness_against_real_time_is_counted_and_judged(
     assert timing["missed_syncs"] == busy_ms - 1
     assert timing["lateness"]["worst_us"] == pytest.approx(1000.0 * (busy_ms - 1))
     assert folder.record.overruns == 1
-    if ending is Ending.FAILED:
+
+
+TABLE = {
+    ("load", "done"): "prepare",
+    ("load", "repeat stage"): "load",
+    ("prepare", "done"): "enable",
+    ("enable", "done"): "approach",
+    ("enable", "first pass"): "first pass",
+    ("first pass", "done"): "weight check",
+    ("weight check", "done"): "approach",
+    ("weight check", "first pass"): "first pass",
+    ("approach", "done"): "settle",
+    ("settle", "done"): "excite",
+    ("excite", "done"): "hold",
+    ("hold", "next repeat"): "approach",
+    ("hold", "done"): "release",
+    ("release", "done"): "between stages",
+    ("between stages", "next stage"): "load",
+    ("between stages", "repeat stage"): "load",
+    ("between stages", "done"): "finished",
+}
+
+
+def test_every_pair_of_phase_and_event() -> None:
+    for phase, event in itertools.product(Phase, Event):
+        following = TABLE.get((phase.value, event.value))
+        if following is not None:
+            assert next_phase(phase, event) is TRANSITIONS[phase, event] is Phase(following)
+            continue
+        with pytest.raises(ValueError, match="no transition") as caught:
+            next_phase(phase, event)
         assert (
-            "lateness of the control cycle 0.026 s is beyond its limit 0.025 s" in outcome.message
+            str(caught.value)
+            == f"no transition from phase {phase.value!r} on event {event.value!r}"
         )
+
+
+def test_every_way_to_the_end_passes_through_release() -> None:
+    """The drive has power from ENABLE to RELEASE; no way to an end or prompt leaves it out."""
+    seen, waiting = set(), [Phase.ENABLE]
+    while waiting:
+        phase = waiting.pop()
+        if phase in seen or phase is Phase.RELEASE:
+            continue
+        seen.add(phase)
+        waiting += [after for (before, _), after in TRANSITIONS.items() if before is phase]
+    assert not seen & {Phase.LOAD, Phase.PREPARE, Phase.BOUNDARY, Phase.FINISHED}

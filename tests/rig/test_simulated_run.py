@@ -6,19 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from identification.estimate.default import identify
+from identification.model.parameters import NOMINAL
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
 from rig.config.sequence import load_sequence
 from rig.control.session import run_simulated
 
-SHORT = """\
-sequence: 1
-name: short
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1}
-"""
+from .benches import stages, swing
+
+SHORT = stages(swing())
 
 
 @pytest.fixture
@@ -43,3 +41,30 @@ def test_a_run_that_trips_is_an_error(sequence: Path, tmp_path: Path) -> None:
     sequence.write_text(SHORT + "limits: {following_error_deg: 0.01}\n")
     with pytest.raises(InputError, match=r"short on practical: stage empty, .*following error"):
         run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")
+
+
+SINE = """\
+sequence: 1
+name: sine
+stages:
+  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}], duration_s: 8}
+"""
+
+
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.proof) for seed in (2, 3))]
+)
+def test_the_rise_is_found_where_the_equation_error_sees_none(seed: int, tmp_path: Path) -> None:
+    """The first start has no rise and pins no Stribeck speed; the breakaways do."""
+    path = tmp_path / "sine.yaml"
+    path.write_text(SINE)
+    dataset = run_simulated(
+        load_bench("practical_soft"), load_sequence(path), seed, tmp_path / "run"
+    )
+    found = identify(dataset)
+    assert found.warnings == ()
+    bounds = {"Mc": 0.002, "Ms": 0.003, "omega_sf": 0.03, "sigma_2": 0.005, "J": 0.005}
+    for name, bound in bounds.items():
+        value = found.parameters[name].value
+        assert value is not None
+        assert value == pytest.approx(NOMINAL[name], rel=bound), name

@@ -1,6 +1,4 @@
-"""The stop and pause buttons: which signal does what, on a system that lacks some, and what is
-given back.
-"""
+"""The stop and pause buttons: which signal does what, and what is given back."""
 
 from __future__ import annotations
 
@@ -153,12 +151,9 @@ def test_a_pause_is_asked_for_and_taken_back() -> None:
         "the pause",
         "pause cancelled",
     ]
-
-
-def test_a_pause_need_not_be_told() -> None:
-    with StopButton() as stop:
+    with StopButton() as silent:
         signal.raise_signal(signal.SIGUSR1)
-        assert stop.pausing
+        assert silent.pausing
 
 
 def test_only_where_it_is_interruptible_a_stop_interrupts() -> None:

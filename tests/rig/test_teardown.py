@@ -1,6 +1,4 @@
-"""The teardown: whatever a step raises, every later step runs, and the verdict says what was read
-back.
-"""
+"""The teardown: whatever a step raises, every later step runs, and the verdict is read back."""
 
 from __future__ import annotations
 
@@ -15,15 +13,9 @@ from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoMotion, ServoState
 from rig.common.errors import StorageError
-from rig.wiring.teardown import (
-    INSISTENT_ATTEMPTS,
-    SafeState,
-    attempt_all,
-    give_back,
-    make_safe,
-)
+from rig.wiring.teardown import INSISTENT_ATTEMPTS, SafeState, attempt_all, give_back, make_safe
 
-from .drives import FakeDrive
+from .drives import FakeDrive, stopped_by_ramp
 
 CYCLE_NS = 10_000_000
 OFF, ON, BRAKING = (
@@ -59,8 +51,6 @@ EXCEPTIONS = [
 
 
 class Clock(SimulatedClock):
-    """Simulated time of a drive whose verbs raise where they are told to."""
-
     def __init__(self, servo: Servo) -> None:
         super().__init__()
         self._servo = servo
@@ -89,7 +79,6 @@ class Servo(FakeDrive):
         self.clock.sleep_until_ns(self.clock.now_ns() + ns)
 
     def fail(self, verb: str) -> None:
-        """Raise the exception of this verb, if any."""
         if verb in self.raising:
             raise self.raising[verb]()
 
@@ -313,17 +302,8 @@ class Deaf(Servo):
 
 
 def stopped(servo: Any, insistent: bool) -> SafeState:
-    """Make a drive without a watchdog safe."""
-    return make_safe(
-        servo,
-        servo.watch,
-        servo.clock,
-        CYCLE_NS,
-        brake=True,
-        hurry=lambda: False,
-        watched=False,
-        insistent=insistent,
-    )
+    options = {"watched": False, "insistent": insistent}
+    return stopped_by_ramp(servo, servo.watch, servo.clock, CYCLE_NS, **options)
 
 
 @pytest.mark.parametrize(("insistent", "verified"), [(True, True), (False, False)])

