@@ -142,20 +142,6 @@ def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
     assert expected in line
 
 
-def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> None:
-    path = tmp_path / "c.yaml"
-    path.write_text(CONTRACT.replace("1.56", "{value: 1.56, std: 0.2}"))
-    section = load_campaign(path).value.bench
-    assert (section.bench().resistance, section.bench().torque_constant) == (1.56, 0.03)
-    assert section.uncertainties() == {"bench.resistance": 0.2}
-    for wrong, expected in (
-        ("{value: 1.56, std: 0}", "bench.resistance.std: input should be greater than 0"),
-        ("{std: 0.2}", "bench.resistance"),
-    ):
-        (line,) = problems(tmp_path, CONTRACT.replace("1.56", wrong))
-        assert expected in line
-
-
 FILE = "file: a.csv"
 LOADED = f"{FILE}\n    stage: loaded\n    weight_mass: 30.6"
 LINEAR = "bench: {motion: linear, "

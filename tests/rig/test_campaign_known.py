@@ -71,21 +71,6 @@ def test_identify_uses_and_shows_all_of_it(
     assert "hoisted 6 kg" in report
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_diagnose_takes_the_loads_and_says_what_it_takes_as_exact(
-    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert status(["diagnose", str(source), "--out", str(out)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "verdict: nothing missing" in said
-    assert "contain the uncertainty of bench.torque_constant 0.03 +- 0.001" in said
-    assert "does not use the priors of J" in said
-    assert "clock in common" not in said
-    assert "standard deviations apart" not in said
-    assert "files.csv" in inputs_of(out / "diagnose.json")
-
-
 def inputs_of(file: Path) -> set[str]:
     """Return the names of a result's input files."""
     return {Path(one["file"]).name for one in json.loads(file.read_text())["inputs"]}

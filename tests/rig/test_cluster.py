@@ -18,7 +18,7 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import cluster, run
-from rig.results.prove.engine import Processes, bundle, without_place
+from rig.results.prove.engine import Processes, bundle
 from rig.results.prove.interchange import begin_from, diagnose_all, score_all
 from tests.rig import proof_parts
 
@@ -131,23 +131,6 @@ def test_a_campaign_with_files_elsewhere_cannot_travel(sealed: Path) -> None:
         bundle(file)
 
 
-def test_a_record_does_not_say_where_it_was_made(tmp_path: Path) -> None:
-    folder = tmp_path / "rig-0001"
-    record = {"inputs": [{"file": f"{folder}/a.npz"}], "note": f"in {folder}/b.npz: 3", "n": 2}
-    placed = {"inputs": [{"file": "rig-0001/a.npz"}], "note": "in rig-0001/b.npz: 3", "n": 2}
-    assert without_place(record, folder) == placed
-
-
-class Finished:
-    """A future that ends with an error."""
-
-    def __init__(self, error: BaseException) -> None:
-        self._error = error
-
-    def result(self) -> None:
-        raise self._error
-
-
 class Client:
     """A client whose scheduler has no workers, and is gone when a task is cancelled."""
 
@@ -165,19 +148,6 @@ class Client:
 
 
 KEPT = "the scheduler is gone; all finished work is kept"
-
-
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (distributed.scheduler.KilledWorker("trial", None, 3), "3 workers died on one task"),
-        (distributed.CancelledError("trial"), "the scheduler is gone"),
-        (ModuleNotFoundError("No module", name="rig"), "cannot import rig; install this version"),
-    ],
-)
-def test_what_a_cluster_loses_is_said_with_a_remedy(error: BaseException, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        cluster.DaskCluster(None, "--cluster 2")._result(Finished(error))
 
 
 @pytest.mark.parametrize(

@@ -136,28 +136,6 @@ def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arra
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_what_is_printed_has_values_rivals_errors_and_shifts(
-    campaign: Path,
-    tmp_path: Path,
-    found: Arrange,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", 0)
-    found(PLAIN)
-    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out")]) == 0
-    printed = capsys.readouterr().out
-    assert "0.42 deg (0.39 to 0.45)" in printed
-    assert "0 to 0.418 deg" in printed
-    lines = [" ".join(line.split()) for line in printed.splitlines()]
-    assert "backlash compliance 0.03 the lag does not grow with the torque: p = 0.002" in lines
-    assert "torque set aside 0.62 0.09 0.08 N m 20 Hz" in lines
-    assert "Mc 7.1 6.8 -4.23 % N m" in lines
-    assert "J - 0.204 - kg m^2" in lines
-    assert "warning: free: 3 % of the samples are <unused>" in lines
-
-
-@pytest.mark.usefixtures("undrawn")
 def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -195,30 +173,6 @@ def test_the_corrected_model_lies_beside_the_report(
     hidden = load_bench(out / "bench.yaml").value.mock
     assert hidden is not None
     assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_seed_and_bandwidth_reach_the_numerics(
-    campaign: Path, tmp_path: Path, found: Arrange
-) -> None:
-    calls = found(PLAIN)
-    for _ in range(2):
-        assert (
-            status(
-                [
-                    "diagnose",
-                    str(campaign),
-                    "--seed",
-                    "5",
-                    "--bandwidth",
-                    "12",
-                    "--out",
-                    str(tmp_path / "o"),
-                ]
-            )
-            == 0
-        )
-    assert calls[0] == calls[1] == (12.0, np.random.default_rng(5).random())
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
@@ -49,10 +48,6 @@ def drawn(*blocks: Block) -> str:
     return page(Document("A & B", "below", (), (Section("Heading", blocks, "here"),)))
 
 
-def test_every_kind_of_block_is_shown() -> None:
-    assert {type(block) for block in EVERY.values()} == set(get_args(Block))
-
-
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
@@ -74,11 +69,6 @@ def test_running_text_is_wrapped_and_a_line_is_not() -> None:
     assert len(lines) == 2
     assert lines[0].startswith("At first: word")
     assert shown(Note(LONG)) == LONG
-
-
-def test_blank_lines_part_the_sections_of_a_summary() -> None:
-    summary = (Section("first:", (Note("a"), Note("b", "aside"))), Section("", (Note("c"),)))
-    assert text(Document("t", "", summary)) == "first:\na\nnote: b\n\nc"
 
 
 @pytest.mark.parametrize(

@@ -19,22 +19,6 @@ def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert max(map(len, lines)) <= 130
 
 
-def test_one_entry_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["effects", "backlash"]) == 0
-    words = " ".join(capsys.readouterr().out.split())
-    entry = EFFECTS["backlash"]
-    for part in (
-        entry.equation,
-        entry.assumption,
-        entry.coordinate,
-        entry.experiment,
-        *entry.look_alikes,
-    ):
-        assert part in words
-    assert f"distinguished by {entry.experiment}" in words
-    assert "gap_rad: plausible from 0 to 0.1 rad" in words
-
-
 def test_the_record_holds_what_is_printed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import importlib
-import io
 import json
 from pathlib import Path
 
@@ -118,13 +116,6 @@ def test_a_windows_nan_is_missing_and_does_not_end_its_row(tmp_path: Path) -> No
     np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
     assert abs(recording.channels["current"][100] - CURRENT[100]) < 0.05
     assert any("-1.#IND read as missing" in note for note in recording.notes)
-
-
-def test_decimal_commas_in_quotes_between_commas(tmp_path: Path) -> None:
-    stream = io.StringIO()
-    writer = csv.writer(stream, quoting=csv.QUOTE_ALL)
-    writer.writerows([[cell.replace(".", ",") for cell in row] for row in rows_of()])
-    is_truth(load(tmp_path, HEAD + stream.getvalue(), read='{decimal: ","}'))
 
 
 def test_rows_of_another_topic_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -341,19 +332,6 @@ def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
     assert f"cut off: its {count} complete messages" in recording.notes[0]
 
 
-def test_an_mcap_damaged_inside_or_cut_in_its_first_chunk_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    write_joint_states(path, 8192)
-    raw = bytearray(path.read_bytes())
-    raw[len(raw) // 3] ^= 0xFF
-    path.write_bytes(raw)
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, PLAIN)
-    path.write_bytes(path.read_bytes()[:60])
-    with pytest.raises(InputError, match="cut off before the first complete message"):
-        open_table(path, PLAIN)
-
-
 def test_json_lines(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     rows = [
@@ -374,17 +352,6 @@ def test_json_lines(tmp_path: Path) -> None:
     path.write_text('{"name": "a"}\n')
     with pytest.raises(InputError, match="no JSON object contains a number"):
         load_file(tmp_path, "log.jsonl", channels)
-
-
-def test_npy(tmp_path: Path) -> None:
-    np.save(tmp_path / "log.npy", TRUTH)
-    is_truth(load_file(tmp_path, "log.npy", "{time: 0, current: 1, motor_angle: 2, angle: 3}"))
-    fields = np.array([tuple(row) for row in TRUTH], dtype=[(name, float) for name in NAMES])
-    np.save(tmp_path / "log.npy", fields)
-    is_truth(load_file(tmp_path, "log.npy", CHANNELS))
-    np.save(tmp_path / "log.npy", np.array([{}] * 3), allow_pickle=True)
-    with pytest.raises(InputError, match="cannot be read"):
-        load_file(tmp_path, "log.npy", CHANNELS)
 
 
 def test_recordings_that_follow_each_other_are_no_wrap(tmp_path: Path) -> None:

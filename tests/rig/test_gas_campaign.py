@@ -85,11 +85,6 @@ def test_the_corrected_constants_are_a_campaigns_block(campaign: Path) -> None:
     assert load_campaign(campaign).value.bench.bench().gas_generator != GasGenerator()
 
 
-def test_what_needs_torque_says_so(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["identify", str(campaign)]) == 2
-    assert "no torque, current or voltage channel" in capsys.readouterr().err
-
-
 def test_of_a_run_only_hot_firings_show_the_gas(campaign: Path) -> None:
     recordings = load_source(campaign).recordings
     current = np.zeros(len(recordings[0].time))

@@ -115,17 +115,6 @@ def test_a_gap_in_the_times_is_refused(tmp_path: Path) -> None:
         module.signals(module.M, TIME[kept], ANGLE[kept], VELOCITY[kept], ACCELERATION[kept])
 
 
-def test_a_curve_goes_with_it(tmp_path: Path) -> None:
-    grid = np.linspace(-0.3, 0.3, 9)
-    model = CorrectedModel(
-        PARAMETERS, 2.0, {}, Curve("torque", "angle", "rad", "N m", grid, 0.5 * np.sin(9.0 * grid))
-    )
-    module = imported(python_text(model, RECORDING, "bench"), tmp_path)
-    s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
-    added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s)
-    assert added == pytest.approx(np.interp(ANGLE, grid, 0.5 * np.sin(9.0 * grid)))
-
-
 def test_a_curve_against_the_motion_changes_its_sign_with_it(tmp_path: Path) -> None:
     grid = np.linspace(-0.3, 0.3, 9)
     curve = Curve("torque", "angle", "rad", "N m", grid, 1.0 + grid, against_motion=True)

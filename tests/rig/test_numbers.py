@@ -10,8 +10,7 @@ import click
 import pytest
 import yaml
 
-from rig.cli.entry import cli, status
-from rig.cli.options import Number
+from rig.cli.entry import cli
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
@@ -75,21 +74,6 @@ def test_the_options_are_found() -> None:
 def test_no_option_takes_what_is_no_finite_number(parameter: click.Parameter, text: str) -> None:
     with pytest.raises((click.BadParameter, InputError)):
         parameter.type.convert(text, parameter, None)
-
-
-def test_a_number_without_range_is_a_plain_number() -> None:
-    assert Number().convert("-1.5", None, None) == -1.5
-    assert click.Option(["--a"], type=Number()).get_help_record(click.Context(cli)) == (
-        "--a FLOAT",
-        "",
-    )
-    with pytest.raises(click.BadParameter):
-        Number(min=0.0, min_open=True).convert("0", None, None)
-
-
-def test_nan_on_the_command_line_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["jog", "practical", "--to", "nan"]) == 2
-    assert "--to" in capsys.readouterr().err
 
 
 CAMPAIGN = """\

@@ -1,7 +1,6 @@
 """``rig paper``: the tables beside the printed values."""
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -72,12 +71,6 @@ def test_the_default_method_beats_the_printed_errors(folder: Path) -> None:
     table = json.loads((folder / "paper.json").read_text())["tables"]["default"]
     for name in ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"):
         assert table[name]["error_percent"] < table[name]["printed_error_percent"], name
-
-
-def test_the_page_is_self_contained(folder: Path) -> None:
-    page = (folder / "paper.html").read_text()
-    assert not re.search(r"https?://|<script|<link", page)
-    assert page.count("data:image/png;base64,") == page.count("<img") >= 6
 
 
 def test_the_simulated_cases(cases: tuple[Dataset, dict[str, float]]) -> None:

@@ -12,8 +12,8 @@ from identification.model.parameters import NOMINAL
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
 from rig.results.document import write_texts
-from rig.results.paper import figures, tables
-from rig.results.paper.figures import Exhibit, columns, data_files, files_of
+from rig.results.paper import figures
+from rig.results.paper.figures import Exhibit, data_files, files_of
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
@@ -168,19 +168,6 @@ def test_fig_4_falls_with_pressure_and_area() -> None:
     assert "At 50 deg/s" in made.found[0]
 
 
-def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
-    text = "\n".join(tables.chosen())
-    for words in (
-        "C_r = 1000 m/s",
-        "(0.658 C_r)^2",
-        "V_0 = 0.01 m^3",
-        "p_c0 = 0.5 MPa",
-        "i = 100",
-        "400 N m/rad",
-    ):
-        assert words in text
-
-
 def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
     made = figures.valve_exhibit()
     assert files_of([made]) == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
@@ -190,8 +177,3 @@ def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
     assert rows[0] == ["angle_deg", "impacted_area_m2", "throat_area_m2"]
     assert float(rows[-1][0]) == 30.0
     assert len(rows) == 302
-
-
-def test_columns_must_be_of_one_length() -> None:
-    with pytest.raises(ValueError, match="argument 2"):
-        columns(a=np.zeros(3), b=np.zeros(4))

@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from identification.recording import RecordingError
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.identify import identify
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import LEAST_SAMPLES, RunFolder, discard, load_run
 from rig.runs.run_file import partial_names, partial_warnings, without_partial
@@ -80,11 +78,6 @@ def test_finished_excitations_alone_are_the_default(runner: Any, fake_bench: Any
     assert "before empty[2] (partial) was finished" in partial_warnings(both)[0]
     assert without_partial(alone) == ""
     assert "without --partial" in without_partial(both)
-
-
-def test_a_run_that_is_done_has_nothing_partial(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    assert not any(r.partial for r in load_run(folder.path, partial=True).recordings)
 
 
 def test_what_was_begun_again_is_not_taken(runner: Any, fake_bench: Any) -> None:
@@ -213,22 +206,3 @@ def test_an_identification_of_what_was_recorded_says_so(
         "partial result: the run stopped before empty (partial)"
         in (tmp_path / "report.html").read_text()
     )
-
-
-def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tripped(runner, fake_bench, SECOND)
-
-    def refuses(*arguments: Any, **options: Any) -> None:
-        raise RecordingError("too short")
-
-    monkeypatch.setitem(identify.METHODS, "paper", refuses)
-    with pytest.raises(
-        InputError, match="too short; without --partial, only finished excitations are used"
-    ):
-        identify.identify_source(
-            folder.path, identify.Request(["paper"], partial=True), lambda *_: None
-        )
-    with pytest.raises(InputError, match=r"too short$"):
-        identify.identify_source(folder.path, identify.Request(["paper"]), lambda *_: None)

@@ -31,13 +31,6 @@ def result(folder: Path) -> Path:
     return path
 
 
-def test_the_widest_for_its_value_is_the_weakest(tmp_path: Path) -> None:
-    known = nominal_values(result(tmp_path))
-    assert known.weakest == "J"
-    assert known.values["J"] == 2.0
-    assert known.source == f"the identification {tmp_path / 'identify.json'}"
-
-
 def test_an_undetermined_parameter_is_the_weakest_and_has_its_default_value(tmp_path: Path) -> None:
     path = result(tmp_path)
     record = json.loads(path.read_text())

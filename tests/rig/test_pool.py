@@ -12,18 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from rig.results.prove.engine import Processes
 from tests.rig.workers import parent
 
 PATIENCE_S = 60.0
 """Of the tests, where workers never start or never end."""
 ENGINES = {"processes": 0, "cluster": 2}
 """Name to the number of workers in a cluster; none for two processes."""
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_every_task_is_done_once(jobs: int) -> None:
-    assert sorted(Processes(jobs).each(abs, [-3, 2, -1])) == [1, 2, 3]
 
 
 def test_the_work_of_a_process_that_is_killed_is_done_again(tmp_path: Path) -> None:

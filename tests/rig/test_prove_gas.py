@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from rig.results.prove.gas_simulate import (
     GAS_SIZES,
     GasExperiment,
     draw_gas,
-    gas_assignment,
     gas_experiments,
 )
 from rig.results.prove.judge import Judgement
@@ -47,14 +45,6 @@ def test_draws_are_within_what_the_plant_can_hide(name: str) -> None:
     noises = [m.gas.transmitter.noise_Pa / m.gas.transmitter.range_Pa for m in machines]
     assert 0.001 <= min(noises) < max(noises) <= 0.0025
     assert len({m.gas.burning_rate_mm_s for m in machines}) == 20
-
-
-def test_a_hundred_rigs_go_round_the_catalogue() -> None:
-    drawn = gas_assignment(100, 4)
-    assert Counter(kind for kind, _ in drawn) == {"one": 50, "nothing": 40, "outside": 10}
-    assert set(Counter(names for kind, names in drawn if kind == "one").values()) == {10}
-    assert draw_gas(*ONE, SEED) == draw_gas(*ONE, SEED)
-    assert draw_gas(*ONE, SEED) != draw_gas(*ONE, (5, 2))
 
 
 def test_the_burns_stay_within_the_bench() -> None:
@@ -95,15 +85,6 @@ def test_a_rig_is_sealed_and_its_campaign_tells_nothing(tmp_path: Path) -> None:
     other = gas_simulate.seal_gas(tmp_path, 2, ("nothing", ()), (5, 2))
     assert gas_simulate.simulate_gas(other, ("nothing", ()), (5, 2)) == {}
     assert other.campaign.read_text() == text
-
-
-@pytest.mark.usefixtures("short")
-def test_a_twin_that_hides_nothing_burns_with_the_same_noise() -> None:
-    rig = draw_gas(*ONE, SEED)
-    plain = rig._replace(machine=replace(rig.machine, effects={}))
-    first, again, hiding = (gas_simulate.campaign(r)[0].pressure for r in (plain, plain, rig))
-    assert np.array_equal(first, again)
-    assert np.std(np.diff(hiding - first)) < 0.2 * rig.machine.gas.transmitter.noise_Pa
 
 
 def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

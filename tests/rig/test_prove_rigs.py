@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.effects.pack import effect_vector, problems
-from drivers.mock.plant.effects.table import CATALOGUE
-from rig.common.errors import InputError
-from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, apportion, assignment, draw
+from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
 from rig.results.prove.generate import as_recorded
 from rig.results.prove.score import STRONG
@@ -27,7 +23,6 @@ from rig.results.prove.simulate import (
     strength,
     write,
 )
-from rig.results.prove.truth import seal, unseal
 from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
@@ -70,16 +65,6 @@ def test_every_draw_is_one_that_the_machine_takes(name: str) -> None:
         assert machine.joint.mu_s > machine.joint.mu_c
 
 
-def test_every_effect_can_be_drawn() -> None:
-    assert CATALOGUE.keys() == SIZES.keys()
-    assert OUTSIDE_SIZES.keys() == OUTSIDE.keys()
-
-
-def test_draws_repeat_with_their_seed_and_differ_without() -> None:
-    assert draw("one", HIDES, (1, 2)) == draw("one", HIDES, (1, 2))
-    assert draw("one", HIDES, (1, 2)).machine.effects != draw("one", HIDES, (1, 3)).machine.effects
-
-
 def test_a_full_proof_goes_round_the_catalogue() -> None:
     drawn = assignment(600, 4)
     kinds = Counter(kind for kind, _ in drawn)
@@ -88,11 +73,6 @@ def test_a_full_proof_goes_round_the_catalogue() -> None:
     assert len(singles) == len(SIZES)
     assert max(singles.values()) - min(singles.values()) <= 1
     assert all(len(set(names)) == 2 for kind, names in drawn if kind == "two")
-
-
-@pytest.mark.parametrize("rigs", [1, 7, 12, 599])
-def test_any_number_of_rigs_is_shared_out(rigs: int) -> None:
-    assert sum(apportion(rigs).values()) == rigs == len(assignment(rigs, 0))
 
 
 def test_the_experiments_stay_within_the_bench() -> None:
@@ -155,18 +135,6 @@ def test_a_gravity_bench_says_what_turns_with_the_joint(tmp_path: Path) -> None:
     assert friction + backward == pytest.approx(2.0 * weight, rel=0.15)
 
 
-def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
-    rig, plan = short(draw("one", ("asymmetric_coulomb",), (3, 1)))
-
-    def current(torque_Nm: float) -> float:
-        hides = {"asymmetric_coulomb": {"torque_Nm": torque_Nm}}
-        hiding = rig._replace(machine=replace(rig.machine, effects=hides))
-        return strength(campaign(hiding, plan), reference_of(hiding, plan))["current"]
-
-    assert current(0.0) == 0.0
-    assert current(2.0) > 3.0 * current(0.02)
-
-
 @pytest.mark.proof
 def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     """Both change the current; but the gear's loss is a bench with other constants."""
@@ -189,28 +157,3 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     assert shown({"transmission_efficiency": {"efficiency": 0.85}})[1] > STRONG, (
         "a weight that drives the motor back"
     )
-
-
-def test_a_weight_on_the_joint_hangs_there_for_its_recording_alone() -> None:
-    rig, _ = short(draw("nothing", (), (3, 1)))
-    named = {e.name: e._replace(command=e.command[:2000]) for e in experiments()}
-    before, hung, after = (
-        r.samples.current for r in campaign(rig, [named["a"], named["m"], named["l"]])
-    )
-    assert [e.name for e in experiments() if e.fixed is not None] == ["m"]
-    assert float(np.median(np.abs(hung - before))) > 2.0
-    assert float(np.median(np.abs(after - before))) < 0.1
-    assert all(e.fixed is not None for e in experiments(gravity=True))
-
-
-def test_a_truth_that_was_changed_is_found_out(tmp_path: Path) -> None:
-    path = tmp_path / "0001.json"
-    digest = seal(path, {"truth": 1, "effects": {"backlash": {"gap_rad": 0.01}}}, "salt")
-    assert unseal(path, digest).effects == {"backlash": {"gap_rad": 0.01}}
-    assert seal(tmp_path / "other.json", {"truth": 1, "effects": {}}, "salt") != digest
-    changed = {**json.loads(path.read_text()), "effects": {}}
-    path.write_text(json.dumps(changed))
-    with pytest.raises(InputError, match="the truth was changed"):
-        unseal(path, digest)
-    with pytest.raises(InputError, match="missing"):
-        unseal(tmp_path / "0002.json", digest)

@@ -25,16 +25,6 @@ with ordinary_user():
     {body}
 """
 RUN = "from rig.cli.entry import main; main()"
-FIGURE = """\
-import click
-    from rig.cli import entry as cli
-    @click.command("figure")
-    def command():
-        from identification.plots.style import figure
-        figure(1)[0].savefig("figure.png")
-    cli.COMMANDS["figure"] = ("__main__:command", "")
-    sys.argv[1:] = ["figure"]
-    cli.main()"""
 
 KERNEL = """\
 import numpy
@@ -105,13 +95,6 @@ def test_a_kernel_is_kept_among_the_temporary_files(program: Path) -> None:
     kept = list((program.parent / "temporary").glob("loadrig-kernels-*/*/*.nbc"))
     assert len(kept) == 1
     assert not list(program.rglob("*.nb[ci]"))
-
-
-def test_figures_are_drawn_without_a_word_about_folders(program: Path) -> None:
-    ended = start(program, body=FIGURE)
-    assert_in_words(ended)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert (program.parent / "figure.png").stat().st_size > 1000
 
 
 def test_numbers_are_not_loaded_before_the_command_line_sets_one_thread() -> None:

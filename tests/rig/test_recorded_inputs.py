@@ -12,8 +12,7 @@ import pytest
 from rig.cli.entry import status
 from rig.common.provenance import sha256
 from rig.control.remote import RunProgress
-from rig.runs.recorded_inputs import input_entry, recorded_input, truth_of
-from rig.runs.run import read_record
+from rig.runs.recorded_inputs import recorded_input, truth_of
 
 STAGES = """\
 sequence: 1
@@ -50,16 +49,6 @@ def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         arguments = ["files/two.yaml", "--bench", "files/own.yaml", "--yes", "--out", "runs/first"]
         assert status(["run", *arguments]) == 3
     return place / "runs" / "first"
-
-
-def test_a_run_goes_on_from_another_folder(
-    stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert status(["resume", str(stopped), "--yes"]) == 0
-    assert {
-        Path(entry["file"]).is_absolute() for entry in read_record(stopped).inputs.values()
-    } == {True}
 
 
 def test_a_run_of_an_older_program_does_too(
@@ -101,11 +90,3 @@ def test_what_is_no_file_is_passed_over(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "bench.yaml").mkdir()
     for name in ("bench.yaml", "x" * 5000):
         assert recorded_input(tmp_path / "run", {"file": name, "sha256": DIGEST}) == Path(name)
-
-
-def test_an_absolute_path_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    entry = input_entry("bench.yaml", DIGEST)
-    assert entry == {"file": str(tmp_path / "bench.yaml"), "sha256": DIGEST}
-    monkeypatch.chdir("/")
-    assert recorded_input(Path("elsewhere"), entry) == tmp_path / "bench.yaml"

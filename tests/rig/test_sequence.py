@@ -235,19 +235,6 @@ def test_bad_benches(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert any(words in problem for problem in caught.value.problems), caught.value.problems
 
 
-def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:
-    path = tmp_path / "b.yaml"
-    text = resolve("practical", "benches").read_text()
-    path.write_text(
-        text.replace("    Mc_N_m:", "    Mc_Nm:").replace("  steps_per_loop:", "  steps_pr_loop:")
-    )
-    with pytest.raises(InputError) as caught:
-        load_bench(path)
-    joint, steps = caught.value.problems
-    assert "mock.joint.Mc_Nm: unknown key; did you mean 'Mc_N_m'" in joint
-    assert "mock.steps_pr_loop: unknown key; did you mean 'steps_per_loop'?" in steps
-
-
 @pytest.mark.parametrize(
     ("bitrate", "rate", "fits"),
     [(1_000_000, 1000, True), (500_000, 500, True), (500_000, 1000, False)],

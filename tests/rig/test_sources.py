@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from identification.recording import Array, Dataset, Recording
+from identification.recording import Array, Recording
 from rig.common.errors import InputError
 from rig.sources import load_source
 
@@ -321,20 +321,6 @@ def test_globs_names_and_roles(tmp_path: Path) -> None:
         InputError, match=r"a\.xlsx: unknown format \(a workbook; .*\); readable are csv, tsv"
     ):
         load_source(campaign(tmp_path, "file: a.xlsx"))
-
-
-@pytest.mark.parametrize("partial", [False, True])
-def test_a_run_folder_goes_to_its_own_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, partial: bool
-) -> None:
-    (tmp_path / "run.json").write_text("{}")
-    loaded = Dataset(())
-    asked = (tmp_path, partial)
-    monkeypatch.setattr(
-        "rig.runs.run.load_run",
-        lambda folder, *, partial: loaded if (folder, partial) == asked else None,
-    )
-    assert load_source(tmp_path, partial=partial) is loaded
 
 
 def test_sources_that_are_none(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import importlib
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,6 @@ import pytest
 import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
@@ -30,20 +27,6 @@ def delimited(
     raw = text if isinstance(text, bytes) else text.encode()
     path.write_bytes(gzip.compress(raw) if name.endswith(".gz") else raw)
     return open_table(path, options)
-
-
-@pytest.mark.parametrize(
-    ("delimiter", "name"),
-    [(",", "a.csv.gz"), (";", "a.csv"), ("\t", "with space.tsv"), ("|", "a.txt")],
-)
-def test_header_and_delimiter_are_found(tmp_path: Path, delimiter: str, name: str) -> None:
-    lines = [["t", "x y", "z"], ["0", "1", "2"], ["0.5", "-1e3", "nan"]]
-    table = delimited(tmp_path, "\n".join(delimiter.join(cells) for cells in lines), name=name)
-    assert table.names == ("t", "x y", "z")
-    z, t, x = table.read([2, 0, 1])
-    np.testing.assert_array_equal(t, [0, 0.5])
-    np.testing.assert_array_equal(x, [1, -1000])
-    np.testing.assert_array_equal(z, [2, np.nan])
 
 
 VENDOR = (
@@ -168,20 +151,6 @@ def test_any_bytes_are_numbers_or_an_input_error(
     assert all(value.ndim == 1 for value in values)
 
 
-def write_mcap(path: Path, messages: list[tuple[str, int, bytes]], encoding: str = "json") -> None:
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("s", "jsonschema", b"{}")
-        channels = {
-            t: writer.register_channel(t, encoding, schema)
-            for t in dict.fromkeys(m[0] for m in messages)
-        }
-        for topic, when, data in messages:
-            writer.add_message(channels[topic], when, data, when)
-        writer.finish()
-
-
 TIME = np.arange(6) * 0.1
 VALUE = np.array([1.0, -2.0, 3.5, 0.0, 7.0, 9.0])
 
@@ -233,71 +202,6 @@ def test_npz(tmp_path: Path) -> None:
     data[data.index(b"PK\1\2") + 8] |= 1  # says that the member is encrypted
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"cannot be read \(File 't\.npy' is encrypted"):
-        open_table(path, PLAIN)
-
-
-def test_parquet(tmp_path: Path) -> None:
-    arrow = pytest.importorskip("pyarrow")
-    parquet = importlib.import_module("pyarrow.parquet")
-    path = tmp_path / "a.parquet"
-    stamps = arrow.array([1_700_000_000_000 + 100 * k for k in range(6)], arrow.timestamp("ms"))
-    values = arrow.array([1.0, None, 3.5, 0.0, 7.0, 9.0])
-    parquet.write_table(
-        arrow.table({"when": stamps, "x": values, "text": ["a"] * 6, "n": list(range(6))}), path
-    )
-    table = open_table(path, PLAIN)
-    assert table.names == ("when", "x", "text", "n")
-    time, x, n = table.read([0, 1, 3])
-    np.testing.assert_allclose(time, TIME, atol=1e-9)
-    np.testing.assert_array_equal(x, [1, np.nan, 3.5, 0, 7, 9])
-    np.testing.assert_array_equal(n, np.arange(6))
-    with pytest.raises(InputError, match="column 'text' does not contain numbers"):
-        table.read([2])
-    path.write_bytes(b"PAR1")
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, PLAIN)
-
-
-def test_mcap_json(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    messages = [
-        (
-            "/drive",
-            10**18 + k * 10**8,
-            json.dumps({"x": v, "in": {"on": k > 2}, "id": "d"}).encode(),
-        )
-        for k, v in enumerate(VALUE)
-    ]
-    write_mcap(path, [*messages, ("/other", 10**18, b'{"y": 1}')])
-    table = open_table(path, PLAIN)
-    assert table.names == (
-        "/drive.x",
-        "/drive.in.on",
-        "/drive.log_time",
-        "/other.y",
-        "/other.log_time",
-    )
-    x, on, time = table.read([0, 1, 2])
-    np.testing.assert_array_equal(x, VALUE)
-    np.testing.assert_array_equal(on, [0, 0, 0, 1, 1, 1])
-    np.testing.assert_allclose(time, TIME, atol=1e-6)
-    with pytest.raises(InputError, match=r"several time bases \(/drive, /other\)"):
-        table.read([0, 3])
-
-
-def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    write_mcap(path, [("/sample", 0, b"\x01")], "protobuf")
-    with pytest.raises(
-        InputError,
-        match=r"protobuf messages that can be decoded; found /sample \(protobuf with jsonschema\)",
-    ):
-        open_table(path, PLAIN)
-    path.write_bytes(path.read_bytes()[:40])
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, PLAIN)
-    write_mcap(path, [("/sample", 0, b"{broken")])
-    with pytest.raises(InputError, match="cannot be read"):
         open_table(path, PLAIN)
 
 

@@ -37,18 +37,6 @@ def jittering(share: float, seed: int = 3) -> Array:
     return np.asarray(grid() + PERIOD * late)
 
 
-@pytest.mark.parametrize("share", [0.01, 0.1, 0.25])
-@pytest.mark.parametrize("quantum", [0.0, 2.0 * np.pi / 4096])
-def test_evenly_taken_samples_get_even_times(share: float, quantum: float) -> None:
-    angle = angle_at(grid())
-    angle = np.round(angle / quantum) * quantum if quantum else angle
-    found = even_stamps(jittering(share), angle)
-    assert found is not None
-    times, jitter = found
-    assert np.max(np.abs(times - grid())) < 0.03 * PERIOD
-    assert jitter == pytest.approx(share * PERIOD, rel=0.1)
-
-
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["normal", "late", "late at times"])
 def test_jitter_of_any_distribution_gives_even_times(kind: str, seed: int) -> None:

@@ -16,7 +16,7 @@ from rig.common.sample import Sample
 from rig.common.tables import interval, number, percent, table
 from rig.control.readings import Readings
 from rig.control.remote import RunProgress
-from rig.results.identify.document import note, parameter_notes, parameter_table
+from rig.results.identify.document import parameter_table
 
 CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
 
@@ -63,23 +63,6 @@ MC = Parameter("Mc", "N m", 6.9, 6.8, 7.0)
 J = Parameter("J", "kg m^2", None, identifiable=False, reason="too slow")
 
 
-def test_the_floor_stands_beside_the_interval() -> None:
-    made = parameter_table(
-        [result("default", Mc=Parameter("Mc", "N m", 6.9, 6.8, 7.0, floor=0.0823), J=J)]
-    )
-    assert made.header == ("parameter", "value", "90 % interval", "floor", "unit", "note")
-    assert made.rows[0] == ("Mc", "6.9", "[6.8, 7]", "+-0.082", "N m", "")
-    assert made.rows[1][3] == "-"
-
-
-def test_one_method() -> None:
-    made = parameter_table([result("default", Mc=MC, J=J)])
-    assert made.header == ("parameter", "value", "90 % interval", "unit", "note")
-    assert made.rows[0] == ("Mc", "6.9", "[6.8, 7]", "N m", "")
-    assert made.rows[1] == ("J", "-", "-", "kg m^2", "not identifiable")
-    assert made.right == (1, 2)
-
-
 def test_two_methods_and_the_truth() -> None:
     made = parameter_table(
         [result("default", Mc=MC, J=J), result("paper", Mc=Parameter("Mc", "N m", 7.5))],
@@ -93,15 +76,6 @@ def test_two_methods_and_the_truth() -> None:
     assert cells["paper: error"] == "0 %"
     assert "paper: 90 % interval" not in made.header  # this method has none
     assert made.rows[1][-1] == "default: not identifiable"
-
-
-def test_reasons_are_given_line_by_line() -> None:
-    assert parameter_notes([result("default", Mc=MC, J=J)]) == ["default: J: too slow"]
-
-
-def test_a_bound_is_said_in_words() -> None:
-    assert note(Parameter("Mc", "N m", 1.0, at_bound=True)) == "at the bound of the search"
-    assert note(MC) == ""
 
 
 def test_a_value_that_rounds_to_zero_has_no_sign() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import sys
@@ -12,9 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import rig as rig_package
 from rig.common.places import write_json, write_text
-from rig.common.text import stored_path, valid, valid_record
+from rig.common.text import stored_path, valid
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import read_record
 
@@ -90,14 +88,6 @@ def test_valid_text_is_utf_8_and_stays_as_it_is(text: str) -> None:
         assert found == text
 
 
-def test_records_are_repaired_throughout() -> None:
-    record = {
-        "J\udcfc": ["\udcc3\udcbc", ("\udcc2\udcb5", 1, None)],
-        "plain": {"deep": "\udcc3\udcbc"},
-    }
-    assert valid_record(record) == {"J\\xfc": ["ü", ["µ", 1, None]], "plain": {"deep": "ü"}}
-
-
 def test_files_are_written_as_utf_8(tmp_path: Path) -> None:
     write_text(tmp_path / "page.html", "\udcc3\udcbc µ")
     assert (tmp_path / "page.html").read_bytes() == "ü µ".encode()
@@ -120,35 +110,3 @@ def test_a_stored_path_leads_back_to_the_file(
         monkeypatch.setattr(os, "fsencode", lambda name: name.encode("ascii", "surrogateescape"))
         monkeypatch.setattr(os, "fsdecode", lambda name: name.decode("ascii", "surrogateescape"))
         assert str(stored_path(str(file))) == str(file).encode().decode("ascii", "surrogateescape")
-
-
-def test_every_text_file_is_opened_with_its_encoding() -> None:
-    """The default is that of the locale."""
-    root = Path(rig_package.__file__).parents[1]
-    found = []
-    for file in (
-        file
-        for package in ("rig", "drivers", "identification")
-        for file in (root / package).rglob("*.py")
-    ):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and _opens_text(node):
-                found.append(f"{file.relative_to(root)}:{node.lineno}")
-    assert found == []
-
-
-def _opens_text(call: ast.Call) -> bool:
-    """Return whether a call opens a text file, and leaves the encoding to the locale."""
-    if any(keyword.arg == "encoding" for keyword in call.keywords):
-        return False
-    constants = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
-    if isinstance(call.func, ast.Name):
-        return call.func.id == "open" and not any(
-            "b" in value for value in constants if isinstance(value, str)
-        )
-    # A device's objects have texts too, which are read by their number.
-    return (
-        isinstance(call.func, ast.Attribute)
-        and call.func.attr in ("write_text", "read_text")
-        and not constants
-    )

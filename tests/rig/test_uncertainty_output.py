@@ -1,7 +1,6 @@
 """How sure a result is, as text, record and pictures."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,8 +17,6 @@ from identification.result import (
 from rig.results.identify.document import (
     bootstrap_table,
     profile_table,
-    uncertainty_notes,
-    uncertainty_pictures,
     uncertainty_tables,
 )
 from rig.results.identify.identify import uncertainty_record
@@ -53,27 +50,6 @@ RESULT = Identification(
 )
 
 
-def test_notes_name_what_trades_off_bounds_noise_and_starts() -> None:
-    named = (
-        ("Mc and sigma_2 trade off",),
-        ("Mc alone",),
-        ("bounds", "J"),
-        ("0.07 N m", "0.06 N m", "9.5 ms", "0.00115 deg", "5.73e-05 deg"),
-        ("unloaded", "1 of 2", "up to 3"),
-        ("loaded", "2 of 3"),
-    )
-    for line, parts in zip(uncertainty_notes(RESULT), named, strict=True):
-        assert line.startswith("default: ")
-        assert all(part in line for part in parts)
-
-
-def test_the_encoder_of_a_linear_bench_is_in_micrometres() -> None:
-    linear = replace(RESULT, motion="linear")
-    (line,) = [text for text in uncertainty_notes(linear) if "encoder" in text]
-    assert "20 um" in line
-    assert "1 um rms" in line
-
-
 def test_ranges_stand_beside_intervals_and_open_ones_say_so() -> None:
     both, open_below = profile_table(RESULT).rows
     assert both == ("Mc", "[6.9, 7.1]", "[6.9, 7.3]", "3", "0.5", "N m")
@@ -102,14 +78,3 @@ def test_the_record_is_json_without_infinities() -> None:
         "draws": 100,
         "solved": 3,
     }
-
-
-def test_a_single_start_makes_no_waterfall() -> None:
-    assert [p.name for p in uncertainty_pictures([RESULT])] == [
-        "profiles_default",
-        "starts_default",
-    ]
-    bare = Identification(
-        "paper", "rotary", 2.0, {}, RESULT.fit, (), starts=(Starts("loaded", "cost", (1.0,), 2.0),)
-    )
-    assert uncertainty_pictures([bare]) == []

@@ -12,7 +12,6 @@ import pytest
 from jsonschema import Draft7Validator
 
 from rig.cli.authoring.questions import Listed, Question, ask_all
-from rig.cli.commands.new import BENCH, remarks
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.yaml_tree import parse
@@ -124,17 +123,6 @@ def test_the_inertia_of_the_joint_contains_that_of_the_rotor(rotor: float) -> No
     assert mock.joint.inertia_kg_m2 > rotor * 100**2
 
 
-def test_remarks_on_a_load_too_heavy_and_on_machine_data_that_no_option_gives() -> None:
-    heavy = {"lever_ratio": 10.0, "moment_arm": 1.0, "weights": (50.0,)}
-    answers = ask_all(BENCH, heavy, None, str, {})
-    (note,) = remarks(answers, answers)
-    assert "50 kg" in note
-    answers = ask_all(BENCH, {"lever_ratio": 1.0}, None, str, {})
-    assert remarks(answers, answers) == []
-    (note,) = remarks(answers, {**answers, "resistance": None, "motor_counts": None})
-    assert "--resistance 1.56 ohm, --motor-counts 4096;" in note
-
-
 @pytest.mark.parametrize("kind", ["bench", "sequence"])
 def test_nothing_is_overwritten(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--yes", *(["--lever-ratio", "1"] if kind == "bench" else [])]
@@ -241,24 +229,6 @@ def test_a_campaign_refuses_options_that_make_no_file(
     assert not Path("c.yaml").exists()
 
 
-def test_a_refused_answer_is_asked_for_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    Path("a.csv").write_text("t,y,z\n0,1,2\n1,2,3\n")
-    given = ("--motion", "rotary", "--time", "t", "--current", "-", "--voltage", "-")
-    given += ("--motor-angle", "-", "--velocity", "-", "--command", "-", "--masses", "0")
-    given += ("--gear-ratio", "1", "--validate", "none", "--terms", "none", "--time-scale", "1")
-    # No such column; then no torque at all, which only the whole file shows.
-    typed = ["nowhere", "-", "z", "2", "y", "", "", ""]
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(typed) + "\n"))
-    assert new("campaign", "c.yaml", "a.csv", *given) == 0
-    shown = "".join(capsys.readouterr())
-    assert "no column 'nowhere'" in shown
-    assert "recordings[0].channels: " in shown
-    assert "c.yaml:" not in shown
-    assert channels(0) == {"time": ("t", 1.0), "torque": ("y", 1.0), "angle": ("z", 2.0)}
-
-
 QUESTIONS = (
     Question("gear", "Gear ratio", default=100.0),
     Question("lever", "Lever ratio", refusal=lambda value: "too large" if value > 5 else None),
@@ -288,9 +258,3 @@ def test_questions_are_put_until_they_are_answered() -> None:
     assert said[5] == "--lever: too large"
     with pytest.raises(InputError, match="--lever: "):
         ask_all(QUESTIONS, {"gear": 1.0}, Answering([]), said.append, {})
-
-
-def test_every_problem_of_the_options_is_listed() -> None:
-    with pytest.raises(InputError) as caught:
-        ask_all(QUESTIONS, {"lever": 7.0, "weights": (), "arm": 3.0}, None, str, {})
-    assert [line.split(":")[0] for line in caught.value.problems] == ["--lever", "--arm"]

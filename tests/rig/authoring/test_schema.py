@@ -246,17 +246,6 @@ def test_values_that_are_refused(
     assert not accepted(kind, tree, tmp_path)
 
 
-def test_a_recording_may_leave_to_the_defaults_what_it_lacks_and_only_then() -> None:
-    check = validator("campaign")
-    channels = {"time": "t", "angle": 1, "current": {"column": "i"}}
-    tree = {"campaign": 1, "bench": {}, "recordings": [{"channels": channels}]}
-    assert not check.is_valid(tree)
-    # A file of `rig export` needs nothing else.
-    assert check.is_valid({**tree, "recordings": [{"file": "a.parquet"}]})
-    assert check.is_valid({**tree, "defaults": {"file": "a.csv"}})
-    assert not check.is_valid({**tree, "defaults": {"file": "a.csv", "channels": {"tme": "t"}}})
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_of_a_record_is_described(kind: str) -> None:
     schema = json_schema(kind)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,12 +41,6 @@ def test_channels_of_every_version_to_the_last_bit(tmp_path: Path, version: str)
     same(recording.channels["current"], CURRENT)
     same(recording.channels["angle"], ANGLE)
     assert recording.notes == ()
-
-
-def test_a_gzipped_file(tmp_path: Path) -> None:
-    path = write(tmp_path / "log.mf4", [of("i", CURRENT), of("q", ANGLE)])
-    (tmp_path / "log.mf4.gz").write_bytes(gzip.compress(path.read_bytes()))
-    same(load_file(tmp_path, "log.mf4.gz", CHANNELS).channels["current"], CURRENT)
 
 
 def test_a_linear_conversion_is_applied_and_the_unit_is_known(tmp_path: Path) -> None:
@@ -131,19 +124,3 @@ def test_labels_text_and_mixtures_are_told_apart(tmp_path: Path) -> None:
         load_file(tmp_path, path.name, "{time: time, current: i, angle: text}")
     (problem,) = [c.problem for c in look_at_file(path, PLAIN).columns if c.name == "text"]
     assert "does not contain real numbers" in problem
-
-
-def test_a_channel_beyond_its_records_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.mf4"
-    time = np.arange(5) * 1e-3
-    with MDF() as mdf:
-        mdf.append([Signal(time, time, name="i")])
-        mdf.save(path)
-    data = bytearray(path.read_bytes())
-    at = data.rindex(b"##CN")
-    links = int.from_bytes(data[at + 16 : at + 24], "little")
-    place = at + 24 + 8 * links + 4
-    data[place : place + 4] = (45_576).to_bytes(4, "little")
-    path.write_bytes(data)
-    with pytest.raises(InputError, match=r"is beyond its records of 16 bytes\)"):
-        open_table(path, PLAIN)

@@ -95,30 +95,6 @@ def test_groups_without_a_common_clock_are_refused(tmp_path: Path) -> None:
         load_file(tmp_path, "log.tdms", CHANNELS.replace("time: time", "time: fast.time"))
 
 
-def test_time_stamps_of_two_groups(tmp_path: Path) -> None:
-    ticks = np.arange(N) * np.timedelta64(1000, "us")
-    write(
-        tmp_path / "log.tdms",
-        ("a", "t", START + ticks, {}),
-        ("a", "i", CURRENT, {}),
-        ("b", "t", START + ticks[: N // 2] * 2, {}),
-        ("b", "q", 3.0 * TIME[: N // 2] * 2, {}),
-    )
-    recording = load_file(tmp_path, "log.tdms", "{time: a.t, current: i, angle: q}")
-    np.testing.assert_allclose(recording.time, TIME[:299], atol=1e-15)
-    np.testing.assert_allclose(recording.channels["angle"], 3.0 * TIME[:299], atol=1e-12)
-    assert any("holds time stamps: read as seconds since the first" in n for n in recording.notes)
-
-
-def test_text_is_refused_by_name(tmp_path: Path) -> None:
-    words = ["a", "b"] * (N // 2)
-    path = write(tmp_path / "log.tdms", ("g", "i", CURRENT, WAVE), ("g", "word", words, WAVE))
-    with pytest.raises(
-        InputError, match=r"channel 'word' does not contain real numbers \(text or objects\)"
-    ):
-        load_file(tmp_path, path.name, "{time: time, current: i, angle: word}")
-
-
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     path = tmp_path / "log.tdms"
     with TdmsWriter(path) as writer:
