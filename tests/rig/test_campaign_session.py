@@ -171,6 +171,20 @@ def test_a_table_is_as_many_recordings_as_it_has_rows(tmp_path: Path) -> None:
         assert (a.start, b.start, b.time[0]) == (0.0, 120.0, 20.0)
 
 
+def test_an_inline_table_stands_beside_other_entries(tmp_path: Path) -> None:
+    a, b, c = load(
+        tmp_path,
+        "  - table:\n"
+        "      - [file, weight_mass]\n"
+        "      - [a.csv, 10.2]\n"
+        "      - [b.csv, 20]\n"
+        "    stage: loaded\n"
+        "  - {file: c.csv, role: validate}\n",
+    )
+    assert [r.weight_mass for r in (a, b, c)] == [10.2, 20.0, 0.0]
+    assert [r.stage for r in (a, b, c)] == ["loaded", "loaded", "unloaded"]
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -189,6 +203,13 @@ def test_a_table_is_as_many_recordings_as_it_has_rows(tmp_path: Path) -> None:
 def test_errors_of_a_table_have_their_place_in_it(tmp_path: Path, table: str, words: str) -> None:
     (tmp_path / "files.csv").write_text(table)
     assert words in problems(tmp_path, "  table: files.csv\n")
+
+
+def test_a_table_that_is_none_is_refused(tmp_path: Path) -> None:
+    missing = problems(tmp_path, "  table: files.csv\n")
+    assert "c.yaml:5:10: recordings.table: " in missing
+    assert "no such file" in missing
+    assert "a table must be the name" in problems(tmp_path, "  table: {file: a.csv}\n")
 
 
 def test_known_loads_reach_the_recording(tmp_path: Path) -> None:

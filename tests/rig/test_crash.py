@@ -16,6 +16,7 @@ from rig.cli import crash
 from rig.cli.crash import drive_words, note_drive, noting_folder
 from rig.cli.entry import BAD_INPUT, CRASHED, DEVICE_FAILED, STOPPED, status
 from rig.common.errors import InputError, StorageError
+from rig.runs.run_record import RUN_FILE
 from rig.wiring.teardown import SafeState
 
 from .command import assert_in_words, rig
@@ -177,6 +178,15 @@ def test_the_traceback_goes_to_the_run_folder(tmp_path: Path) -> None:
         raise ValueError("unforeseen")
     assert str(run) in crash.report(noted.value, ["run"], "run")
     assert len(list(run.glob("crash-*.txt"))) == 1
+
+
+def test_a_run_folder_on_the_command_line_is_the_place_too(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / RUN_FILE).write_text("{}", encoding="utf-8")
+    crash.report(ValueError("unforeseen"), ["identify", "x" * 5000, "\0", "run"], "identify")
+    assert len(list(run.glob("crash-*.txt"))) == 1
+    assert crash.RUN_FILE == RUN_FILE
 
 
 def test_files_of_one_second_are_kept_apart_and_a_folder_that_is_read_only_is_passed_over(

@@ -7,13 +7,14 @@ from __future__ import annotations
 import errno
 import io
 import os
+import pty
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from rig.terminal.output import Outlet, ShareBar, complain, reader_gone
+from rig.terminal.output import Inlet, Outlet, ShareBar, complain, reader_gone
 from tests.rig.command import assert_in_words, rig
 
 ROWS = """\
@@ -141,6 +142,16 @@ def test_an_outlet_whose_reader_went_away_takes_everything_and_does_not_fail() -
     os.close(writer)
 
 
+def test_a_terminal_that_went_away_is_a_reader_that_did() -> None:
+    ours, theirs = pty.openpty()
+    outlet, inlet = Outlet(theirs), Inlet(theirs)
+    os.close(ours)
+    assert outlet.write(b"words") == 5
+    assert outlet.failure is None
+    assert inlet.readinto(bytearray(8)) == 0
+    os.close(theirs)
+
+
 @pytest.mark.parametrize(
     ("number", "terminal", "gone"),
     [
@@ -173,6 +184,15 @@ def test_complaining_to_a_full_disk_is_no_error(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(sys, "stderr", stream)
     complain("words")
     stream.detach().close()
+
+
+def test_complaining_in_characters_that_stderr_lacks_escapes_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    kept = io.BytesIO()
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(kept, encoding="ascii", write_through=True))
+    complain("25 °C")
+    assert kept.getvalue() == b"25 \\xb0C\n"
 
 
 def sequence_in(folder: Path) -> Path:

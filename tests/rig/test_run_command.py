@@ -15,6 +15,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 from drivers.clock import SimulatedClock
 from drivers.interfaces import RawFrame, ServoState
@@ -27,6 +28,7 @@ from rig.control.session import execute
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import load_run, read_record
+from rig.sources import load_source
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 
@@ -76,6 +78,11 @@ def test_help_imports_nothing_heavy() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     for heavy in ("numpy", "numba", "canopen", "can", "pydantic", "yaml"):
         assert f"'{heavy}'" not in done.stderr
+
+
+def test_an_unknown_command_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["fly"]) == 2
+    assert "fly" in capsys.readouterr().err
 
 
 def test_a_run(short_sequence: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,6 +137,25 @@ def test_dry_run_prints_the_plan_and_touches_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_bad_input_names_file_line_and_column(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(
+        ONE_STAGE.replace("amplitude_deg: 5", "amplitude_deg: 50").replace(
+            "duration_s: 1", "duration_s: no"
+        )
+    )
+    assert run(str(path), "--yes") == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"{path}:4:")
+    assert "Traceback" not in captured.err
+    path.write_text(ONE_STAGE.replace("amplitude_deg: 5", "amplitude_deg: 50"))
+    assert run(str(path), "--yes") == 2
+    assert "outside -30 to 30 deg" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
 def test_a_folder_in_use_is_refused(
     short_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -164,6 +190,19 @@ def test_ctrl_c_stops_at_once(short_sequence: Path, monkeypatch: pytest.MonkeyPa
     assert "phase approach" in record.message or "phase excite" in record.message
     assert read_run(Path("out/recording.mcap")).events[-1]["event"] == "stopped"
     assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_a_tripped_limit_is_a_bad_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "tight.yaml"
+    path.write_text(ONE_STAGE + "limits: {encoder_disagreement_deg: 1.0e-9}\n")
+    assert run(str(path), "--yes", "--out", "out") == 1
+    assert "tripped: stage empty" in capsys.readouterr().err
+    record = read_record(Path("out"))
+    assert record.trip is not None
+    assert record.trip["check"] == "encoder against drive"
+    assert record.de_energised is True
 
 
 def test_a_bus_that_dies_is_a_device_failure(
@@ -230,6 +269,59 @@ def test_scales_that_differ_from_the_drive_are_refused(
     assert read_record(Path("out")).de_energised is True
 
 
+@pytest.mark.parametrize("kind", ["csv", "mat", "parquet"])
+def test_export(finished: Path, kind: str) -> None:
+    assert status(["export", str(finished), "--format", kind, "--out", f"x.{kind}"]) == 0
+    (recording,) = load_run(finished).recordings
+    if kind == "csv":
+        lines = Path("x.csv").read_text().splitlines()
+        header = lines[0].split(",")
+        assert len(lines) == 1 + len(recording.time)
+        assert header[0] == "time"
+        angle = [float(line.split(",")[header.index("angle")]) for line in lines[1:]]
+    elif kind == "mat":
+        content = loadmat("x.mat", squeeze_me=True, struct_as_record=False)
+        angle = content["recordings"].angle
+        assert content["recordings"].name == "empty"
+        assert content["units"].angle == "rad"
+    else:
+        parquet = pytest.importorskip("pyarrow.parquet")
+        table = parquet.read_table("x.parquet")
+        angle = table["angle"].to_numpy()
+        assert table.schema.field("angle").metadata == {b"unit": b"rad"}
+    np.testing.assert_array_equal(angle, recording.channels["angle"])
+
+
+def test_csv_is_one_file_a_recording_and_a_campaign_takes_it(
+    short_sequence: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(str(short_sequence), "--yes", "--out", "out") == 0
+    assert status(["export", "out", "--out", "x.csv"]) == 0
+    written = load_run(Path("out")).recordings
+    assert [r.name for r in written] == ["empty[1]", "empty[2]", "heavy"]
+    places = ["x-empty-1.csv", "x-empty-2.csv", "x-heavy.csv"]
+    assert [line.partition(":")[0] for line in capsys.readouterr().out.splitlines()[-3:]] == places
+    columns = (
+        "{time: time, current: {column: current, average: true}, angle: angle, motor_angle: "
+        "motor_angle}"
+    )
+    Path("campaign.yaml").write_text(
+        "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, "
+        "lever_ratio: 10}\n"
+        "recordings:\n"
+        f"  - {{file: [x-empty-1.csv, x-empty-2.csv], stage: unloaded, channels: {columns}}}\n"
+        f"  - {{file: x-heavy.csv, stage: loaded, weight_mass: 10, channels: {columns}}}\n"
+    )
+    for there, here in zip(load_source(Path("campaign.yaml")).recordings, written, strict=True):
+        np.testing.assert_array_equal(there.channels["current"], here.channels["current"])
+        np.testing.assert_allclose(there.time, here.time)
+    # None of them is overwritten, and none is written while one is in the way.
+    Path("x-heavy.csv").rename("y-heavy.csv")
+    assert status(["export", "out", "--out", "y.csv"]) == 2
+    assert "y-heavy.csv: exists already" in capsys.readouterr().err
+    assert not Path("y-empty-1.csv").exists()
+
+
 def torn(finished: Path, share: float) -> Path:
     """Copy a run as a killed writer leaves it: recording cut off, run.json from the middle of the
     run.
@@ -265,6 +357,16 @@ def test_recover_a_run_that_had_finished_its_stage(
     assert after.messages["/frames"] == before.messages["/frames"][:count]
 
 
+def test_recover_a_run_cut_off_in_its_stage(finished: Path) -> None:
+    folder = torn(finished, 0.5)
+    assert status(["recover", str(folder)]) == 0
+    record = read_record(folder)
+    assert record.stages[0].state == "failed"
+    assert record.segments[0].end is None
+    assert status(["export", str(folder)]) == 2
+    assert status(["recover", str(folder)]) == 0
+
+
 def test_recover_leaves_a_whole_run_alone(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -272,6 +374,15 @@ def test_recover_leaves_a_whole_run_alone(
     assert status(["recover", str(finished)]) == 0
     assert "recording complete" in capsys.readouterr().out
     assert {path.name: path.read_bytes() for path in finished.iterdir()} == before
+
+
+def test_a_finished_run_that_was_damaged_later_is_not_read_silently(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = torn(finished, 0.9)
+    (folder / "run.json").write_bytes((finished / "run.json").read_bytes())
+    assert status(["export", str(folder)]) == 2
+    assert "rig recover" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from rig.cli import entry as cli
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.configuration import resolve
-from rig.config.serial_bus import UNWATCHED_SHARE
+from rig.config.serial_bus import UNWATCHED_SHARE, SerialBus
 from rig.runs.run import read_record
 from rig.wiring.connect import connect
 
@@ -32,6 +32,14 @@ def variant(tmp_path: Path, *changes: tuple[str, str]) -> Path:
     path = tmp_path / "bench.yaml"
     path.write_text(text)
     return path
+
+
+def test_the_packaged_bench_is_simulated_and_unwatched() -> None:
+    bench = load_bench("practical_serial").value
+    assert isinstance(bench.bus, SerialBus)
+    assert bench.simulated
+    assert not bench.watched
+    assert load_bench("practical").value.watched
 
 
 def test_limits_are_cut_where_the_drive_has_no_watchdog(tmp_path: Path) -> None:

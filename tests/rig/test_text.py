@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rig as rig_package
 from rig.common.places import write_json, write_text
 from rig.common.text import stored_path, valid
 from rig.runs.mcap.reader import read_run
@@ -110,3 +112,12 @@ def test_a_stored_path_leads_back_to_the_file(
         monkeypatch.setattr(os, "fsencode", lambda name: name.encode("ascii", "surrogateescape"))
         monkeypatch.setattr(os, "fsdecode", lambda name: name.decode("ascii", "surrogateescape"))
         assert str(stored_path(str(file))) == str(file).encode().decode("ascii", "surrogateescape")
+
+
+def test_every_text_file_is_opened_with_its_encoding() -> None:
+    """The default is that of the locale."""
+    rule = ["ruff", "check", "--isolated", "--no-cache", "--preview", "--select", "PLW1514"]
+    packages = ["rig", "drivers", "identification"]
+    root = Path(rig_package.__file__).parents[1]
+    done = subprocess.run([sys.executable, "-m", *rule, *packages], cwd=root, capture_output=True)
+    assert done.returncode == 0, done.stdout
