@@ -1,6 +1,4 @@
-"""Two clocks on one time base: what is recovered, what is left alone, and what it does to an
-estimate.
-"""
+"""Two clocks on one time base."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ MEANS = frozenset({"current"})
 
 
 def free_running(samples: int, ppm: float, start: float = 0.3) -> tuple[Array, Array, Array]:
-    """Rows every ms; an encoder that samples by its own ms: (row times, its stamps in them, when
-    they were taken).
-    """
+    """Row times, the stamps of an encoder with its own clock, and when they were taken."""
     rows = 1e-3 * np.arange(1, samples + 1)
     period = 1e-3 / (1.0 + 1e-6 * ppm)
     ticks = np.floor((rows - start * 1e-3) / period)
@@ -86,9 +82,7 @@ def test_means_stay_means_and_overwritten_samples_are_filled() -> None:
 
 
 def logged(weight: float, seed: int) -> tuple[dict[str, Array], Array]:
-    """Rows of the practical bench with a joint encoder on its own clock, +300 ppm, and no other
-    encoder.
-    """
+    """Rows of the practical bench with a joint encoder on its own clock, +300 ppm."""
     rng = np.random.default_rng(seed)
     fine = simulate(Machine(), command, DURATION_S, 1000.0 * FINE, weight, rng=rng)
     rows, stamps, true = free_running(round(1000.0 * DURATION_S) - 1, 300.0)

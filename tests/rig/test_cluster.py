@@ -1,6 +1,4 @@
-"""A proof is the same bytes from one process and from the workers of a cluster, also if one of them
-is killed on the way.
-"""
+"""A proof is the same bytes from one process and from a cluster of which a worker is killed."""
 
 from __future__ import annotations
 

@@ -52,11 +52,8 @@ HEAD = "t,i,m,q\n"
     ("text", "note"),
     [
         (HEAD + "s,A,rad,rad\n" + "\n".join(lines_of()), "read as units: s, A, rad, rad"),
-        (HEAD + "s,A,-,rad\n" + "\n".join(lines_of()), "read as units: s, A, -, rad"),
         ((HEAD + "\n".join(lines_of())).encode("utf-16"), "text in UTF-16"),
-        ((HEAD + "\n".join(lines_of())).encode("utf-16-le"), "text in UTF-16-LE"),
         ("\ufeff" + HEAD + "\n".join(lines_of()), None),
-        (HEAD + "\n".join(lines_of()) + "\nEOF\n", "(EOF) read as the end"),
         (HEAD + "\n".join(lines_of()) + "\nEOF,,,\n", "(EOF) read as the end"),
         (HEAD + "\n".join(lines_of()) + "\n,,,\n", "1 rows without values at the end dropped"),
         ("t i m q\n" + "\n".join(lines_of("   ")), "columns separated by blanks"),
@@ -66,19 +63,6 @@ HEAD = "t,i,m,q\n"
             + "\n".join(f'"{k}"\t{line}' for k, line in enumerate(lines_of("\t"), 1)),
             "the first cell of each row is a row name",
         ),
-    ],
-    ids=[
-        "units",
-        "dash",
-        "utf16",
-        "utf16le",
-        "bom",
-        "eof",
-        "eof-cells",
-        "commas",
-        "blanks",
-        "end",
-        "R",
     ],
 )
 def test_what_a_text_file_is_comes_out_and_is_said(
@@ -92,7 +76,7 @@ def test_what_a_text_file_is_comes_out_and_is_said(
 
 def test_dates_with_and_without_an_offset_are_seconds(tmp_path: Path) -> None:
     stamps = np.datetime64("2026-02-28T23:59:59.900", "us") + (TIME * 1e6).round().astype(int)
-    for suffix in ("", "Z", "+01:00"):
+    for suffix in ("", "+01:00"):
         lines = [f"{s}{suffix},{row.split(',', 1)[1]}" for s, row in zip(stamps, lines_of())]  # noqa: B905
         recording = load(tmp_path, HEAD + "\n".join(lines))
         is_truth(recording)
@@ -161,8 +145,7 @@ def test_a_first_line_that_counts_is_a_header(tmp_path: Path) -> None:
     np.testing.assert_array_equal(open_table(table, PLAIN).read([0])[0], [0, 1, 2])
 
 
-@pytest.mark.parametrize("bits", [8, 16, 18, 32])
-@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize(("bits", "signed"), [(8, True), (18, False), (32, True)])
 def test_a_position_counter_through_its_end(tmp_path: Path, bits: int, signed: bool) -> None:
     amplitude = 2.0 ** (bits - 1)
     counts = np.rint(amplitude * np.sin(12.0 * TIME))
@@ -181,7 +164,7 @@ def test_a_position_counter_through_its_end(tmp_path: Path, bits: int, signed: b
     assert any(f"`motor_angle`: a counter of {bits} bits" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (16, 1e-3), (18, 1e-3), (32, 1e-6)])
+@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (32, 1e-6)])
 def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> None:
     ticks = np.arange(N) * round(1e-3 / scale) + 2**bits - 40 * round(1e-3 / scale)
     values = np.column_stack([ticks % 2**bits, CURRENT, 100 * ANGLE, ANGLE])
@@ -235,15 +218,14 @@ def test_structs_of_matlab_by_full_and_short_name(tmp_path: Path) -> None:
         dtype=[("values", object), ("label", object)],
     )
     out = {"out": {"time": TIME, "signals": signals}}
-    for compress in (False, True):
-        scipy.io.savemat(tmp_path / "log.mat", out, do_compression=compress)
-        full = (
-            "{time: out.time, current: 'out.signals[0].values', "
-            "motor_angle: 'out.signals[1].values[0]', angle: 'out.signals[1].values[1]'}"
-        )
-        recording = load_file(tmp_path, "log.mat", full)
-        is_truth(recording)
-        assert recording.notes == ()
+    scipy.io.savemat(tmp_path / "log.mat", out, do_compression=True)
+    full = (
+        "{time: out.time, current: 'out.signals[0].values', "
+        "motor_angle: 'out.signals[1].values[0]', angle: 'out.signals[1].values[1]'}"
+    )
+    recording = load_file(tmp_path, "log.mat", full)
+    is_truth(recording)
+    assert recording.notes == ()
     scipy.io.savemat(tmp_path / "log.mat", {"d": dict(zip(NAMES, TRUTH.T, strict=True))})
     recording = load_file(tmp_path, "log.mat", CHANNELS)
     is_truth(recording)
@@ -315,8 +297,10 @@ def test_lists_and_stamps_of_mcap(tmp_path: Path) -> None:
     assert recording.notes == ()
 
 
-@pytest.mark.parametrize("chunk", [8192, 1 << 24])
-@pytest.mark.parametrize("kind", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+@pytest.mark.parametrize(
+    ("chunk", "kind"),
+    [(8192, CompressionType.NONE), (8192, CompressionType.ZSTD), (1 << 24, CompressionType.LZ4)],
+)
 def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
     tmp_path: Path, chunk: int, kind: CompressionType
 ) -> None:
@@ -343,14 +327,8 @@ def test_json_lines(tmp_path: Path) -> None:
     recording = load_file(tmp_path, "log.jsonl", channels)
     is_truth(recording)
     assert recording.notes == (f"line {N + 1} is incomplete: dropped",)
-    path.write_text('{"t": 1}\n\n[3]\n')
-    with pytest.raises(InputError, match=r"log\.jsonl:3: not a JSON object"):
-        load_file(tmp_path, "log.jsonl", channels)
     path.write_text('{"t": 1}\nnot\n{"t": 2}\n')
     with pytest.raises(InputError, match=r"log\.jsonl:2: not JSON"):
-        load_file(tmp_path, "log.jsonl", channels)
-    path.write_text('{"name": "a"}\n')
-    with pytest.raises(InputError, match="no JSON object contains a number"):
         load_file(tmp_path, "log.jsonl", channels)
 
 

@@ -1,6 +1,4 @@
-"""Campaigns of pressure and valve angle: what the file must say, and what `rig diagnose` makes of
-them.
-"""
+"""Campaigns of pressure and valve angle, and what `rig diagnose` makes of them."""
 
 from __future__ import annotations
 

@@ -76,9 +76,7 @@ class Identified:
 
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
-    """One identification with seed 4 into the default folder; two recordings have a missing sample.
-    Tests do not change it.
-    """
+    """One identification with seed 4, not to be changed; two recordings lack a sample."""
     folder = tmp_path_factory.mktemp("identified")
     campaign = write_campaign(folder)
     for name in ("free.csv", "heavy.csv"):

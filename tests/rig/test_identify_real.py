@@ -1,6 +1,4 @@
-"""Real recordings through the whole of identification, against published values where there are
-any.
-"""
+"""Real recordings through the whole of identification, against published values."""
 
 from __future__ import annotations
 
@@ -81,9 +79,7 @@ def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_
 def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
     recordings: Path, way: str
 ) -> None:
-    """Both ways pooled, and each alone; at 2 rpm the lead screw sticks and slips, and nothing of
-    that is fitted.
-    """
+    """At 2 rpm the lead screw sticks and slips, and nothing of that is fitted."""
     first, second = result_of(f"screw_drive_1{way}.yaml"), result_of(f"screw_drive_2{way}.yaml")
     assert first.alpha == second.alpha == 2.0
     speed = first.parameters["omega_sf"]

@@ -1,6 +1,4 @@
-"""``--json`` and ``--seed`` of the commands that work on a bench: judged before anything is done,
-written through.
-"""
+"""``--json`` and ``--seed`` of commands on a bench: judged before anything is done."""
 
 from __future__ import annotations
 

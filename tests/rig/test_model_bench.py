@@ -1,6 +1,4 @@
-"""Close the loop: a simulated bench made from a result reproduces the recording that the result
-describes.
-"""
+"""A simulated bench made from a result reproduces the recording that the result describes."""
 
 from __future__ import annotations
 

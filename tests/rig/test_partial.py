@@ -1,6 +1,4 @@
-"""What was recorded of a run that stopped, exported and identified when asked for, and said to be
-partial.
-"""
+"""What was recorded of a run that stopped, exported and identified when asked for."""
 
 from __future__ import annotations
 
@@ -23,9 +21,7 @@ FIRST, SECOND = 600, 1200
 
 
 def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunFolder:
-    """Run the short sequence until a cycle in which the current is too high, or answers are missing
-    before it.
-    """
+    """Run until a cycle with too high a current, or with stale answers before it."""
     bench = fake_bench()
     if stale:
         bench.faults["exchange", cycle - stale] = lambda: setattr(bench, "fresh", False)

@@ -14,9 +14,7 @@ from rig.results.identify.design import nominal_values
 
 
 def result(folder: Path) -> Path:
-    """Write a result in which J is 3 % wide and mu_2 was left open, of a recording that is not what
-    it was.
-    """
+    """Write a result in which J is 3 % wide, of recordings that are gone or changed."""
     recording = folder / "recording.mcap"
     recording.write_bytes(b"changed since")
     parameters = {n: {"value": 1.0, "low": 0.99, "high": 1.01} for n in NAMES}

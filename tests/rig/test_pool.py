@@ -1,6 +1,4 @@
-"""Workers of a proof share its work out and end with it, however it ends; the work of a worker that
-dies is done again.
-"""
+"""Workers of a proof end with it; the work of a worker that dies is done again."""
 
 from __future__ import annotations
 

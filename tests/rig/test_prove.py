@@ -1,6 +1,4 @@
-"""The proof's machinery, with diagnoses that are made up: sealed before, opened after, scored
-right, gone on with.
-"""
+"""The proof's machinery, with made-up diagnoses: sealed before, opened after, scored."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The blind gas rigs: drawn over the whole catalogue, within the plant's ranges, and telling
-nothing.
-"""
+"""The blind gas rigs: drawn over the catalogue, within the plant's ranges, telling nothing."""
 
 from __future__ import annotations
 

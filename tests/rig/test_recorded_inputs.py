@@ -30,9 +30,7 @@ DIGEST = sha256(CONTENT)
 
 @pytest.fixture
 def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Start a run with relative paths and stop it in its second stage; the run folder is
-    returned.
-    """
+    """Return the folder of a run with relative paths that was stopped in its second stage."""
     bench = Path(__file__).parents[2] / "rig" / "config" / "benches" / "practical.yaml"
     place = tmp_path / "bench"
     (place / "files").mkdir(parents=True)

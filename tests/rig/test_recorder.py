@@ -1,6 +1,4 @@
-"""The recording: exact round trip, readable by the MCAP library, and robust to being cut off
-anywhere.
-"""
+"""The recording: exact round trip, read by the MCAP library, robust to being cut off anywhere."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The report: self-contained, escaped, and every figure in the folder too; its record as JSON that
-any reader takes.
-"""
+"""The report: self-contained, escaped, every figure in the folder too; its record as JSON."""
 
 from __future__ import annotations
 

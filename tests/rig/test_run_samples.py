@@ -1,6 +1,4 @@
-"""The samples of a run in a stream: what reading all at once gives, and what happens where the file
-is not whole.
-"""
+"""The samples of a run in a stream, also where the file is not whole."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""``rig identify --ladder`` on a voltage bench: the fits to the simulated angle, printed and
-recorded.
-"""
+"""``rig identify --ladder`` on a voltage bench: the fits to the simulated angle."""
 
 from __future__ import annotations
 

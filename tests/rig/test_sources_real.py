@@ -23,41 +23,6 @@ def write(folder: Path, text: str) -> Dataset:
     return load_source(path)
 
 
-def test_emps() -> None:
-    data = load_source(CAMPAIGNS / "emps.yaml")
-    (fit,), (validate,) = data.part("fit"), data.part("validate")
-    assert data.model.terms == ("offset",)
-    assert (fit.name, validate.name) == ("DATA_EMPS", "DATA_EMPS_PULSES")
-    assert fit.bench.motion == "linear"
-    for recording in data.recordings:
-        assert len(recording.time) == 24841
-        assert recording.period == pytest.approx(1e-3, rel=1e-3)
-        assert recording.notes == ()
-    # 0.2 m of travel, and about 20 N of Coulomb friction plus 204 N s/m: the force is some tens of
-    # newtons.
-    assert 0.1 < np.ptp(fit.channels["angle"]) < 0.5
-    assert 20 < np.std(fit.channels["torque"]) < 100
-
-
-@pytest.mark.parametrize(
-    ("name", "light", "heavy"), [("to_heavy", "fit", "validate"), ("to_light", "validate", "fit")]
-)
-def test_sts3032(name: str, light: str, heavy: str) -> None:
-    data = load_source(CAMPAIGNS / f"sts3032_{name}.yaml")
-    assert len(data.recordings) == 54
-    assert len({recording.name for recording in data.recordings}) == 54
-    for recording in data.recordings:
-        mass, length, gain, _ = recording.name.split("_", 3)
-        assert recording.pendulum is not None
-        assert recording.pendulum.mass == pytest.approx(float(mass[1:-1]) / 1000)
-        assert recording.pendulum.length == pytest.approx(float(length[1:-2]) / 1000)
-        assert recording.pendulum.zero == 0.1258
-        assert gain in ("kp08", "kp16", "kp32")
-        assert recording.role == {"m259g": light, "m457g": heavy}[mass]
-        assert recording.channels["enabled"].all()
-        assert np.isfinite(recording.channels["voltage"]).all()
-
-
 def test_every_sts3032_file_loads_and_falls_freely_while_off(tmp_path: Path) -> None:
     data = write(
         tmp_path,
@@ -104,22 +69,3 @@ def test_epos_exports_as_they_are(tmp_path: Path, skip_rows: int, time: str, tor
             assert np.mean(recording.channels["velocity"]) == pytest.approx(
                 speed, rel=0.15, abs=0.1
             )
-
-
-def test_odrive(tmp_path: Path) -> None:
-    data = write(
-        tmp_path,
-        "campaign: 1\n"
-        "bench: {}\n"
-        "recordings:\n"
-        "  - file: RECORDINGS/odrive_cogging/*.csv\n"
-        "    channels:\n"
-        "      time: time_s\n"
-        "      current: current_A\n"
-        "      angle: {column: position_counts, scale: 7.669903939428206e-4}\n",
-    )
-    assert len(data.recordings) == 3
-    for recording in data.recordings:
-        turn = abs(recording.channels["angle"][-1] - recording.channels["angle"][0])
-        assert turn < 7
-        assert "uneven sampling" in recording.notes[0]

@@ -74,9 +74,7 @@ TRUE = {
 
 @pytest.fixture(scope="module")
 def hiding(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a run, identified too, on a bench whose file hides physics and has constants of its
-    own.
-    """
+    """Return an identified run on a bench that hides physics and has constants of its own."""
     folder = tmp_path_factory.mktemp("hiding")
     text = resolve("practical", "benches").read_text()
     for name, value in TRUE.items():

@@ -1,6 +1,4 @@
-"""Simulated benches with one mistake each end in their first pass, with the key to set; a right one
-runs. ``make units`` tries three hundred.
-"""
+"""Simulated benches with one mistake each end in their first pass, with the key to set."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The JSON Schemas: they accept what the program accepts, and refuse what an editor can know to be
-wrong.
-"""
+"""The JSON Schemas accept what the program accepts, and refuse what an editor can know."""
 
 from __future__ import annotations
 
@@ -66,9 +64,7 @@ def node(tree: Any) -> Node:
 
 @pytest.fixture
 def trees_from_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the program read the thousands of mutants, which are JSON, without the YAML parser, which
-    takes longer than all that judges them.
-    """
+    """Let the program read the mutants, which are JSON, without the slow YAML parser."""
     monkeypatch.setattr(configuration, "parse", lambda text: (node(json.loads(text)), []))
 
 
@@ -125,9 +121,7 @@ def mappings(tree: Any) -> Iterator[dict[str, Any]]:
 
 
 def kinds(tree: Any) -> list[dict[str, Any]]:
-    """Return the mappings of a tree, of entries of one list with the same keys only the first: one
-    part of the schema judges them all.
-    """
+    """Return the mappings of a tree; of entries of one list with the same keys the first."""
     found: dict[tuple[object, ...], dict[str, Any]] = {}
 
     def walk(item: Any, path: tuple[str, ...]) -> None:
@@ -196,9 +190,7 @@ def test_mutants_are_the_same_read_as_yaml_or_as_json() -> None:
 def test_the_schema_refuses_nothing_that_the_program_accepts(
     kind: str, tree: Any, tmp_path: Path
 ) -> None:
-    """Each value in turn is left out, and replaced by others; the schema may be the milder judge,
-    never the harder.
-    """
+    """Each value in turn is left out and replaced; the schema is never the harder judge."""
     check, judged = validator(kind), 0
     defaults = tree.get("defaults")
     for place in kinds(tree):

@@ -1,8 +1,4 @@
-"""Random logs of every format, and what must hold of each: it is read to the last bit, or something
-is said.
-
-Each property takes a drawn log and a folder; ``tests/long/log_shapes.py`` runs them many times.
-"""
+"""Random logs of every format: each is read to the last bit, or something is said."""
 
 from __future__ import annotations
 

@@ -157,9 +157,7 @@ def test_protobuf_with_repeated_messages(tmp_path: Path) -> None:
 
 
 def test_a_topic_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:
-    """One topic lacks the definition of a message inside it, one has a definition that ROS refuses,
-    one breaks off in the log.
-    """
+    """Topics that lack a definition, have one that ROS refuses, or break off."""
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
