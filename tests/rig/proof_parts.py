@@ -77,7 +77,7 @@ def floors_of(source: Path) -> Mapping[str, float]:
 
 
 def obey() -> None:
-    """Be killed as the environment says; check that nobody listens beyond the loopback interface."""
+    """Be killed as the environment says; check that nobody listens beyond the loopback."""
     if DIES not in os.environ:
         return
     here = psutil.Process()

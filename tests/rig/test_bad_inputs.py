@@ -220,11 +220,7 @@ def test_a_run_folder_that_may_not_be_read(
 @pytest.mark.parametrize("file", ["run.json", "recording.mcap"])
 @pytest.mark.parametrize("command", ["export", "recover", "resume"])
 def test_a_run_folder_with_a_damaged_file(
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    command: str,
-    file: str,
-    kind: str,
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, file: str, kind: str
 ) -> None:
     content = (place / "run" / file).read_bytes()
     (place / "run" / file).unlink()
@@ -239,10 +235,7 @@ def test_a_run_folder_with_a_damaged_file(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "mat", "parquet"])
 def test_a_recording_that_cannot_be_used(
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    ending: str,
-    kind: str,
+    place: Path, capsys: pytest.CaptureFixture[str], ending: str, kind: str
 ) -> None:
     KINDS[kind](place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
     (place / "bad.yaml").write_text(CAMPAIGN.format(file=f"bad.{ending}"), encoding="utf-8")
@@ -281,24 +274,10 @@ def test_a_device_file_that_cannot_be_used(
 
 NUMBERS = ("9" * 400, ".nan", "1e300", "0")
 PLACES: Mapping[str, tuple[str, ...]] = {
-    "run": (
-        "amplitude_deg: ",
-        "duration_s: ",
-        "ramp_in_s: ",
-        "settle_s: ",
-        "sequence: ",
-    ),
-    "run --bench": (
-        "gear_ratio: ",
-        "cycle_Hz: ",
-        "bitrate: ",
-        "angle_max_deg: ",
-        "rated_current_A: ",
-        "inertia_kg_m2: ",
-        "supply_V: ",
-    ),
-    "run --faults": ("after_s: ", "value: ", "faults: "),
-    "export": ("torque_constant: ", "gear_ratio: ", "campaign: "),
+    "run": ("amplitude_deg: ", "settle_s: ", "sequence: "),
+    "run --bench": ("gear_ratio: ", "cycle_Hz: ", "bitrate: ", "rated_current_A: ", "supply_V: "),
+    "run --faults": ("after_s: ", "faults: "),
+    "export": ("torque_constant: ", "campaign: "),
 }
 """Command to the keys whose numbers are replaced."""
 

@@ -178,14 +178,7 @@ def test_a_worker_with_other_packages_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("address", "open_"),
-    [
-        ("tls://10.0.0.5:8786", False),
-        ("tcp://10.0.0.5:8786", True),
-        ("bench.example:8786", True),
-        ("tcp://127.0.0.1:8786", False),
-        ("tcp://[::1]:8786", False),
-        ("localhost:8786", False),
-    ],
+    [("tls://10.0.0.5:8786", False), ("bench.example:8786", True), ("tcp://[::1]:8786", False)],
 )
 def test_a_scheduler_that_others_can_reach_without_keys_is_warned_of(
     address: str, open_: bool

@@ -24,10 +24,8 @@ def answered(text: str) -> list[str]:
     ("words", "found"),
     [
         (("rig", "ru"), ["run", "runs"]),
-        (("rig", "new", ""), ["bench", "campaign", "sequence"]),
         (("rig", "new", "bench", "--torque-c"), ["--torque-constant"]),
         (("rig", "new", "bench", "b.yaml", "--drive", "epos"), ["epos4-serial"]),
-        (("rig", "schema", ""), ["bench", "sequence", "campaign", "faults"]),
     ],
 )
 def test_commands_and_options_are_completed(

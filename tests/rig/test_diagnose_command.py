@@ -59,13 +59,7 @@ def found(
         calls: list[tuple[float | None, float]] = []
 
         def numerics(
-            dataset: Dataset,
-            *,
-            bandwidth_Hz: float | None,
-            rng: np.random.Generator,
-            progress: object,
-            inspect: object,
-            estimate: object,
+            dataset: Dataset, *, bandwidth_Hz: float | None, rng: np.random.Generator, **_: object
         ) -> Diagnosis:
             assert [r.role for r in dataset.recordings] == ["fit", "fit", "validate"]
             calls.append((bandwidth_Hz, float(rng.random())))
@@ -85,9 +79,11 @@ def test_every_verdict_is_printed_written_and_drawn(
     verdict: str, campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
 ) -> None:
     diagnosis = EACH[verdict]
-    found(diagnosis)
+    calls = found(diagnosis)
     out, file = tmp_path / "out", tmp_path / "result.json"
-    assert status(["diagnose", str(campaign), "--out", str(out), "--json", str(file)]) == 0
+    arguments = ["diagnose", str(campaign), "--out", str(out), "--json", str(file)]
+    assert status([*arguments, "--seed", "5", "--bandwidth", "12"]) == 0
+    assert calls == [(12.0, np.random.default_rng(5).random())]
     printed = " ".join(capsys.readouterr().out.split())
     assert diagnosis.statement in printed
     record = json.loads(file.read_text())
@@ -143,12 +139,8 @@ def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "these recordings cannot reject it" in printed
-    assert "to split current_offset, asymmetric_coulomb: " in printed
     assert AMBIGUOUS.effects[0].separating_experiment in printed
-    page = (out / "report.html").read_text()
-    assert "These recordings cannot distinguish current_offset from asymmetric_coulomb." in page
-    assert "<code>split.yaml</code>: distinguishes current_offset, asymmetric_coulomb" in page
+    assert "<code>split.yaml</code>" in (out / "report.html").read_text()
     assert status(["run", str(out / "split.yaml"), "--dry-run"]) == 0
     assert "held-from-below" in capsys.readouterr().out
 
@@ -242,17 +234,10 @@ def test_many_samples_are_not_refined_and_said_so(
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("option", ["--refine", "--no-refine"])
-def test_former_options_are_accepted_with_a_note(
-    campaign: Path,
-    tmp_path: Path,
-    found: Arrange,
-    option: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    found(dataclasses.replace(PLAIN, warnings=()))
-    assert status(["diagnose", str(campaign), option, "--out", str(tmp_path / "out")]) == 0
-    assert "note: --refine and --no-refine have no effect" in capsys.readouterr().err
+def test_former_options_are_accepted(campaign: Path, tmp_path: Path, found: Arrange) -> None:
+    found(PLAIN)
+    for option in ("--refine", "--no-refine"):
+        assert status(["diagnose", str(campaign), option, "--out", str(tmp_path / "out")]) == 0
 
 
 def test_a_joint_that_never_moves_on_is_bad_input(

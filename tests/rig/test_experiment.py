@@ -2,8 +2,6 @@
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -12,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.design import propose, search
-from identification.design.propose import Proposal
 from identification.design.search import Excitation, Ramps
-from identification.design.simulated import NAMES, Intervals
+from identification.design.simulated import NAMES
 from rig.cli.entry import status
 from rig.config.sequence import StageSection, Tone, excitation
-from rig.results.identify.design import Experiment, _advice, _with, excitation_words
+from rig.results.identify.design import _with, excitation_words
 
 SEQUENCE = """\
 sequence: 1
@@ -104,33 +101,3 @@ def test_a_sequence_beyond_the_bench_is_refused(
     sequence.write_text(SEQUENCE.replace("amplitude_deg: 15", "amplitude_deg: 50"))
     assert status(["identify", "--plan", str(sequence), "--out", str(tmp_path / "o")]) == 2
     assert "outside -30 to 30 deg" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [(None, "cannot be read"), ("{", "not JSON"), ('{"schema": "x"}', "schema")],
-)
-def test_a_nominal_that_cannot_be_used(
-    sequence: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    content: str | None,
-    words: str,
-) -> None:
-    path = tmp_path / "nominal.json"
-    if content is not None:
-        path.write_text(content)
-    arguments = ["identify", "--plan", str(sequence), "--nominal", str(path)]
-    assert status([*arguments, "--out", str(tmp_path / "o")]) == 2
-    error = capsys.readouterr().err
-    assert str(path) in error
-    assert words in error
-
-
-@pytest.mark.parametrize(
-    ("tighter", "words"), [(0.5, "run both"), (1.0, "the given sequence is proposed unchanged")]
-)
-def test_a_proposal_that_is_the_sequence_itself_is_told(tighter: float, words: str) -> None:
-    now, then = Intervals({"omega_sL": 0.01}), Intervals({"omega_sL": 0.01 * tighter})
-    proposal = Proposal("omega_sL", now, (), then, then, judged=3, identified=2)
-    assert words in _advice(cast(Experiment, SimpleNamespace(proposal=proposal)))

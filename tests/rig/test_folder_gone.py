@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import errno
-import io
 import os
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -150,26 +148,3 @@ def test_the_state_of_a_run_that_filled_the_disk_is_kept(
     assert not Path("out", RESERVE_FILE).exists()
     (entry,) = list_runs(Path()).entries
     assert entry.head.state == "failed"
-
-
-def test_a_commissioning_is_listed_as_such(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n0,0\nabort\n"))
-    assert status(["commission", "practical", "--out", "runs/new"]) == 3
-    (entry,) = list_runs(Path("runs")).entries
-    head = entry.head
-    assert (head.kind, head.bench, head.state, head.problem) == (
-        "commissioning",
-        "practical",
-        "stopped",
-        "",
-    )
-    Path("runs/new/commission.json").unlink()
-    (entry,) = list_runs(Path("runs")).entries
-    assert entry.head.kind == "half written"
-    assert "rig recover" not in entry.head.problem
-    assert status(["recover", "runs/new"]) == 2
-    assert "rig recover" not in capsys.readouterr().out
-    capsys.readouterr()
-    assert status(["runs", "list", "--verdict", "half-written"]) == 0

@@ -118,21 +118,11 @@ def test_the_block_of_a_campaign(tmp_path: Path) -> None:
     ("bench", "channels", "words"),
     [
         ("{}", "{time: 0, angle: 1, pressure: 2}", "add bench.gas_generator"),
-        (
-            "{gas_generator: {}}",
-            "{time: 0, motor_angle: 1, pressure: 2}",
-            "no `angle` of the valve",
-        ),
         ("{gas_generator: {}}", "{time: 0, angle: 1}", "or `pressure` of a gas generator"),
         (
             "{gas_generator: {pressure_exponent: 1.2}}",
             "{time: 0, angle: 1, pressure: 2}",
             "less than 1",
-        ),
-        (
-            "{gas_generator: {valve: {hole_diameter: 0.06}}}",
-            "{time: 0, angle: 1, pressure: 2}",
-            "wider than its plate",
         ),
     ],
 )

@@ -3,8 +3,6 @@
 import contextlib
 import io
 import json
-import os
-import shutil
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -186,29 +184,6 @@ def test_what_is_refused_before_a_file_is_written(
     assert status(["identify", "bench.yaml", "--out", "out", *options]) == 2
     assert named in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.usefixtures("short_search")
-def test_ctrl_c_while_writing_keeps_what_was_whole(
-    identified: Identified,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(identified.folder, out)
-    page = (out / "report.html").read_text()
-
-    def stop(source: int, target: int) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", stop)
-    arguments = ["identify", str(identified.campaign), "--method", "paper", "--out", str(out)]
-    assert status([*arguments, "--seed", "1"]) == 3
-    assert capsys.readouterr().err.endswith("stopped by the operator\n")
-    assert (out / "report.html").read_text() == page
-    assert json.loads((out / "identify.json").read_text())["seed"] == 4
-    assert not list(out.glob(".*"))
 
 
 def test_corrections_are_told(identified: Identified) -> None:

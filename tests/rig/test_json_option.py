@@ -13,33 +13,17 @@ import pytest
 
 from rig.cli.entry import status
 
-SEQUENCE = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
-RUN = ("run", "one.yaml", "--yes", "--out", "out")
+RUN = ("run", "short.yaml", "--yes", "--out", "out")
 CHECK = ("check", "practical")
 JOG = ("jog", "practical", "--to", "1")
 RECOVER = ("recover", "done")
 RESUME = ("resume", "done")
 
 
-@pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("done")
-    (folder / "one.yaml").write_text(SEQUENCE)
-    assert status(["run", str(folder / "one.yaml"), "--yes", "--out", str(folder / "run")]) == 0
-    return folder / "run"
-
-
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Path) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("one.yaml").write_text(SEQUENCE)
-    shutil.copytree(done, "done")
+def _elsewhere(short_sequence: Path, monkeypatch: pytest.MonkeyPatch, finished_run: Path) -> None:
+    monkeypatch.chdir(short_sequence.parent)
+    shutil.copytree(finished_run, "done")
 
 
 @pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER, RESUME], ids=lambda c: c[0])

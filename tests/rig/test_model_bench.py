@@ -55,20 +55,8 @@ def run(tmp_path: Path, name: str, bench: dict[str, Any]) -> Path:
     (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(bench))
     (tmp_path / "short.yaml").write_text(SEQUENCE)
     out = tmp_path / name
-    assert (
-        status(
-            [
-                "run",
-                str(tmp_path / "short.yaml"),
-                "--bench",
-                str(tmp_path / f"{name}.yaml"),
-                "--yes",
-                "--out",
-                str(out),
-            ]
-        )
-        == 0
-    )
+    files = [str(tmp_path / "short.yaml"), "--bench", str(tmp_path / f"{name}.yaml")]
+    assert status(["run", *files, "--yes", "--out", str(out)]) == 0
     return out
 
 

@@ -32,15 +32,6 @@ def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunF
     return folder
 
 
-def test_without_partial_the_error_says_what_takes_it(runner: Any, fake_bench: Any) -> None:
-    folder = tripped(runner, fake_bench, FIRST)
-    with pytest.raises(
-        InputError,
-        match=r"no stage was finished \(state tripped: .*\); --partial uses the recorded part",
-    ):
-        load_run(folder.path)
-
-
 def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
     runner: Any, fake_bench: Any
 ) -> None:
@@ -49,6 +40,8 @@ def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
     inside = samples["segment"] == 1
     fresh = int(np.sum(samples["fresh"][inside]))
     assert 0 < fresh == int(np.sum(inside)) - 5
+    with pytest.raises(InputError, match=r"no stage was finished .*--partial uses the recorded"):
+        load_run(folder.path)
     (found,) = load_run(folder.path, partial=True).recordings
     assert (found.name, found.partial, found.role) == ("empty[1] (partial)", True, "fit")
     assert len(found.time) == fresh
@@ -76,7 +69,9 @@ def test_finished_excitations_alone_are_the_default(runner: Any, fake_bench: Any
     assert "without --partial" in without_partial(both)
 
 
-def test_what_was_begun_again_is_not_taken(runner: Any, fake_bench: Any) -> None:
+def test_excitations_that_never_began_or_were_begun_again_are_none(
+    runner: Any, fake_bench: Any
+) -> None:
     folder = tripped(runner, fake_bench, FIRST)
     discard(folder.record, 0)
     folder.save()
@@ -84,13 +79,6 @@ def test_what_was_begun_again_is_not_taken(runner: Any, fake_bench: Any) -> None
         load_run(folder.path, partial=True)
     with pytest.raises(InputError, match="no excitation has begun"):
         load_run(folder.path)
-
-
-def test_a_run_that_stopped_before_its_first_excitation(runner: Any, fake_bench: Any) -> None:
-    folder = tripped(runner, fake_bench, 20)
-    assert folder.record.segments == []
-    with pytest.raises(InputError, match="no excitation was recorded"):
-        load_run(folder.path, partial=True)
 
 
 def first_cycle(runner: Any, fake_bench: Any) -> int:

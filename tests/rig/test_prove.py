@@ -127,14 +127,6 @@ def test_a_confident_name_outside_the_catalogue_is_kept_account_of() -> None:
     assert rows[0]["top1"] is None
 
 
-def test_parameters_are_held_against_their_intervals() -> None:
-    estimate = {"value": 0.011, "low": 0.0105, "high": 0.012, "unit": "rad"}
-    row = scored("one", diagnosed(effect("backlash", gap_rad=estimate)), backlash=GAP)
-    assert row["parameters"]["backlash.gap_rad"]["inside"] is False
-    assert row["nominal"]["Mc"] == {"before": pytest.approx(0.1), "after": 0.0}
-    assert score([row])["intervals"]["n"] == 0
-
-
 def gain(oracle_rms: float, equation: str = "transmission") -> dict[str, Any]:
     """Return what the true structures gain on recordings that were set aside."""
     rms = {"baseline_rms": 1.0, "oracle_rms": oracle_rms, "noise_rms": 0.1}

@@ -167,10 +167,7 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
     ("text", "message"),
     [
         ("truth: 1\neffects: {backlsh: {}}\n", "not an effect of the catalogue"),
-        (
-            "truth: 1\neffects: {backlash: {gap: 1}}\n",
-            "no parameter of backlash",
-        ),
+        ("truth: 1\neffects: {backlash: {gap: 1}}\n", "no parameter of backlash"),
         ("truth: 1\neffects: {cogging: {}}\noutside: [cogging]\n", "is an effect of the catalogue"),
         ("truth: 1\noutside: [mine]\n", "not among effects"),
         ("truth: 1\nnot_scored: [J]\n", "neither an effect"),

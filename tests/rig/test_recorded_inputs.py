@@ -14,32 +14,22 @@ from rig.common.provenance import sha256
 from rig.control.remote import RunProgress
 from rig.runs.recorded_inputs import recorded_input, truth_of
 
-STAGES = """\
-sequence: 1
-name: two
-stages:
-  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
 CONTENT = b"that of the run"
 DIGEST = sha256(CONTENT)
 
 
 @pytest.fixture
-def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def stopped(short_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder of a run with relative paths that was stopped in its second stage."""
     bench = Path(__file__).parents[2] / "rig" / "config" / "benches" / "practical.yaml"
     place = tmp_path / "bench"
     (place / "files").mkdir(parents=True)
     shutil.copy(bench, place / "files" / "own.yaml")
-    (place / "files" / "two.yaml").write_text(STAGES, encoding="utf-8")
+    shutil.copy(short_sequence, place / "files" / "two.yaml")
     monkeypatch.chdir(place)
 
     def press(self: RunProgress, name: str, *rest: Any) -> None:
-        if name == "b":
+        if name == "heavy":
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:

@@ -98,16 +98,6 @@ def test_samples_of_an_older_program_are_read(tmp_path: Path) -> None:
     assert len(SAMPLE_SIZES) == len(Sample._fields) - 15
 
 
-def test_samples_of_two_sizes_are_damage(tmp_path: Path) -> None:
-    recorder = open_recorder(tmp_path / "mixed.mcap")
-    recorder.copy(SAMPLE_TOPIC, 0, encode_sample(row(0))[: min(SAMPLE_SIZES)])
-    recorder.sample(1_000_000, row(1), [])
-    recorder.close()
-    damage = read_run(tmp_path / "mixed.mcap").damage
-    assert damage is not None
-    assert f"expected {min(SAMPLE_SIZES)}" in damage
-
-
 @given(frames)
 def test_frames_round_trip(seen: list[RawFrame]) -> None:
     assert decode_frames(encode_frames(seen)) == seen

@@ -35,57 +35,23 @@ def recording(name: str, role: str = "fit") -> Recording:
     return Recording(name, channels, Bench(), role=role, notes=("one <b>correction</b>",))  # type: ignore[arg-type]
 
 
-@pytest.fixture(scope="module")
-def dataset() -> Dataset:
-    return Dataset((recording("a[1]"), recording("b/c"), recording("late", "validate")))
-
-
-def written(
-    folder: Path,
-    dataset: Dataset,
-    *results: Identification,
-    truth: dict[str, float] | None = None,
-    name: str = "t",
-) -> str:
-    """Write the page of an identification and return it."""
-    outcome = Outcome(dataset, results, Provenance.of(3, dataset.recordings, 0.5))
-    write_page(identify_document(name, outcome, truth), folder / "report.html")
-    return (folder / "report.html").read_text(encoding="utf-8")
-
-
-@pytest.fixture(scope="module")
-def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("report")
-    result = identify_paper(
-        dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=20
-    )
+def test_the_page_stands_alone_and_is_escaped_and_each_figure_is_a_file_too(tmp_path: Path) -> None:
+    dataset = Dataset((recording("a[1]"), recording("b/c"), recording("late", "validate")))
+    rng = np.random.default_rng(0)
+    result = identify_paper(dataset, bandwidth_Hz=0.5 * RATE, rng=rng, generations=20)
     other = dataclasses.replace(result, method="default", warnings=("mind <the> gap",))
-    written(path, dataset, other, result, truth={"Mc": 7.0, "Ms": 12.0}, name="bench & test")
-    return path
-
-
-def test_nothing_is_fetched_from_outside(folder: Path) -> None:
-    page = (folder / "report.html").read_text(encoding="utf-8")
+    outcome = Outcome(dataset, (other, result), Provenance.of(3, dataset.recordings, 0.5))
+    document = identify_document("bench & test", outcome, {"Mc": 7.0, "Ms": 12.0})
+    write_page(document, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"https?://|<script|<link|@import|url\(", page)
     sources = re.findall(r'<img[^>]*src="([^"]{0,30})', page)
-    assert len(sources) >= 8
+    names = {path.name for path in (tmp_path / "figures").iterdir()}
+    assert len(sources) == len(names) >= 8
     assert all(source.startswith("data:image/png;base64,") for source in sources)
-
-
-def test_every_figure_is_a_file_too(folder: Path) -> None:
-    names = {path.name for path in (folder / "figures").iterdir()}
-    assert {
-        "intervals.png",
-        "stribeck_default.png",
-        "stribeck_paper.png",
-        "convergence_paper_unloaded.png",
-    } <= names
+    assert {"stribeck_default.png", "convergence_paper_unloaded.png"} <= names
     assert {"response_a_1.png", "response_b_c.png", "residual_late.png"} <= names
-    assert all((folder / "figures" / name).read_bytes().startswith(b"\x89PNG") for name in names)
-
-
-def test_text_is_escaped(folder: Path) -> None:
-    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert all((tmp_path / "figures" / name).read_bytes().startswith(b"\x89PNG") for name in names)
     assert "<b>" not in page
     assert "mind &lt;the&gt; gap" in page
     assert "<h1>Identification of bench &amp; test</h1>" in page
@@ -131,16 +97,9 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
     assert read["seconds"] == 1.25
     assert read["version"] == read["versions"]["loadrig"]
     assert read["inputs"] == [{"file": "a.csv", "sha256": "ab" * 32}]
-    assert read["parameters"]["J"] == {
-        "value": None,
-        "low": None,
-        "high": None,
-        "unit": "kg m^2",
-        "identifiable": False,
-        "at_bound": False,
-        "reason": "too slow",
-        "floor": None,
-    }
+    missing = dict.fromkeys(("value", "low", "high", "floor"))
+    said = {"unit": "kg m^2", "identifiable": False, "at_bound": False, "reason": "too slow"}
+    assert read["parameters"]["J"] == missing | said
     assert read["parameters"]["Ms"]["at_bound"] is True
     assert read["fit"]["validate_rms"] is None
     assert read["stages"][0]["evaluations"] == 80

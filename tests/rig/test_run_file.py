@@ -17,29 +17,11 @@ from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.runs.run import load_run, read_record
 
-SEQUENCE = """\
-sequence: 1
-name: one
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
-     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05, repeats: 2}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
-     duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-"""
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("finished")
-    (folder / "one.yaml").write_text(SEQUENCE)
-    assert status(["run", str(folder / "one.yaml"), "--yes", "--out", str(folder / "run")]) == 0
-    return folder / "run"
-
 
 @pytest.fixture
-def run(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def run(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    return Path(shutil.copytree(finished, tmp_path / "run"))
+    return Path(shutil.copytree(finished_run, tmp_path / "run"))
 
 
 def edit(run: Path, change: Callable[[Any], object]) -> None:
@@ -54,23 +36,15 @@ EDITS = [
     ("stages.1.weight_kg", True, r"stages\[1\].weight_kg: "),
     ("segments.0.start", float("nan"), r"run.json"),
     ("stages.0.wieght_kg", 3, r"stages\[0\].wieght_kg: unknown key; did you mean"),
-    ("remark", "good", r"remark: unknown key"),
     ("segments.2.stage", "laoded", r"segments\[2\].stage: .*'loaded'"),
-    ("stages.0.state", "finished", r"stages\[0\].state: "),
     ("segments.2.stage", "unloaded", r"differs from the load condition of its stage"),
     ("segments.2.weight_kg", 11.0, r"differs from the confirmed mass of its stage"),
     ("bench.gear_ratio", GONE, r"bench.gear_ratio: missing; state every constant"),
-    ("bench.gear_ratio", "100", r"bench.gear_ratio: "),
-    ("bench.gear", 100, r"bench.gear: "),
     ("segments.0.part", 2, r"part: there are 1 recordings"),
     ("segments.0.stage_index", -1, r"there are 2 stages"),
-    ("segments.1.index", 1, r"must be above 1"),
     ("parts.0.file", "../x.mcap", r"parts\[0\].file: must be a file of the run"),
-    ("parts", [], r"parts: empty"),
     ("inputs", {}, r"inputs.bench.yaml.file: missing"),
     ("parts.0.devices.servo.name", GONE, r"parts\[0\].devices.servo.name: missing"),
-    ("parts.0.timing.answer", GONE, r"parts\[0\].timing.answer: missing"),
-    ("bench", [], r"bench: "),
     ("stages", "two", r"stages: "),
 ]
 
@@ -114,9 +88,9 @@ def test_every_error_is_told_with_line_and_column(
 )
 @given(data=st.data())
 def test_whatever_is_put_anywhere_it_is_read_or_refused(
-    run: Path, finished: Path, data: st.DataObject
+    run: Path, finished_run: Path, data: st.DataObject
 ) -> None:
-    raw = json.loads((finished / "run.json").read_text())
+    raw = json.loads((finished_run / "run.json").read_text())
     place = raw
     while True:
         key = data.draw(

@@ -8,7 +8,6 @@ import pytest
 
 from identification.effects import EFFECTS, MOTION
 from identification.effects.effect import Separation
-from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.planning.plan import make_plan
@@ -42,24 +41,3 @@ def test_a_group_that_no_sequence_splits_has_none() -> None:
         separating_sequence(["brush_drop", "inverter_dead_time"], load_bench("practical").value)
         is None
     )
-
-
-def test_it_is_sized_by_the_bench(tmp_path: Path) -> None:
-    bench = load_bench("practical").value
-    narrow = bench.model_copy(
-        update={"limits": bench.limits.model_copy(update={"angle_max_deg": 10.0})}
-    )
-    wide, short = (separating_sequence(["return_spring"], b) for b in (bench, narrow))
-    assert wide is not None
-    assert short is not None
-    assert "amplitude_deg: 25.5" in wide
-    assert "amplitude_deg: 8.5" in short
-
-
-def test_its_first_stage_runs(tmp_path: Path) -> None:
-    text = separating_sequence(["time_skew"], load_bench("practical").value)
-    assert text is not None
-    head, _, stages = text.partition("stages:\n")
-    file = tmp_path / "split.yaml"
-    file.write_text(f"{head}stages:\n{stages.splitlines()[0]}\n")
-    assert status(["run", str(file), "--yes", "--out", str(tmp_path / "run")]) == 0

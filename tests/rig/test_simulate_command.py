@@ -88,21 +88,6 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("{", "fitted.json: not JSON"),
-        ('{"schema": "loadrig.identify/1", "parameters": {"Mc": {"value": 1}}}', "inertia of 0"),
-    ],
-)
-def test_a_file_without_a_model(
-    campaign: Path, result: Path, capsys: pytest.CaptureFixture[str], text: str, named: str
-) -> None:
-    result.write_text(text)
-    assert status(["simulate", str(campaign), "--result", str(result)]) == 2
-    assert named in capsys.readouterr().err
-
-
 def test_recordings_without_a_controller_are_scored_by_their_torque_alone(
     campaign: Path, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -124,18 +109,8 @@ def test_ladder_and_score_are_printed_recorded_and_reported(
     other = tmp_path / "friday.yaml"
     other.write_text("".join(CAMPAIGN.splitlines(keepends=True)[:6]) + "  - {file: friday.csv}\n")
     out = tmp_path / "out"
-    arguments = [
-        "identify",
-        str(campaign),
-        "--ladder",
-        "--score",
-        str(other),
-        "--bandwidth",
-        "40",
-        "--out",
-        str(out),
-    ]
-    assert status(arguments) == 0
+    options = ["--ladder", "--score", str(other), "--bandwidth", "40", "--out", str(out)]
+    assert status(["identify", str(campaign), *options]) == 0
     printed, page = capsys.readouterr().out, (out / "report.html").read_text()
     for words in ("Ladder of friction models", "Transfer"):
         assert words in page

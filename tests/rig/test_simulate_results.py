@@ -34,14 +34,8 @@ def campaign(tmp_path: Path) -> Path:
         torque = -0.2 * w * w * angle + 6.0 * np.sign(speed) + 5.0 * speed + LARGER
         motor = 100.0 * (angle + 0.5 * GAP * np.sign(torque))
         rows = np.column_stack([time, angle, motor, torque / 3.0])
-        np.savetxt(
-            tmp_path / f"{name}.csv",
-            rows,
-            delimiter=",",
-            header="t,q,phi,i",
-            comments="",
-            fmt="%.9g",
-        )
+        place, head = tmp_path / f"{name}.csv", "t,q,phi,i"
+        np.savetxt(place, rows, delimiter=",", header=head, comments="", fmt="%.9g")
     path = tmp_path / "bench.yaml"
     path.write_text(CAMPAIGN)
     return path
@@ -114,11 +108,8 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
     ("more", "named"),
     [
         ({"schema": "loadrig.paper/1"}, ["schema:", "'loadrig.paper/1'"]),
-        ({"parameters": {}}, ["parameters:"]),
         ({"parameters": {"J": "much"}}, ["parameters.J:", "'much'"]),
-        ({"effects": [{"name": "witchcraft", "parameters": {}}]}, ["witchcraft"]),
         ({"effects": [{"name": "backlash", "parameters": {}}]}, ["backlash", "gap_rad"]),
-        ({"motion": "linear"}, ["motion:", "linear", "rotary"]),
         ({"parameters": {"J": {"value": 95.1, "unit": "kg"}}}, ["motion:", "linear"]),
     ],
 )

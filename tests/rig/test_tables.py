@@ -33,11 +33,6 @@ def test_columns_line_up(rows: list[tuple[str, str, str]]) -> None:
         assert not line.endswith(" ")
 
 
-def test_a_row_of_another_length_is_refused() -> None:
-    with pytest.raises(ValueError, match="row 1 has 1 cells; the header has 2"):
-        table(("a", "b"), [("1", "2"), ("3",)])
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -45,10 +40,7 @@ def test_a_row_of_another_length_is_refused() -> None:
         (number(6.82512345), "6.8251"),
         (number(None), "-"),
         (interval(1.0, 2.5), "[1, 2.5]"),
-        (interval(None, 2.0), "-"),
-        (percent(3.625), "3.62 %"),
         (percent(16470.4), "16470 %"),
-        (percent(None), "-"),
     ],
 )
 def test_numbers_in_words(text: str, expected: str) -> None:

@@ -20,14 +20,6 @@ from rig.runs.run import read_record
 
 from .command import assert_in_words, rig
 
-SEQUENCE = """\
-# µ °
-sequence: 1
-name: short
-stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 2, frequency_Hz: 1}], duration_s: 1,
-     ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0}
-"""
 LOCALES = {
     "C": {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
     "POSIX, ascii": {
@@ -41,11 +33,14 @@ WHO = "Jürgen ☃"
 
 
 @pytest.mark.parametrize("locale", LOCALES)
-def test_names_of_every_language_go_through_a_run(tmp_path: Path, locale: str) -> None:
+def test_names_of_every_language_go_through_a_run(
+    short_sequence: Path, tmp_path: Path, locale: str
+) -> None:
     """In one locale the run is done at once, in the other it stops at its prompt and goes on."""
     place = tmp_path / WHO
     place.mkdir()
-    (place / "kurz µ.yaml").write_text(SEQUENCE, encoding="utf-8")
+    sequence = f"# µ °\n{short_sequence.read_text()}"
+    (place / "kurz µ.yaml").write_text(sequence, encoding="utf-8")
     run = ["run", f"{WHO}/kurz µ.yaml", "--operator", WHO, "--out", f"{WHO}/Lauf"]
     go_on = ["resume", f"{WHO}/Lauf", "--yes"]
     export = ["export", f"{WHO}/Lauf", "--out", f"{WHO}/ü.csv"]
@@ -65,8 +60,8 @@ def test_names_of_every_language_go_through_a_run(tmp_path: Path, locale: str) -
     assert WHO in (place / "Lauf" / "run.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("short_sequence")
 def test_an_argument_that_is_no_utf_8_is_kept_readable(tmp_path: Path) -> None:
-    (tmp_path / "short.yaml").write_text(SEQUENCE, encoding="utf-8")
     arguments = ["run", "short.yaml", "--yes", "--operator", "J\udcfcrgen", "--out", "run"]
     ended = rig(*arguments, folder=tmp_path)
     assert_in_words(ended)

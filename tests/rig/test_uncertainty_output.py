@@ -14,11 +14,7 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
-from rig.results.identify.document import (
-    bootstrap_table,
-    profile_table,
-    uncertainty_tables,
-)
+from rig.results.identify.document import bootstrap_table, profile_table, uncertainty_tables
 from rig.results.identify.identify import uncertainty_record
 
 RESULT = Identification(

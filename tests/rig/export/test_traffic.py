@@ -28,8 +28,7 @@ from rig.runs.run_file import read_record
 
 BUS_ERROR = 0x80
 identifiers = st.one_of(
-    st.integers(0, 0x7FF),
-    st.integers(0, 0x1FFFFFFF).map(lambda n: n | EXTENDED_FLAG),
+    st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF).map(lambda n: n | EXTENDED_FLAG)
 )
 data_frames = st.builds(
     RawFrame, st.integers(0, 1 << 50), identifiers, st.binary(max_size=8), st.booleans()

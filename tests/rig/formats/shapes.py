@@ -336,40 +336,42 @@ def _plain(signal: BusSignal) -> BusSignal:
     )
 
 
-def mdf_property(case: dict[str, np.ndarray], folder: Path) -> bool:
+def write_mdf(path: Path, case: dict[str, np.ndarray]) -> None:
     time = np.arange(len(next(iter(case.values())))) * 1e-3
     with MDF() as mdf:
-        mdf.append([Signal(v, time, name=f"c_{n}") for n, v in case.items()])
-        mdf.save(folder / "a.mf4", overwrite=True)
-    found, _ = columns(open_table(folder / "a.mf4", ReadSection()))
-    for name, values in case.items():
-        require(found[f"c_{name}"], as_float(values), (), name)
-    return True
+        mdf.append([Signal(v, time, name=n) for n, v in case.items()])
+        mdf.save(path, overwrite=True)
 
 
-def tdms_property(case: dict[str, np.ndarray], folder: Path) -> bool:
+def write_tdms(path: Path, case: dict[str, np.ndarray]) -> None:
     native = {n: v.astype(v.dtype.newbyteorder("=")) for n, v in case.items()}
-    with TdmsWriter(folder / "a.tdms") as writer:
+    with TdmsWriter(path) as writer:
         writer.write_segment([ChannelObject("g", n, v) for n, v in native.items()])
-    found, _ = columns(open_table(folder / "a.tdms", ReadSection()))
-    for name, values in case.items():
-        require(found[name], as_float(values), (), name)
-    return True
 
 
-def hdf5_property(case: dict[str, np.ndarray], folder: Path) -> bool:
-    with h5py.File(folder / "a.h5", "w") as file:
+def write_hdf5(path: Path, case: dict[str, np.ndarray]) -> None:
+    with h5py.File(path, "w") as file:
         file.update(case)
-    found, _ = columns(open_table(folder / "a.h5", ReadSection()))
-    for name, values in case.items():
-        require(found[name], as_float(values), (), name)
-    return True
 
 
-def npz_property(case: dict[str, np.ndarray], folder: Path) -> bool:
-    np.savez(folder / "a.npz", **case)
-    found, _ = columns(open_table(folder / "a.npz", ReadSection()))
-    for name, values in case.items():
+ARRAY_WRITERS: Mapping[str, Callable[[Path, dict[str, np.ndarray]], None]] = {
+    "mf4": write_mdf,
+    "tdms": write_tdms,
+    "h5": write_hdf5,
+    "npz": lambda path, case: np.savez(path, **case),
+}
+
+
+def array_logs(extension: str) -> Callable[[Random], tuple[str, dict[str, np.ndarray]]]:
+    return lambda rng: (extension, {f"c_{n}": v for n, v in arrays(rng).items()})
+
+
+def array_property(case: tuple[str, dict[str, np.ndarray]], folder: Path) -> bool:
+    extension, truth = case
+    path = folder / f"a.{extension}"
+    ARRAY_WRITERS[extension](path, truth)
+    found, _ = columns(open_table(path, ReadSection()))
+    for name, values in truth.items():
         require(found[name], as_float(values), (), name)
     return True
 
@@ -378,9 +380,6 @@ PROPERTIES: Mapping[str, tuple[Callable[[Random], Any], Callable[[Any, Path], bo
     "csv": (csv_logs, csv_property),
     "json": (json_logs, json_property),
     "dbc": (bus_logs, bus_property),
-    "mdf": (arrays, mdf_property),
-    "tdms": (arrays, tdms_property),
-    "hdf5": (arrays, hdf5_property),
-    "npz": (arrays, npz_property),
+    **{extension: (array_logs(extension), array_property) for extension in ARRAY_WRITERS},
 }
 """Format to its random logs, and what must hold of them; whether one was read, and not refused."""

@@ -248,19 +248,10 @@ def test_a_bench_file_is_a_map(tmp_path: Path) -> None:
     [
         ("a.log", "t,i\n1,2\n", r"a\.log:1: not a frame of candump -L .*name it \.csv"),
         ("a.log", "  can0  123   [2]  11 22\n", "output for the screen; record with candump -L"),
-        ("a.log", "(1.0) can0 123#112\n", r"a\.log:1: not a frame"),
         ("a.log", "(1.0) can0 20000004#0000000000000000\n", "no data frames; 1 error frames"),
-        ("a.log", "", "holds no data frames"),
         ("a.trc", ";$FILEVERSION=1.2\n", "versions that can be read are 1.0, 1.1"),
         ("a.blf", "LOGG" + "x" * 200, "no data frames; the file is cut off"),
-        ("a.blf", "garbage", "cannot be read"),
-        (
-            "a.asc",
-            "date Mon\nbase hex timestamps absolute\n 0.1 1 zz Rx d 1 00\n",
-            "cannot be|no data",
-        ),
     ],
-    ids=["table", "screen", "half-byte", "errors", "empty", "trc12", "blf", "short", "asc"],
 )
 def test_what_is_no_traffic_is_refused(tmp_path: Path, name: str, text: str, words: str) -> None:
     (tmp_path / "bus.dbc").write_text(DBC)

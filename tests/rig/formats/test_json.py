@@ -16,7 +16,6 @@ from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
 CHANNELS = "{time: t, current: i, angle: q}"
 FRAME = pd.DataFrame({"t": TIME, "i": CURRENT, "q": ANGLE})
-RECORDS = FRAME.to_dict("records")
 COLUMNS = FRAME.to_dict("list")
 ROWS = FRAME.to_numpy().tolist()
 
@@ -24,16 +23,11 @@ ROWS = FRAME.to_numpy().tolist()
 @pytest.mark.parametrize(
     "value",
     [
-        RECORDS,
-        COLUMNS,
-        {"meta": {"by": "me", "limits": [1, 2, 3]}, "run": {"samples": RECORDS}},
         {"meta": [1, {"a": 2}], "run": COLUMNS},
         [["t", "i", "q"], *ROWS],
-        {"columns": ["t", "i", "q"], "data": ROWS},
-        *(json.loads(FRAME.to_json(orient=k, double_precision=15)) for k in ("table", "split")),
-        *(FRAME.rename(index=str).to_dict(k) for k in ("index", "dict")),
+        json.loads(FRAME.to_json(orient="table", double_precision=15)),
     ],
-    ids=["records", "columns", "inside", "beside", "rows", "named", "table", "split", "ix", "cols"],
+    ids=["beside", "rows", "table"],
 )
 def test_every_shape_is_the_truth(tmp_path: Path, value: object) -> None:
     (tmp_path / "log.json").write_text(json.dumps(value))
@@ -84,16 +78,14 @@ def test_columns_of_two_tables_share_no_rows(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("", "not JSON"),
-        ("[1, 2", "not JSON"),
         ('{"t": 1}\n{"t": 2}\n', r"not JSON .*one object a line is named \.jsonl"),
         ('{"t": [1, 2], "t": [3, 4]}', "the key 't' twice"),
         ('{"t": 1}', "holds no table of numbers"),
         ("[[1, 2], [3]]", "row 1 of the file has 1 values, but the first has 2"),
-        ('[{"a": "x"}, {"a": "y"}]', "holds no table of numbers"),
         ("[" * 100_000, "not JSON"),
         (json.dumps([10**400, 10**400]), "holds no table"),
     ],
-    ids=["empty", "cut", "lines", "twice", "no-table", "ragged", "text", "deep", "huge"],
+    ids=["empty", "lines", "twice", "no-table", "ragged", "deep", "huge"],
 )
 def test_what_is_no_table_is_refused(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "log.json").write_text(text)

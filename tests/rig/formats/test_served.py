@@ -84,9 +84,7 @@ def test_a_request_that_is_interrupted_leaves_no_half_answer(
     np.testing.assert_array_equal(table.read([0])[0], TIME)
 
 
-def test_a_struct_with_a_member_that_scipy_does_not_know_is_read_without_it(
-    tmp_path: Path,
-) -> None:
+def test_a_struct_with_a_member_that_scipy_does_not_know_is_read_without_it(tmp_path: Path) -> None:
     from scipy.sparse import csc_array
 
     scipy.io.savemat(tmp_path / "a.mat", {"odd": {"x": TIME, "m": csc_array(np.eye(3))}})
@@ -96,8 +94,7 @@ def test_a_struct_with_a_member_that_scipy_does_not_know_is_read_without_it(
 
 
 @pytest.mark.parametrize(
-    ("kind", "extra"),
-    [("h5", "hdf5"), ("mf4", "mdf"), ("tdms", "tdms"), ("parquet", "parquet")],
+    ("kind", "extra"), [("h5", "hdf5"), ("mf4", "mdf"), ("tdms", "tdms"), ("parquet", "parquet")]
 )
 def test_a_library_that_is_not_installed_is_named_with_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, extra: str

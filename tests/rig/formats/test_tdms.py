@@ -63,8 +63,7 @@ def test_scales_are_applied_or_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tdms", ("g", "x", counts, linear))
     same(open_table(path, PLAIN).read([0])[0], counts * 0.25 + 1.5)
     path = write(
-        tmp_path / "b.tdms",
-        ("g", "x", counts, {**linear, "NI_Scale[0]_Scale_Type": "Spline"}),
+        tmp_path / "b.tdms", ("g", "x", counts, {**linear, "NI_Scale[0]_Scale_Type": "Spline"})
     )
     with pytest.raises(InputError, match=r"scale cannot be applied .*Spline.*save the scaled"):
         open_table(path, PLAIN).read([0])
