@@ -50,9 +50,7 @@ def campaign(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_leak_is_found_from_a_campaign(
-    campaign: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_leak_is_found_from_a_campaign(campaign: Path) -> None:
     out, result = campaign.parent / "out", campaign.parent / "d.json"
     assert status(["diagnose", str(campaign), "--out", str(out), "--json", str(result)]) == 0
     record = json.loads(result.read_text())
@@ -64,21 +62,12 @@ def test_a_leak_is_found_from_a_campaign(
     assert record["fit"]["equation"] == "pressure"
     assert record["fit"]["validate_final_rms"] < record["fit"]["validate_baseline_rms"]
     assert set(record["parameter_shift"]) == {*CONSTANTS, "V_0"}
-    assert "gas leaks beside the throat through" in " ".join(capsys.readouterr().out.split())
     block = yaml.safe_load((out / GAS_FILE).read_text())
     assert block["gas_generator"]["characteristic_velocity"] == record["parameters"]["C_r"]
     assert block["effects"] == {"leakage": {"area_m2": effect["parameters"]["area_m2"]["value"]}}
-    page = (out / "report.html").read_text()
-    assert "mismatch of the pressure equation" in page
-    assert "mm^2" in page
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_corrected_constants_are_a_campaigns_block(campaign: Path) -> None:
-    out = campaign.parent / "out"
-    assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
+    assert "mismatch of the pressure equation" in (out / "report.html").read_text()
     text = yaml.safe_load(campaign.read_text())
-    text["bench"]["gas_generator"] = yaml.safe_load((out / GAS_FILE).read_text())["gas_generator"]
+    text["bench"]["gas_generator"] = block["gas_generator"]
     campaign.write_text(yaml.safe_dump(text))
     assert load_campaign(campaign).value.bench.bench().gas_generator != GasGenerator()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,8 @@ import pytest
 from identification.model.parameters import NOMINAL
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
-from rig.results.document import write_texts
 from rig.results.paper import figures
-from rig.results.paper.figures import Exhibit, data_files, files_of
+from rig.results.paper.figures import Exhibit
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
@@ -166,14 +164,3 @@ def test_fig_4_falls_with_pressure_and_area() -> None:
             assert data[column][early].mean() > 1.3 * data[column][late].mean(), column
         assert data["time_s"][-1] < fastest
     assert "At 50 deg/s" in made.found[0]
-
-
-def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
-    made = figures.valve_exhibit()
-    assert files_of([made]) == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
-    write_texts(data_files([made]), tmp_path)
-    with (tmp_path / "data/fig_3.csv").open(newline="") as lines:
-        rows = list(csv.reader(lines))
-    assert rows[0] == ["angle_deg", "impacted_area_m2", "throat_area_m2"]
-    assert float(rows[-1][0]) == 30.0
-    assert len(rows) == 302

@@ -1,7 +1,6 @@
 """What a plan takes from the result of an identification."""
 
 import json
-import math
 from pathlib import Path
 
 import pytest
@@ -74,13 +73,3 @@ def test_the_torque_s_noise_is_what_the_identification_found_of_both_parts(tmp_p
     ):
         path.write_text(json.dumps({**record, "noise": noise}))
         assert nominal_values(path).torque_noise == expected
-
-
-@pytest.mark.parametrize(
-    "noise", [5, "loud", {"torque": 0.03}, {"torque": math.nan, "correlated": 0.0, "unit": "N m"}]
-)
-def test_a_damaged_noise_is_told(tmp_path: Path, noise: object) -> None:
-    path = result(tmp_path)
-    path.write_text(json.dumps({**json.loads(path.read_text()), "noise": noise}))
-    with pytest.raises(InputError, match="damaged"):
-        nominal_values(path)

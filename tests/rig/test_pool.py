@@ -14,8 +14,6 @@ from tests.rig.workers import parent
 
 PATIENCE_S = 60.0
 """Of the tests, where workers never start or never end."""
-ENGINES = {"processes": 0, "cluster": 2}
-"""Name to the number of workers in a cluster; none for two processes."""
 
 
 def test_the_work_of_a_process_that_is_killed_is_done_again(tmp_path: Path) -> None:
@@ -28,9 +26,16 @@ def test_the_work_of_a_process_that_is_killed_is_done_again(tmp_path: Path) -> N
     assert "repeat the command with this --out" in message
 
 
-@pytest.mark.parametrize("workers", ENGINES.values(), ids=ENGINES)
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["stopped", "killed"])
+@pytest.mark.parametrize(
+    ("workers", "how"),
+    [
+        (0, signal.SIGINT),
+        (0, signal.SIGKILL),
+        pytest.param(2, signal.SIGKILL, marks=pytest.mark.proof),
+    ],
+)
 def test_workers_end_with_their_parent(tmp_path: Path, workers: int, how: signal.Signals) -> None:
+    """Two processes, or a cluster of ``workers``."""
     if workers:
         pytest.importorskip("distributed")
     fifo = tmp_path / "alive"

@@ -16,7 +16,7 @@ SINE = """\
 sequence: 1
 name: sine
 stages:
-  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}], duration_s: 8}
+  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}], duration_s: 5}
 """
 
 

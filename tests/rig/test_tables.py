@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import re
-from types import SimpleNamespace
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.result import Fit, Identification, Parameter
-from rig.common.sample import Sample
 from rig.common.tables import interval, number, percent, table
-from rig.control.readings import Readings
-from rig.control.remote import RunProgress
 from rig.results.identify.document import parameter_table
 
 CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
@@ -71,15 +63,6 @@ def test_two_methods_and_the_truth() -> None:
 
 
 def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
-    """In tables, readings and on the status line."""
     assert number(-0.0) == "0"
     assert interval(-0.0, 0.0) == "[0, 0]"
     assert percent(-0.0) == "0 %"
-    tiny = math.radians(-1e-4)
-    readings = Readings("off", tiny, tiny, tiny, -1e-4, -1e-2, -1e-2, -1e-2)
-    assert all(re.fullmatch(r"0\.0+", value) for _, value, _ in readings.rows())
-    shown: list[str] = []
-    screen: Any = SimpleNamespace(has_status=True, status=shown.append)
-    row = Sample(*(0.0,) * 6, tiny, 0.0, -1e-4, *(0.0,) * 4, statusword=0, segment=0, fresh=True)  # type: ignore[misc]
-    RunProgress(1e-3, 1.0, screen)("stage", 1, row)
-    assert "-0.0" not in shown[0]

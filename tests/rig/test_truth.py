@@ -3,13 +3,16 @@
 import json
 import re
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from identification.estimate.paper_method import identify_paper
 from rig.cli.entry import status
 from rig.config.bench import load_bench, redacted
 from rig.config.configuration import resolve
+from rig.results.identify.identify import METHODS
 from rig.runs.mcap.reader import read_run
 from rig.runs.recorded_inputs import truth_of
 
@@ -86,7 +89,10 @@ def hiding(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arguments = ["--bench", str(folder / "bench.yaml"), "--yes", "--out", str(folder / "run")]
     assert status(["run", str(folder / "short.yaml"), *arguments]) == 0
     found = ["--method", "paper", "--json", str(folder / "run" / "identified.json")]
-    assert status(["identify", str(folder / "run"), *found]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(METHODS, "paper", partial(identify_paper, generations=10))
+        patch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
+        assert status(["identify", str(folder / "run"), *found]) == 0
     return folder / "run"
 
 

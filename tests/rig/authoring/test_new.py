@@ -114,15 +114,6 @@ def test_values_that_cannot_be_guessed_are_asked_for(
     assert not Path("b.yaml").exists()
 
 
-@pytest.mark.parametrize("rotor", [1e-5, 1.4e-4])
-def test_the_inertia_of_the_joint_contains_that_of_the_rotor(rotor: float) -> None:
-    assert new("bench", "b.yaml", "--lever-ratio", "1", "--rotor-inertia", str(rotor), "--yes") == 0
-    mock = load_bench(Path("b.yaml")).value.mock
-    assert mock is not None
-    assert mock.motor.rotor_inertia_kg_m2 == rotor
-    assert mock.joint.inertia_kg_m2 > rotor * 100**2
-
-
 @pytest.mark.parametrize("kind", ["bench", "sequence"])
 def test_nothing_is_overwritten(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--yes", *(["--lever-ratio", "1"] if kind == "bench" else [])]

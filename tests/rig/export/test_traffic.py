@@ -163,14 +163,6 @@ def test_a_serial_run_has_no_can_frames(run: Path, capsys: pytest.CaptureFixture
     assert not path.exists()
 
 
-def test_raw_frames_of_a_campaign_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "c.yaml").write_text("campaign: 1\n")
-    assert status(["export", str(tmp_path / "c.yaml"), "--format", "asc"]) == 2
-    assert "in run folders only" in capsys.readouterr().err
-
-
 def test_the_events_of_a_run_are_in_its_mcap(run: Path) -> None:
     path = exported(run, "mcap")
     with path.open("rb") as stream:

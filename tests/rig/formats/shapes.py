@@ -291,49 +291,25 @@ def bus_property(case: tuple[Database, list[can.Message]], folder: Path) -> bool
 
 
 def _decoded(message: Message, data: bytes) -> dict[str, Any]:
-    """Return what cantools finds in a frame, page by page, of the signals that fit into it."""
-    raw: dict[str, Any] = {}
-    by_name = {s.name: s for s in message.signals}
-    padded = data.ljust(message.length, b"\0")
+    """Return what cantools finds in a frame, signal by signal, of the pages that are there."""
 
-    def bits(signal: BusSignal) -> int:
-        if signal.byte_order == "little_endian":
-            whole = int.from_bytes(padded, "little") >> signal.start
-        else:
-            left = signal.start // 8 * 8 + 7 - signal.start % 8
-            whole = int.from_bytes(padded, "big") >> (8 * message.length - left - signal.length)
-        return whole & ((1 << signal.length) - 1)
-
-    def last(signal: BusSignal) -> int:
-        if signal.byte_order == "little_endian":
-            return (signal.start + signal.length - 1) // 8
-        return (signal.start // 8 * 8 + 7 - signal.start % 8 + signal.length - 1) // 8
+    def alone(signal: BusSignal, scaling: bool = True) -> Any:
+        place = (signal.name, signal.start, signal.length, signal.byte_order, signal.is_signed)
+        plain = BusSignal(*place, conversion=signal.conversion)
+        single = Message(1, "A", message.length, [plain], strict=False)
+        found = single.decode(data, decode_choices=False, scaling=scaling, allow_truncated=True)
+        return found.get(signal.name)
 
     def there(signal: BusSignal) -> bool:
-        if last(signal) >= len(data):
-            return False
         if not signal.multiplexer_ids or signal.multiplexer_signal is None:
             return True
-        above = by_name[signal.multiplexer_signal]
-        return there(above) and bits(above) in signal.multiplexer_ids
+        above = message.get_signal_by_name(signal.multiplexer_signal)
+        page = alone(above, scaling=False)
+        mask = (1 << above.length) - 1
+        return page is not None and there(above) and page & mask in signal.multiplexer_ids
 
-    single = [s for s in message.signals if there(s)]
-    for signal in single:
-        alone = Message(1, "A", message.length, [_plain(signal)], strict=False)
-        raw[signal.name] = alone.decode(padded, decode_choices=False)[signal.name]
-    return raw
-
-
-def _plain(signal: BusSignal) -> BusSignal:
-    """Return a signal that is in every frame."""
-    return BusSignal(
-        signal.name,
-        signal.start,
-        signal.length,
-        signal.byte_order,
-        signal.is_signed,
-        conversion=signal.conversion,
-    )
+    found = {signal.name: alone(signal) for signal in message.signals if there(signal)}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def write_mdf(path: Path, case: dict[str, np.ndarray]) -> None:

@@ -67,11 +67,6 @@ def test_columns_of_two_tables_share_no_rows(tmp_path: Path) -> None:
     (tmp_path / "log.json").write_text(json.dumps(value))
     with pytest.raises(InputError, match=r"a \(300 rows\), b \(100 rows\).* use columns of one"):
         load_file(tmp_path, "log.json", CHANNELS)
-    (tmp_path / "log.json").write_text(json.dumps({"t": [*TIME], "limits": [1, 2]}))
-    table = open_table(tmp_path / "log.json", ReadSection())
-    assert table.names == ("t", "limits")
-    same(table.read([0])[0], TIME)
-    same(table.read([1])[0], np.array([1.0, 2.0]))
 
 
 @pytest.mark.parametrize(

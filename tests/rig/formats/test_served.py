@@ -84,15 +84,6 @@ def test_a_request_that_is_interrupted_leaves_no_half_answer(
     np.testing.assert_array_equal(table.read([0])[0], TIME)
 
 
-def test_a_struct_with_a_member_that_scipy_does_not_know_is_read_without_it(tmp_path: Path) -> None:
-    from scipy.sparse import csc_array
-
-    scipy.io.savemat(tmp_path / "a.mat", {"odd": {"x": TIME, "m": csc_array(np.eye(3))}})
-    table = open_table(tmp_path / "a.mat", PLAIN)
-    assert table.names == ("odd.x",)
-    np.testing.assert_array_equal(table.read([0])[0], TIME)
-
-
 @pytest.mark.parametrize(
     ("kind", "extra"), [("h5", "hdf5"), ("mf4", "mdf"), ("tdms", "tdms"), ("parquet", "parquet")]
 )
