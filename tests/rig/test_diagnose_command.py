@@ -1,4 +1,4 @@
-"""``rig diagnose`` as a user runs it, on a hand-made diagnosis of each verdict."""
+"""``rig diagnose`` and ``rig effects`` as a user runs them, on hand-made diagnoses."""
 
 from __future__ import annotations
 
@@ -13,13 +13,20 @@ import pytest
 from markupsafe import escape
 
 import rig.results.diagnose.diagnose
+from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Diagnosis, Shift
+from identification.effects import EFFECTS, MOTION
+from identification.effects.effect import Separation
 from identification.export.model import CorrectedModel
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status
 from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.planning.plan import make_plan
+from rig.results.diagnose import document
 from rig.results.diagnose.diagnose import diagnose_source
+from rig.results.diagnose.separate import Room, recipes, separating_sequence
 
 from .diagnoses import AMBIGUOUS, EACH, NAMED
 
@@ -256,4 +263,105 @@ def test_a_joint_that_never_moves_on_is_bad_input(
     assert status(["diagnose", str(tmp_path / "held.yaml"), "--out", str(tmp_path / "out")]) == 2
     assert (
         "no sample of the recordings with role fit is in steady motion" in capsys.readouterr().err
+    )
+
+
+SHOWN = Observable("cogging", 0.9, {"torque_Nm": 0.011, "per_motor_turn": 7.0}, {})
+CONFUSED = Observable("torque_ripple", 0.8, {"fraction": 0.02}, {"cogging": 0.98})
+HIDDEN = Observable("backlash", 0.0, {}, {})
+
+
+@pytest.fixture
+def ramp_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(document, "observable_effects", lambda *_: (SHOWN, CONFUSED, HIDDEN))
+    rows = [f"{0.001 * k:.3f},{0.01 * k:.2f},1" for k in range(400)]
+    (tmp_path / "log.csv").write_text("\n".join(["t,q,tau", *rows]) + "\n")
+    file = tmp_path / "bench.yaml"
+    file.write_text(
+        "ramp_campaign: 1\nbench: {motion: rotary}\n"
+        "defaults: {stage: unloaded, channels: {time: t, angle: q, torque: tau}}\n"
+        "recordings: [{file: log.csv}]\n"
+    )
+    return file
+
+
+def test_the_table_has_size_share_and_what_looks_the_same(
+    ramp_campaign: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    record = tmp_path / "observable.json"
+    assert status(["diagnose", str(ramp_campaign), "--observable", "--json", str(record)]) == 0
+    printed = capsys.readouterr().out
+    assert "can show 2 of 3 effects; 1 of these effects cannot be distinguished" in printed
+    assert "torque_Nm 0.011 N m" in printed
+    assert "cogging 98 %" in printed
+    assert "backlash." in printed
+    assert "torque_ripple: One slow turn without load" in printed
+    written = json.loads(record.read_text())
+    assert written["schema"] == "loadrig.observable/1"
+    assert [e["shown"] for e in written["effects"]] == [True, True, False]
+    assert written["effects"][1]["alike"] == {"cogging": 0.98}
+    assert not (tmp_path / "bench-diagnosed").exists()
+
+
+def test_it_goes_with_no_other_kind_of_diagnosis(
+    ramp_campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["diagnose", str(ramp_campaign), "--observable", "--gas"]) == 2
+    assert "--observable cannot be combined with" in capsys.readouterr().err
+
+
+def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["effects"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [
+        line.removeprefix(e.group).split()[0]
+        for line, e in zip(lines[2:], EFFECTS.values(), strict=True)
+    ] == list(EFFECTS)
+    assert max(map(len, lines)) <= 130
+
+
+def test_the_record_holds_what_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "effects.json"
+    assert status(["effects", "--json", str(file)]) == 0
+    record = json.loads(file.read_text())
+    assert record["schema"] == "loadrig.effects/1"
+    assert [e["name"] for e in record["effects"]] == list(EFFECTS)
+    assert all(e["parameters"] and e["separating_experiment"] for e in record["effects"])
+    assert capsys.readouterr().out
+
+
+def test_a_misspelt_name_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["effects", "backlsh"]) == 2
+    assert "did you mean 'backlash'?" in capsys.readouterr().err
+
+
+BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
+"""Effects that only another supply voltage, or the encoder moved by hand, splits from their
+likes.
+"""
+
+
+def test_every_effect_has_an_experiment_or_needs_a_hand() -> None:
+    assert {e.name for e in MOTION if e.separation is None} == BY_HAND
+    assert set(recipes(Room(30.0, 20.0, 30.0))) == set(Separation)
+
+
+@pytest.mark.parametrize("name", [e.name for e in MOTION if e.separation is not None])
+def test_the_experiment_is_a_plan_within_the_bench_s_limits(name: str, tmp_path: Path) -> None:
+    bench = load_bench("practical")
+    text = separating_sequence([name, *EFFECTS[name].look_alikes], bench.value)
+    assert text is not None
+    file = tmp_path / "split.yaml"
+    file.write_text(text)
+    plan = make_plan(load_sequence(file), bench)
+    assert len(plan.stages) >= 2
+    assert plan.duration_s < 1500.0
+
+
+def test_a_group_that_no_sequence_splits_has_none() -> None:
+    assert (
+        separating_sequence(["brush_drop", "inverter_dead_time"], load_bench("practical").value)
+        is None
     )

@@ -133,20 +133,6 @@ def gain(oracle_rms: float, equation: str = "transmission") -> dict[str, Any]:
     return {"equation": equation, **rms, "remaining_strength": BESIDE}
 
 
-@pytest.mark.parametrize(
-    ("oracle", "fraction"),
-    [(gain(0.6), 0.5), (gain(0.996), None), (gain(0.6, "torque"), None), (None, None)],
-    ids=["half of it", "nothing to gain", "no such equation", "no oracle"],
-)
-def test_the_gain_is_held_against_the_true_structures(
-    oracle: dict[str, Any] | None, fraction: float | None
-) -> None:
-    said = judged(diagnosed(effect("compliance"), after=0.8))
-    row = row_of(truth("one", backlash=GAP), {}, said, oracle, "digest")
-    assert row["oracle_fraction"] == (None if fraction is None else pytest.approx(fraction))
-    assert score([row])["oracle_fraction"]["of"] == (fraction is not None)
-
-
 def test_baselines_are_scored_by_the_same_rules() -> None:
     both = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
     one, other = effect("backlash"), effect("cogging")

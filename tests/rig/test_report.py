@@ -1,8 +1,9 @@
-"""The report: self-contained, escaped, every figure in the folder too; its record as JSON."""
+"""The report, its record as JSON, and documents on the terminal, as a page and on the disk."""
 
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import re
 from pathlib import Path
@@ -13,9 +14,27 @@ import pytest
 from identification.estimate.paper_method import identify_paper
 from identification.recording import Bench, Dataset, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
+from rig.common.errors import InputError
 from rig.common.places import write_json
 from rig.common.provenance import Provenance
-from rig.results.document import write_page
+from rig.results import document as files
+from rig.results.document import (
+    Block,
+    Document,
+    Items,
+    Note,
+    Paragraph,
+    Picture,
+    Section,
+    SideBySide,
+    Table,
+    Verdict,
+    page,
+    text,
+    write_page,
+    write_record,
+    write_texts,
+)
 from rig.results.identify.document import identify_document
 from rig.results.identify.identify import Outcome, identification_record
 
@@ -108,3 +127,76 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
         "parameters": {"Mc": [6.0, 6.9]},
     }
     assert read["warnings"] == ["slow"]
+
+
+LONG = "word " * 40
+EVERY: dict[str, Block] = {
+    "table": Table(("name", "value"), (("x", "1 <unit>"),), (1,)),
+    "note": Note("a line & more", "warning"),
+    "paragraph": Paragraph(LONG.strip(), "At first:"),
+    "items": Items((("model.py", "the model"), ("", "a line of its own"))),
+    "verdict": Verdict("All is well", "Nothing is left.", "good"),
+    "picture": Picture("drawn", "What is drawn", b"\x89PNG"),
+    "section": Section("Inside", (Note("within"),)),
+    "beside": SideBySide(Section("Left", (Note("here"),)), Section("Right", (Note("there"),))),
+}
+
+
+def shown(*blocks: Block) -> str:
+    return text(Document("t", "", (Section("", blocks),)))
+
+
+def drawn(*blocks: Block) -> str:
+    return page(Document("A & B", "below", (), (Section("Heading", blocks, "here"),)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("table", "name     value\n----  --------\nx     1 <unit>"),
+        ("note", "warning: a line & more"),
+        ("items", "  model.py: the model\n  a line of its own"),
+        ("verdict", "All is well\nNothing is left."),
+        ("picture", ""),
+        ("section", "Inside\nwithin"),
+        ("beside", "Left\nhere\nRight\nthere"),
+    ],
+)
+def test_blocks_on_the_terminal(kind: str, expected: str) -> None:
+    assert shown(EVERY[kind]) == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("table", '<td>x</td><td class="number">1 &lt;unit&gt;</td>'),
+        ("note", '<p class="warning">a line &amp; more</p>'),
+        ("paragraph", "<p><strong>At first:</strong> word word"),
+        ("items", "<li><code>model.py</code>: the model</li><li>a line of its own</li>"),
+        ("verdict", '<section class="verdict good"><p class="headline">All is well</p>'),
+        ("picture", 'src="data:image/png;base64,iVBORw=="><figcaption>What is drawn'),
+        ("section", "<h3>Inside</h3>\n<p>within</p>"),
+        ("beside", "<h3>Right</h3>\n<p>there</p>"),
+    ],
+)
+def test_blocks_on_the_page(kind: str, expected: str) -> None:
+    made = drawn(EVERY[kind])
+    assert expected in made
+    assert '<h2 id="here">Heading</h2>' in made
+    assert "<h1>A &amp; B</h1>" in made
+
+
+def test_a_full_disk_is_said_with_the_places(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(files, "write_text", full)
+    monkeypatch.setattr(files, "write_json", full)
+    with pytest.raises(InputError, match=f"^{tmp_path} or x.json: cannot be written: No space"):
+        write_record({}, tmp_path / "r.json", Path("x.json"))
+    with pytest.raises(InputError, match=f"^{tmp_path}: cannot be written: No space"):
+        write_texts({"a.txt": ""}, tmp_path)
+    with pytest.raises(InputError, match=f"^{tmp_path}: cannot be written: No space"):
+        write_page(Document("t", "", ()), tmp_path / "p.html")

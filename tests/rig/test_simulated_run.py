@@ -37,3 +37,9 @@ def test_a_real_bench_does_not_run_unattended(sequence: Path, tmp_path: Path) ->
         match="bus: this command runs without an operator, so the bench must be simulated",
     ):
         run_simulated(load_bench(path), load_sequence(sequence), 0, tmp_path / "run")
+
+
+def test_a_run_that_trips_is_an_error(sequence: Path, tmp_path: Path) -> None:
+    sequence.write_text(SHORT + "limits: {following_error_deg: 0.01}\n")
+    with pytest.raises(InputError, match=r"short on practical: stage empty, .*following error"):
+        run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")

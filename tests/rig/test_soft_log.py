@@ -1,4 +1,6 @@
-"""A log of soft gains: its breakaways hold what the equation error misses."""
+"""What a log of soft gains tells: the joint waits and slips, and its breakaways hold what the
+equation error misses.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ SINE = """\
 sequence: 1
 name: sine
 stages:
-  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}], duration_s: 5}
+  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}], duration_s: 8}
 """
 
 
@@ -24,6 +26,9 @@ stages:
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.proof) for seed in (2, 3))]
 )
 def test_the_rise_is_found_where_the_equation_error_sees_none(seed: int, tmp_path: Path) -> None:
+    """The first start has no rise, and nothing pins its Stribeck speed there; those of the
+    breakaways do.
+    """
     path = tmp_path / "sine.yaml"
     path.write_text(SINE)
     dataset = run_simulated(

@@ -261,20 +261,6 @@ def test_gaps_split_and_short_spans_go(tmp_path: Path) -> None:
     assert [r.name for r in load(tmp_path, shift(600, 650))] == ["a[1]", "a[2]", "a[3]"]
 
 
-def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:
-    def jitter(columns: Columns) -> None:
-        """Sample unevenly."""
-        even = columns["t"].copy()
-        columns["t"] += np.random.default_rng(3).uniform(-2e-4, 2e-4, N)
-        for name in columns.keys() - {"t"}:
-            columns[name] = np.interp(columns["t"], even, columns[name])
-
-    (recording,) = load(tmp_path, jitter)
-    (note,) = recording.notes
-    assert note.startswith("uneven sampling kept as recorded: median period 0.001")
-    assert np.ptp(np.diff(recording.time)) > 1e-4
-
-
 def test_a_joint_at_rest_tells_nothing_of_signs(tmp_path: Path) -> None:
     def flickering(columns: Columns) -> None:
         """Let two encoders flicker between three counts, by chance against each other."""

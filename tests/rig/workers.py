@@ -1,4 +1,4 @@
-"""Parents whose workers hang or die, which ``test_pool`` runs in processes of their own."""
+"""Parents whose workers hang or die, which ``test_cluster`` runs in processes of their own."""
 
 from __future__ import annotations
 

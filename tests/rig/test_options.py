@@ -1,16 +1,22 @@
-"""No option and no number of a configuration file takes NaN or infinity."""
+"""Options and numbers of files: judged before anything is done, completed by the shell."""
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import stat
 from collections.abc import Iterator
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 import yaml
+from click.shell_completion import BashComplete
 
-from rig.cli.entry import cli
+from rig.cli.entry import cli, status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
@@ -122,3 +128,92 @@ def test_no_number_of_a_file_may_be_nan_or_infinite(tmp_path: Path) -> None:
         assert named in str(caught.value), (place, value)
         count += 1
     assert count > 150
+
+
+def variables(*words: str) -> dict[str, str]:
+    return {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+
+
+def answered(text: str) -> list[str]:
+    """Return the words that are offered in an answer to bash."""
+    return [line.partition(",")[2] for line in text.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("rig", "ru"), ["run", "runs"]),
+        (("rig", "new", "bench", "--torque-c"), ["--torque-constant"]),
+        (("rig", "new", "bench", "b.yaml", "--drive", "epos"), ["epos4-serial"]),
+    ],
+)
+def test_commands_and_options_are_completed(
+    words: tuple[str, ...], found: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in variables(*words).items():
+        monkeypatch.setenv(name, value)
+    completion = BashComplete(cli, {}, "rig", "_RIG_COMPLETE")
+    assert answered(completion.complete()) == found
+
+
+@pytest.mark.parametrize(
+    ("typed", "nearest"), [("chekc", "'check'"), ("Identify", "'identify'"), ("zzz", "diagnose")]
+)
+def test_a_mistyped_command_gets_the_nearest_name(
+    typed: str, nearest: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a near name, all names are listed."""
+    assert status([typed]) == 2
+    assert nearest in capsys.readouterr().err
+
+
+RUN = ("run", "short.yaml", "--yes", "--out", "out")
+CHECK = ("check", "practical")
+JOG = ("jog", "practical", "--to", "1")
+RECOVER = ("recover", "done")
+RESUME = ("resume", "done")
+
+
+@pytest.fixture
+def elsewhere(short_sequence: Path, monkeypatch: pytest.MonkeyPatch, finished_run: Path) -> None:
+    monkeypatch.chdir(short_sequence.parent)
+    shutil.copytree(finished_run, "done")
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER, RESUME], ids=lambda c: c[0])
+def test_a_missing_folder_is_bad_input_before_anything_is_done(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def connected(*arguments: Any) -> None:
+        raise AssertionError("a bench was connected to")
+
+    for name in ("rig.control.attendance", "rig.cli.commands.bench"):
+        monkeypatch.setattr(f"{name}.connect", connected)
+    assert status([*command, "--json", "missing/x.json"]) == 2
+    assert "missing/x.json: the folder missing does not exist" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("command", [RUN, CHECK, JOG], ids=lambda c: c[0])
+def test_a_negative_seed_is_bad_input(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status([*command, "--seed", "-1"]) == 2
+    assert "-1 is not in the range x>=0" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER], ids=lambda c: c[0])
+def test_what_is_no_plain_file_is_written_through(command: tuple[str, ...]) -> None:
+    """A pipe stands for every device node: one that is replaced is gone for the whole machine."""
+    os.mkfifo("pipe")
+    reader = os.open("pipe", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        assert status([*command, "--json", "pipe"]) == 0
+        assert json.loads(os.read(reader, 1 << 16))["schema"].startswith("loadrig.")
+    finally:
+        os.close(reader)
+    assert stat.S_ISFIFO(Path("pipe").stat().st_mode)
