@@ -278,7 +278,7 @@ def ramp_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "log.csv").write_text("\n".join(["t,q,tau", *rows]) + "\n")
     file = tmp_path / "bench.yaml"
     file.write_text(
-        "ramp_campaign: 1\nbench: {motion: rotary}\n"
+        "campaign: 1\nbench: {motion: rotary}\n"
         "defaults: {stage: unloaded, channels: {time: t, angle: q, torque: tau}}\n"
         "recordings: [{file: log.csv}]\n"
     )
