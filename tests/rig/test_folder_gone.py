@@ -15,7 +15,7 @@ from rig.common.errors import InputError, StorageError
 from rig.common.sample import Sample
 from rig.runs import run as run_module
 from rig.runs.catalogue.index import list_runs
-from rig.runs.recorder import Recorder
+from rig.runs.recorder import GoneError, Recorder, open_recorder
 from rig.runs.run import RESERVE_FILE, read_record, require_space
 
 SEQUENCE = """\
@@ -69,6 +69,20 @@ def test_a_folder_that_goes_under_a_run_stops_it_within_a_second(
     for wrong in ("free disk space", "rig resume", "recorded in"):
         assert wrong not in told
     assert not Path("out").exists()
+
+
+def test_the_recorder_notices_that_another_file_is_at_its_place() -> None:
+    path, sample = Path("recording.mcap"), Sample(*([0.0] * 13), 0x27, 1, True)
+    recorder = open_recorder(path)
+    recorder.sample(600_000_000, sample, [])
+    path.rename("other.mcap")
+    path.write_bytes(b"")
+    recorder.sample(650_000_000, sample, [])
+    with pytest.raises(GoneError):
+        recorder.sample(1_200_000_000, sample, [])
+    with pytest.raises(StorageError):
+        recorder.sample(1_300_000_000, sample, [])
+    recorder.close()
 
 
 def test_the_space_for_the_whole_run_is_checked_before(
