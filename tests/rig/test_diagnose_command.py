@@ -15,18 +15,14 @@ from markupsafe import escape
 import rig.results.diagnose.diagnose
 from identification.diagnosis.observable import Observable
 from identification.diagnosis.result import Diagnosis, Shift
-from identification.effects import EFFECTS, MOTION
-from identification.effects.effect import Separation
+from identification.effects import EFFECTS
 from identification.export.model import CorrectedModel
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status
 from rig.config.bench import load_bench
-from rig.config.sequence import load_sequence
-from rig.planning.plan import make_plan
 from rig.results.diagnose import document
 from rig.results.diagnose.diagnose import diagnose_source
-from rig.results.diagnose.separate import Room, recipes, separating_sequence
 
 from .diagnoses import AMBIGUOUS, EACH, NAMED
 
@@ -335,33 +331,3 @@ def test_the_record_holds_what_is_printed(
 def test_a_misspelt_name_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["effects", "backlsh"]) == 2
     assert "did you mean 'backlash'?" in capsys.readouterr().err
-
-
-BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
-"""Effects that only another supply voltage, or the encoder moved by hand, splits from their
-likes.
-"""
-
-
-def test_every_effect_has_an_experiment_or_needs_a_hand() -> None:
-    assert {e.name for e in MOTION if e.separation is None} == BY_HAND
-    assert set(recipes(Room(30.0, 20.0, 30.0))) == set(Separation)
-
-
-@pytest.mark.parametrize("name", [e.name for e in MOTION if e.separation is not None])
-def test_the_experiment_is_a_plan_within_the_bench_s_limits(name: str, tmp_path: Path) -> None:
-    bench = load_bench("practical")
-    text = separating_sequence([name, *EFFECTS[name].look_alikes], bench.value)
-    assert text is not None
-    file = tmp_path / "split.yaml"
-    file.write_text(text)
-    plan = make_plan(load_sequence(file), bench)
-    assert len(plan.stages) >= 2
-    assert plan.duration_s < 1500.0
-
-
-def test_a_group_that_no_sequence_splits_has_none() -> None:
-    assert (
-        separating_sequence(["brush_drop", "inverter_dead_time"], load_bench("practical").value)
-        is None
-    )

@@ -1,9 +1,10 @@
-"""The report, its record as JSON, and documents on the terminal, as a page and on the disk."""
+"""The report: self-contained, escaped, and every figure in the folder too; its record as JSON that
+any reader takes.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import errno
 import json
 import re
 from pathlib import Path
@@ -14,27 +15,9 @@ import pytest
 from identification.estimate.paper_method import identify_paper
 from identification.recording import Bench, Dataset, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
-from rig.common.errors import InputError
 from rig.common.places import write_json
-from rig.common.provenance import Provenance
-from rig.results import document as files
-from rig.results.document import (
-    Block,
-    Document,
-    Items,
-    Note,
-    Paragraph,
-    Picture,
-    Section,
-    SideBySide,
-    Table,
-    Verdict,
-    page,
-    text,
-    write_page,
-    write_record,
-    write_texts,
-)
+from rig.common.provenance import Provenance, finite
+from rig.results.document import write_page
 from rig.results.identify.document import identify_document
 from rig.results.identify.identify import Outcome, identification_record
 
@@ -54,26 +37,84 @@ def recording(name: str, role: str = "fit") -> Recording:
     return Recording(name, channels, Bench(), role=role, notes=("one <b>correction</b>",))  # type: ignore[arg-type]
 
 
-def test_the_page_stands_alone_and_is_escaped_and_each_figure_is_a_file_too(tmp_path: Path) -> None:
-    dataset = Dataset((recording("a[1]"), recording("b/c"), recording("late", "validate")))
-    rng = np.random.default_rng(0)
-    result = identify_paper(dataset, bandwidth_Hz=0.5 * RATE, rng=rng, generations=20)
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    return Dataset((recording("a[1]"), recording("b/c"), recording("late", "validate")))
+
+
+def written(
+    folder: Path,
+    dataset: Dataset,
+    *results: Identification,
+    truth: dict[str, float] | None = None,
+    name: str = "t",
+) -> str:
+    """Write the page of an identification and return it."""
+    outcome = Outcome(dataset, results, Provenance.of(3, dataset.recordings, 0.5))
+    write_page(identify_document(name, outcome, truth), folder / "report.html")
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report")
+    result = identify_paper(
+        dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=20
+    )
     other = dataclasses.replace(result, method="default", warnings=("mind <the> gap",))
-    outcome = Outcome(dataset, (other, result), Provenance.of(3, dataset.recordings, 0.5))
-    document = identify_document("bench & test", outcome, {"Mc": 7.0, "Ms": 12.0})
-    write_page(document, tmp_path / "report.html")
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    written(path, dataset, other, result, truth={"Mc": 7.0, "Ms": 12.0}, name="bench & test")
+    return path
+
+
+def test_nothing_is_fetched_from_outside(folder: Path) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"https?://|<script|<link|@import|url\(", page)
     sources = re.findall(r'<img[^>]*src="([^"]{0,30})', page)
-    names = {path.name for path in (tmp_path / "figures").iterdir()}
-    assert len(sources) == len(names) >= 8
+    assert len(sources) >= 8
     assert all(source.startswith("data:image/png;base64,") for source in sources)
-    assert {"stribeck_default.png", "convergence_paper_unloaded.png"} <= names
+
+
+def test_every_figure_is_a_file_too(folder: Path) -> None:
+    names = {path.name for path in (folder / "figures").iterdir()}
+    assert {
+        "intervals.png",
+        "stribeck_default.png",
+        "stribeck_paper.png",
+        "convergence_paper_unloaded.png",
+    } <= names
     assert {"response_a_1.png", "response_b_c.png", "residual_late.png"} <= names
-    assert all((tmp_path / "figures" / name).read_bytes().startswith(b"\x89PNG") for name in names)
+    assert all((folder / "figures" / name).read_bytes().startswith(b"\x89PNG") for name in names)
+
+
+def test_text_is_escaped(folder: Path) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
     assert "<b>" not in page
     assert "mind &lt;the&gt; gap" in page
     assert "<h1>Identification of bench &amp; test</h1>" in page
+
+
+def test_it_says_what_the_records_say(folder: Path) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    for words in (
+        "not identifiable",
+        "validate",
+        "genetic algorithm",
+        "true",
+        "simulated bench",
+        "seed",
+    ):
+        assert words in page
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_many_recordings_are_cut_short_and_there_is_no_truth_unless_known(tmp_path: Path) -> None:
+    many = Dataset(tuple(recording(f"r{k}") for k in range(8)))
+    result = identify_paper(
+        many, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
+    )
+    page = written(tmp_path, many, result)
+    assert "2 more recordings" in page
+    assert ">true<" not in page
 
 
 def result() -> Identification:
@@ -116,9 +157,16 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
     assert read["seconds"] == 1.25
     assert read["version"] == read["versions"]["loadrig"]
     assert read["inputs"] == [{"file": "a.csv", "sha256": "ab" * 32}]
-    missing = dict.fromkeys(("value", "low", "high", "floor"))
-    said = {"unit": "kg m^2", "identifiable": False, "at_bound": False, "reason": "too slow"}
-    assert read["parameters"]["J"] == missing | said
+    assert read["parameters"]["J"] == {
+        "value": None,
+        "low": None,
+        "high": None,
+        "unit": "kg m^2",
+        "identifiable": False,
+        "at_bound": False,
+        "reason": "too slow",
+        "floor": None,
+    }
     assert read["parameters"]["Ms"]["at_bound"] is True
     assert read["fit"]["validate_rms"] is None
     assert read["stages"][0]["evaluations"] == 80
@@ -129,74 +177,8 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
     assert read["warnings"] == ["slow"]
 
 
-LONG = "word " * 40
-EVERY: dict[str, Block] = {
-    "table": Table(("name", "value"), (("x", "1 <unit>"),), (1,)),
-    "note": Note("a line & more", "warning"),
-    "paragraph": Paragraph(LONG.strip(), "At first:"),
-    "items": Items((("model.py", "the model"), ("", "a line of its own"))),
-    "verdict": Verdict("All is well", "Nothing is left.", "good"),
-    "picture": Picture("drawn", "What is drawn", b"\x89PNG"),
-    "section": Section("Inside", (Note("within"),)),
-    "beside": SideBySide(Section("Left", (Note("here"),)), Section("Right", (Note("there"),))),
-}
-
-
-def shown(*blocks: Block) -> str:
-    return text(Document("t", "", (Section("", blocks),)))
-
-
-def drawn(*blocks: Block) -> str:
-    return page(Document("A & B", "below", (), (Section("Heading", blocks, "here"),)))
-
-
 @pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("table", "name     value\n----  --------\nx     1 <unit>"),
-        ("note", "warning: a line & more"),
-        ("items", "  model.py: the model\n  a line of its own"),
-        ("verdict", "All is well\nNothing is left."),
-        ("picture", ""),
-        ("section", "Inside\nwithin"),
-        ("beside", "Left\nhere\nRight\nthere"),
-    ],
+    ("value", "expected"), [(None, None), (np.nan, None), (np.inf, None), (np.float64(2.0), 2.0)]
 )
-def test_blocks_on_the_terminal(kind: str, expected: str) -> None:
-    assert shown(EVERY[kind]) == expected
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("table", '<td>x</td><td class="number">1 &lt;unit&gt;</td>'),
-        ("note", '<p class="warning">a line &amp; more</p>'),
-        ("paragraph", "<p><strong>At first:</strong> word word"),
-        ("items", "<li><code>model.py</code>: the model</li><li>a line of its own</li>"),
-        ("verdict", '<section class="verdict good"><p class="headline">All is well</p>'),
-        ("picture", 'src="data:image/png;base64,iVBORw=="><figcaption>What is drawn'),
-        ("section", "<h3>Inside</h3>\n<p>within</p>"),
-        ("beside", "<h3>Right</h3>\n<p>there</p>"),
-    ],
-)
-def test_blocks_on_the_page(kind: str, expected: str) -> None:
-    made = drawn(EVERY[kind])
-    assert expected in made
-    assert '<h2 id="here">Heading</h2>' in made
-    assert "<h1>A &amp; B</h1>" in made
-
-
-def test_a_full_disk_is_said_with_the_places(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*arguments: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(files, "write_text", full)
-    monkeypatch.setattr(files, "write_json", full)
-    with pytest.raises(InputError, match=f"^{tmp_path} or x.json: cannot be written: No space"):
-        write_record({}, tmp_path / "r.json", Path("x.json"))
-    with pytest.raises(InputError, match=f"^{tmp_path}: cannot be written: No space"):
-        write_texts({"a.txt": ""}, tmp_path)
-    with pytest.raises(InputError, match=f"^{tmp_path}: cannot be written: No space"):
-        write_page(Document("t", "", ()), tmp_path / "p.html")
+def test_finite(value: float | None, expected: float | None) -> None:
+    assert finite(value) == expected
