@@ -1,4 +1,8 @@
-"""Random logs of every format: each is read to the last bit, or something is said."""
+"""Random logs of every format, and what must hold of each: it is read to the last bit, or something
+is said.
+
+Each property takes a drawn log and a folder; ``tests/long/log_shapes.py`` runs them many times.
+"""
 
 from __future__ import annotations
 
