@@ -27,6 +27,7 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
+from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
 from rig.config.sequence import Sequence
@@ -288,6 +289,15 @@ def short_sequence(tmp_path: Path) -> Path:
     path = tmp_path / "short.yaml"
     path.write_text(SHORT)
     return path
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a run of the short sequence by the command line, which is not to be changed."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "short.yaml").write_text(SHORT)
+    assert status(["run", str(folder / "short.yaml"), "--yes", "--out", str(folder / "run")]) == 0
+    return folder / "run"
 
 
 @pytest.fixture

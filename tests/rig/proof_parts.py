@@ -1,6 +1,4 @@
-"""Trials and diagnoses that are quick and made up, which workers of a proof can import; run by
-``test_cluster`` in a process of its own, which it asks for by the variable ``PROOF_PARTS``.
-"""
+"""Made-up trials and diagnoses that the workers of ``test_cluster`` can import."""
 
 from __future__ import annotations
 
@@ -79,9 +77,7 @@ def floors_of(source: Path) -> Mapping[str, float]:
 
 
 def obey() -> None:
-    """Be killed as the environment says; check that nobody listens but on the loopback
-    interface.
-    """
+    """Be killed as the environment says; check that nobody listens beyond the loopback."""
     if DIES not in os.environ:
         return
     here = psutil.Process()

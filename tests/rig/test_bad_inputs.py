@@ -1,6 +1,4 @@
-"""Every command, given every kind of file that it cannot use: `file: message`, status 2, and
-nothing else.
-"""
+"""Every command with every kind of file that it cannot use: a message, status 2, nothing else."""
 
 from __future__ import annotations
 
@@ -181,7 +179,7 @@ def test_a_file_that_cannot_be_used_is_bad_input(
     assert name in shown or command in ("identify --plan",), shown
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", READERS)
 def test_a_file_in_a_folder_that_may_not_be_searched(
     place: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -197,7 +195,7 @@ def test_a_file_in_a_folder_that_may_not_be_searched(
 @pytest.mark.parametrize(
     "name", ["x" * 300 + ".yaml", "campaign.yaml/inside.yaml"], ids=["too long", "through a file"]
 )
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", READERS)
 def test_a_name_that_no_file_can_have(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
 ) -> None:
@@ -205,9 +203,7 @@ def test_a_name_that_no_file_can_have(
     assert_in_words(capsys.readouterr().err, place)
 
 
-@pytest.mark.parametrize(
-    "command", ["identify", "diagnose", "export", "simulate", "recover", "resume"]
-)
+@pytest.mark.parametrize("command", ["export", "recover", "resume"])
 def test_a_run_folder_that_may_not_be_read(
     place: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -222,13 +218,9 @@ def test_a_run_folder_that_may_not_be_read(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("file", ["run.json", "recording.mcap"])
-@pytest.mark.parametrize("command", ["identify", "diagnose", "export", "recover", "resume"])
+@pytest.mark.parametrize("command", ["export", "recover", "resume"])
 def test_a_run_folder_with_a_damaged_file(
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    command: str,
-    file: str,
-    kind: str,
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, file: str, kind: str
 ) -> None:
     content = (place / "run" / file).read_bytes()
     (place / "run" / file).unlink()
@@ -243,10 +235,7 @@ def test_a_run_folder_with_a_damaged_file(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "mat", "parquet"])
 def test_a_recording_that_cannot_be_used(
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    ending: str,
-    kind: str,
+    place: Path, capsys: pytest.CaptureFixture[str], ending: str, kind: str
 ) -> None:
     KINDS[kind](place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
     (place / "bad.yaml").write_text(CAMPAIGN.format(file=f"bad.{ending}"), encoding="utf-8")
@@ -259,67 +248,36 @@ def test_a_recording_that_cannot_be_used(
     assert code == DONE or f"bad.{ending}" in shown
 
 
+DEVICE_FILES = {
+    "eds": ("practical", "\nservo: {", "\nservo: {eds: bad.eds, ", DRIVE_EDS),
+    "dbc": ("practical_dbc", "  file: null ", "  file: bad.dbc ", DRIVE_DBC),
+}
+"""Kind of a device file to a bench, what to replace in it by what, and a good file."""
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_dbc_file_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], kind: str
+@pytest.mark.parametrize(("device_file", "command"), [("eds", "run --bench"), ("dbc", "check")])
+def test_a_device_file_that_cannot_be_used(
+    place: Path, capsys: pytest.CaptureFixture[str], device_file: str, command: str, kind: str
 ) -> None:
-    KINDS[kind](place / "bad.dbc", DRIVE_DBC.read_bytes())
-    bench = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
-    assert "  file: null " in bench
-    (place / "dbc.yaml").write_text(
-        bench.replace("  file: null ", "  file: bad.dbc "), encoding="utf-8"
-    )
-    code = call(["check", "dbc.yaml"])
+    name, old, new, good = DEVICE_FILES[device_file]
+    KINDS[kind](place / f"bad.{device_file}", good.read_bytes())
+    bench = resolve(name, "benches").read_text(encoding="utf-8")
+    assert old in bench
+    (place / "device.yaml").write_text(bench.replace(old, new), encoding="utf-8")
+    code = call(arguments(command, "device.yaml"))
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
-    assert code == BAD_INPUT, shown
+    # An EDS file may have a comment in another encoding.
+    assert code == BAD_INPUT or (device_file, kind) == ("eds", "latin_1"), shown
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("command", ["run --bench", "jog", "check"])
-def test_an_eds_file_that_cannot_be_used(
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    command: str,
-    kind: str,
-) -> None:
-    KINDS[kind](place / "bad.eds", DRIVE_EDS.read_bytes())
-    bench = (place / "bench.yaml").read_text(encoding="utf-8")
-    assert "\nservo: {" in bench
-    (place / "eds.yaml").write_text(
-        bench.replace("\nservo: {", "\nservo: {eds: bad.eds, "), encoding="utf-8"
-    )
-    code = call(arguments(command, "eds.yaml"))
-    shown = capsys.readouterr()
-    assert_in_words(shown.err, place)
-    if kind != "latin_1":
-        assert code == BAD_INPUT, shown.err
-        assert "bad.eds" in shown.out + shown.err
-
-
-NUMBERS = ("9" * 400, ".nan", "-1e300", "1e300", "1e-300", "0", "null")
+NUMBERS = ("9" * 400, ".nan", "1e300", "0")
 PLACES: Mapping[str, tuple[str, ...]] = {
-    "run": (
-        "amplitude_deg: ",
-        "frequency_Hz: ",
-        "duration_s: ",
-        "ramp_in_s: ",
-        "settle_s: ",
-        "sequence: ",
-    ),
-    "run --bench": (
-        "gear_ratio: ",
-        "cycle_Hz: ",
-        "bitrate: ",
-        "rate_Hz: ",
-        "motor_counts_per_turn: ",
-        "angle_max_deg: ",
-        "rated_current_A: ",
-        "inertia_kg_m2: ",
-        "supply_V: ",
-    ),
-    "run --faults": ("after_s: ", "value: ", "faults: "),
-    "export": ("torque_constant: ", "gear_ratio: ", "campaign: "),
+    "run": ("amplitude_deg: ", "settle_s: ", "sequence: "),
+    "run --bench": ("gear_ratio: ", "cycle_Hz: ", "bitrate: ", "rated_current_A: ", "supply_V: "),
+    "run --faults": ("after_s: ", "faults: "),
+    "export": ("torque_constant: ", "campaign: "),
 }
 """Command to the keys whose numbers are replaced."""
 
@@ -342,7 +300,7 @@ def test_numbers_that_no_bench_has(
     assert code in (DONE, BAD_VERDICT, BAD_INPUT, DEVICE_FAILED)
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "9" * 400, "-1e300", "1e-300", '"x"'])
+@pytest.mark.parametrize("number", ["NaN", "9" * 400, '"x"'])
 @pytest.mark.parametrize(
     ("command", "key"),
     [

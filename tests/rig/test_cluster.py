@@ -1,11 +1,11 @@
-"""A proof is the same bytes from one process and from the workers of a cluster, also if one of them
-is killed on the way.
-"""
+"""A proof is the same bytes from one process and from workers, of which one is killed."""
 
 from __future__ import annotations
 
 import json
 import os
+import select
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -18,9 +18,10 @@ import pytest
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.results.prove import cluster, run
-from rig.results.prove.engine import Processes, bundle, without_place
+from rig.results.prove.engine import Processes, bundle
 from rig.results.prove.interchange import begin_from, diagnose_all, score_all
 from tests.rig import proof_parts
+from tests.rig.workers import parent
 
 distributed = pytest.importorskip("distributed")
 ROOT = Path(__file__).parents[2]
@@ -131,23 +132,6 @@ def test_a_campaign_with_files_elsewhere_cannot_travel(sealed: Path) -> None:
         bundle(file)
 
 
-def test_a_record_does_not_say_where_it_was_made(tmp_path: Path) -> None:
-    folder = tmp_path / "rig-0001"
-    record = {"inputs": [{"file": f"{folder}/a.npz"}], "note": f"in {folder}/b.npz: 3", "n": 2}
-    placed = {"inputs": [{"file": "rig-0001/a.npz"}], "note": "in rig-0001/b.npz: 3", "n": 2}
-    assert without_place(record, folder) == placed
-
-
-class Finished:
-    """A future that ends with an error."""
-
-    def __init__(self, error: BaseException) -> None:
-        self._error = error
-
-    def result(self) -> None:
-        raise self._error
-
-
 class Client:
     """A client whose scheduler has no workers, and is gone when a task is cancelled."""
 
@@ -165,19 +149,6 @@ class Client:
 
 
 KEPT = "the scheduler is gone; all finished work is kept"
-
-
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (distributed.scheduler.KilledWorker("trial", None, 3), "3 workers died on one task"),
-        (distributed.CancelledError("trial"), "the scheduler is gone"),
-        (ModuleNotFoundError("No module", name="rig"), "cannot import rig; install this version"),
-    ],
-)
-def test_what_a_cluster_loses_is_said_with_a_remedy(error: BaseException, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        cluster.DaskCluster(None, "--cluster 2")._result(Finished(error))
 
 
 @pytest.mark.parametrize(
@@ -210,14 +181,7 @@ def test_a_worker_with_other_packages_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("address", "open_"),
-    [
-        ("tls://10.0.0.5:8786", False),
-        ("tcp://10.0.0.5:8786", True),
-        ("bench.example:8786", True),
-        ("tcp://127.0.0.1:8786", False),
-        ("tcp://[::1]:8786", False),
-        ("localhost:8786", False),
-    ],
+    [("tls://10.0.0.5:8786", False), ("bench.example:8786", True), ("tcp://[::1]:8786", False)],
 )
 def test_a_scheduler_that_others_can_reach_without_keys_is_warned_of(
     address: str, open_: bool
@@ -234,3 +198,50 @@ def test_one_engine_at_a_time_and_what_to_install_for_it(
     monkeypatch.setattr(cluster, "distributed", None)
     assert status(["prove", "--cluster", "2", *out]) == 2
     assert "pip install 'loadrig[dask]'" in capsys.readouterr().err
+
+
+def test_the_work_of_a_process_that_is_killed_is_done_again(tmp_path: Path) -> None:
+    with parent("dying", 0, tmp_path / "died") as process:
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    squares, message = json.loads(output)
+    assert squares == [0, 1, 4, 9, 16]
+    assert "died 3 times" in message
+    assert "repeat the command with this --out" in message
+
+
+@pytest.mark.parametrize(
+    ("workers", "how"),
+    [
+        (0, signal.SIGINT),
+        (0, signal.SIGKILL),
+        pytest.param(2, signal.SIGKILL, marks=pytest.mark.proof),
+    ],
+)
+def test_workers_end_with_their_parent(tmp_path: Path, workers: int, how: signal.Signals) -> None:
+    """Two processes, or a cluster of ``workers``."""
+    if workers:
+        pytest.importorskip("distributed")
+    fifo = tmp_path / "alive"
+    os.mkfifo(fifo)
+    reading = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with parent("hanging", workers, fifo) as process:
+            started = b""
+            while len(started) < 2:
+                started += _next(reading)
+            if how == signal.SIGINT:
+                os.killpg(process.pid, how)  # as a terminal does
+            else:
+                process.send_signal(how)
+            _, errors = process.communicate(timeout=PATIENCE_S)
+            assert process.returncode == {signal.SIGINT: 3}.get(how, -how), errors
+        assert _next(reading) == b"", "end of file: no worker holds the pipe any more"
+    finally:
+        os.close(reading)
+
+
+def _next(reading: int) -> bytes:
+    ready, _, _ = select.select([reading], [], [], PATIENCE_S)
+    assert ready, "workers are still there"
+    return os.read(reading, 1)

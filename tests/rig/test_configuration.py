@@ -112,29 +112,18 @@ def test_every_error_at_once_with_its_place(tmp_path: Path) -> None:
     ]
 
 
-def test_a_far_off_key_lists_the_known_ones(tmp_path: Path) -> None:
-    assert problems(tmp_path, "zzz: 1\n") == [
-        "1:1: zzz: unknown key; known are count, file, gain, name, stages"
-    ]
-
-
 @pytest.mark.parametrize(
     ("text", "place", "words"),
     [
         ("", "1:1", "the file is empty"),
-        ("# only a comment\n", "1:1", "the file is empty"),
         ("- 1\n", "1:1", "top level must be a mapping"),
         ("name:\n\tx: 1\n", "2:1", "a tab character; indent with spaces"),
-        ("name: [1\n", "2:1", "not valid YAML"),
         (b"name: x\ngain: \xff\n", "2:7", "byte 0xFF is not UTF-8"),
         ("a: 1\nname: \x01\n", "2:7", "U+0001 is not allowed"),
         ("name: a\n---\nname: b\n", "2:1", "a second document"),
-        ("name: " + "[" * 5000, "1:1006", "nesting"),
         ("name: &x [*x]\n", "1:7", "refers to a value that contains this alias"),
-        ("name: *x\n", "1:7", "undefined alias"),
         ("name: " + "[" * 500, "1:46", "nested deeper"),
         ("name: !!python/name:os.getcwd x\n", "1:7", "is not allowed"),
-        ("name: !!timestamp 2020-01-01\n", "1:7", "is not allowed"),
         ("? [1]\n: 2\n", "1:3", "a key must be plain text"),
         ("count: " + "9" * 5000, "1:8", "is not a usable int"),
     ],
@@ -189,12 +178,6 @@ def test_a_later_check_points_into_the_file(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         document.require([(("gain",), "low"), (("stages", 0, "speed"), "high")])
     assert len(caught.value.problems) == 2
-
-
-def test_long_values_are_shortened(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, f"gain: {'x' * 500}\n")
-    assert len(line) < 150
-    assert line.endswith("...)")
 
 
 # Digits are left out of text: PyYAML writes "1e3" unquoted because YAML 1.1 reads it as text, and

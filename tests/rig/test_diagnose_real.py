@@ -1,6 +1,4 @@
-"""The diagnosis on recordings of real machines: what their owners know and the tool was not
-told.
-"""
+"""The diagnosis on recordings of real machines, held against what their owners know."""
 
 from __future__ import annotations
 
@@ -35,9 +33,7 @@ def diagnosed(name: str) -> dict[str, Any]:
 
 @pytest.mark.proof
 def test_asymmetric_viscous_friction_of_emps() -> None:
-    """The authors of the data say so; the record with pulses takes no part and is predicted
-    better.
-    """
+    """The authors of the data say so."""
     found = diagnosed("emps")
     first = found["effects"][0]
     assert first["name"] == "asymmetric_viscous"
@@ -48,18 +44,14 @@ def test_asymmetric_viscous_friction_of_emps() -> None:
 
 @pytest.mark.proof
 def test_the_play_of_a_band_that_one_sensor_sees_is_outside_the_catalogue(recordings: Path) -> None:
-    """After each reversal the force stays near nothing over 7.6 mm. Presliding explains nine tenths
-    of the mismatch, and is not what its owners describe.
-    """
+    """Presliding explains nine tenths of it, and is not what the owners describe."""
     found = diagnose_source(recordings / "campaigns" / "friction_damper.yaml", 0).record()
     assert found["verdict"] == "outside_catalogue"
     assert "since reversal" in found["statement"]
 
 
 def test_seven_periods_a_turn_of_a_motor_turned_slowly_once() -> None:
-    """0.79 A by the notes beside the data. Two turns at one speed cannot distinguish cogging from a
-    ripple of the constant; the third, which is set aside, rejects the ripple.
-    """
+    """0.79 A by the notes beside the data."""
     found = diagnosed("odrive_cogging")
     assert found["verdict"] == "named"
     first = found["effects"][0]
@@ -103,9 +95,7 @@ def test_a_constant_load_on_a_screw() -> None:
 
 @pytest.mark.proof
 def test_a_swing_whose_phase_each_recording_has_to_itself_is_judged_on_those_fitted() -> None:
-    """Only speeds were recorded: no two recordings share an angle. The constant load, 0.01 to 0.18
-    mN m by half the sum of both ways, is less than the swing that recordings set aside leave.
-    """
+    """Only speeds were recorded: no two recordings share an angle."""
     found = diagnosed("screw_drive_2_untold")
     assert {e["name"] for e in found["effects"]} == {"torque_ripple", "cogging"}
     assert found["fit"]["final_rms"] < 0.6 * found["fit"]["baseline_rms"]
@@ -117,9 +107,7 @@ def test_a_swing_whose_phase_each_recording_has_to_itself_is_judged_on_those_fit
 def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> (
     None
 ):
-    """Where its unexplained half volt comes from: they fall at 4.6 s and stay, while the firmware
-    asks for 5.4 V up.
-    """
+    """They fall at 4.6 s and stay, while the firmware asks for 5.4 V up."""
     said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint rests" in w]
     assert [w.split(":")[0] for w in said] == [
         f"m457g_l100mm_kp{gain}_up_and_down" for gain in (16, 32)
@@ -129,9 +117,7 @@ def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reac
 
 @pytest.mark.proof
 def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_path: Path) -> None:
-    """They say 5 to 10 ms; the voltage was computed from the late angle, so that only its command
-    is early.
-    """
+    """5 to 10 ms by the notes."""
     text = (
         (CAMPAIGNS / "sts3032_to_heavy.yaml")
         .read_text()
@@ -152,9 +138,7 @@ def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_p
 
 @pytest.mark.proof
 def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Path) -> None:
-    """Without the controller's law nobody knows that the voltage was computed: shifted whole, it
-    fits the recordings of one mass with 18 ms, and the other's worse.
-    """
+    """Without the controller's law nobody knows that the voltage was computed."""
     text = (
         (CAMPAIGNS / "sts3032_to_heavy.yaml")
         .read_text()
@@ -183,14 +167,7 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
     ],
 )
 def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
-    """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not
-    (docs/measurements.md).
-
-    What is left on unseen recordings is held against the weight's own torque too: how well the
-    constants alone do there hangs on a static friction that few rows tell. The torque comes from
-    the voltage and the declared motor constants, of a drive that is stronger than declared: all
-    four values are low.
-    """
+    """The drive is stronger than declared, so that all values are low (docs/measurements.md)."""
     text = (CAMPAIGNS / "sts3032_no_weight.yaml").read_text()
     path = tmp_path / "campaign.yaml"
     text = text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared"))
@@ -208,9 +185,7 @@ def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_pat
 
 @pytest.mark.parametrize("amperes", [pytest.param(0.3, marks=pytest.mark.proof), -0.3])
 def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) -> None:
-    """Beside the machine's own constant force; no motion at one load tells it from asymmetric
-    friction.
-    """
+    """No motion at one load tells it from asymmetric friction."""
     own = diagnosed_in_amperes(0.0, declared=True).parameter_shift["offset"]
     found = diagnosed_in_amperes(amperes, declared=False)
     effect = next(e for e in found.effects if "current_offset" in e.alias_group)
@@ -251,9 +226,7 @@ def with_current(recording: Recording, added: float) -> Recording:
 
 @pytest.mark.parametrize("gap_m", [pytest.param(2e-5, marks=pytest.mark.proof), 1e-4])
 def test_a_dead_zone_laid_between_real_channels_comes_back(gap_m: float) -> None:
-    """The second encoder is the first one a period later, behind a gap; the last period takes no
-    part.
-    """
+    """The second encoder is the first one a period later, behind a gap."""
     record = load_source(CAMPAIGNS / "emps.yaml").recordings[0]
     twice = behind_a_gap(record, gap_m)
     half = len(twice.time) - PERIOD_SAMPLES

@@ -1,12 +1,12 @@
-"""Logs as other people's tools write them: read with a word about it, or refused."""
+"""Logs as other people's tools write them, and broken ones: read with a word, or refused."""
 
 from __future__ import annotations
 
-import csv
+import gzip
 import importlib
-import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ from mcap.writer import CompressionType, Writer
 from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources import load_source
 from rig.sources.formats import open_table
+from rig.sources.table import Table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file
 
 PLAIN = ReadSection()
@@ -54,11 +54,8 @@ HEAD = "t,i,m,q\n"
     ("text", "note"),
     [
         (HEAD + "s,A,rad,rad\n" + "\n".join(lines_of()), "read as units: s, A, rad, rad"),
-        (HEAD + "s,A,-,rad\n" + "\n".join(lines_of()), "read as units: s, A, -, rad"),
         ((HEAD + "\n".join(lines_of())).encode("utf-16"), "text in UTF-16"),
-        ((HEAD + "\n".join(lines_of())).encode("utf-16-le"), "text in UTF-16-LE"),
         ("\ufeff" + HEAD + "\n".join(lines_of()), None),
-        (HEAD + "\n".join(lines_of()) + "\nEOF\n", "(EOF) read as the end"),
         (HEAD + "\n".join(lines_of()) + "\nEOF,,,\n", "(EOF) read as the end"),
         (HEAD + "\n".join(lines_of()) + "\n,,,\n", "1 rows without values at the end dropped"),
         ("t i m q\n" + "\n".join(lines_of("   ")), "columns separated by blanks"),
@@ -68,19 +65,6 @@ HEAD = "t,i,m,q\n"
             + "\n".join(f'"{k}"\t{line}' for k, line in enumerate(lines_of("\t"), 1)),
             "the first cell of each row is a row name",
         ),
-    ],
-    ids=[
-        "units",
-        "dash",
-        "utf16",
-        "utf16le",
-        "bom",
-        "eof",
-        "eof-cells",
-        "commas",
-        "blanks",
-        "end",
-        "R",
     ],
 )
 def test_what_a_text_file_is_comes_out_and_is_said(
@@ -94,7 +78,7 @@ def test_what_a_text_file_is_comes_out_and_is_said(
 
 def test_dates_with_and_without_an_offset_are_seconds(tmp_path: Path) -> None:
     stamps = np.datetime64("2026-02-28T23:59:59.900", "us") + (TIME * 1e6).round().astype(int)
-    for suffix in ("", "Z", "+01:00"):
+    for suffix in ("", "+01:00"):
         lines = [f"{s}{suffix},{row.split(',', 1)[1]}" for s, row in zip(stamps, lines_of())]  # noqa: B905
         recording = load(tmp_path, HEAD + "\n".join(lines))
         is_truth(recording)
@@ -118,13 +102,6 @@ def test_a_windows_nan_is_missing_and_does_not_end_its_row(tmp_path: Path) -> No
     np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
     assert abs(recording.channels["current"][100] - CURRENT[100]) < 0.05
     assert any("-1.#IND read as missing" in note for note in recording.notes)
-
-
-def test_decimal_commas_in_quotes_between_commas(tmp_path: Path) -> None:
-    stream = io.StringIO()
-    writer = csv.writer(stream, quoting=csv.QUOTE_ALL)
-    writer.writerows([[cell.replace(".", ",") for cell in row] for row in rows_of()])
-    is_truth(load(tmp_path, HEAD + stream.getvalue(), read='{decimal: ","}'))
 
 
 def test_rows_of_another_topic_are_dropped_and_counted(tmp_path: Path) -> None:
@@ -170,8 +147,7 @@ def test_a_first_line_that_counts_is_a_header(tmp_path: Path) -> None:
     np.testing.assert_array_equal(open_table(table, PLAIN).read([0])[0], [0, 1, 2])
 
 
-@pytest.mark.parametrize("bits", [8, 16, 18, 32])
-@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize(("bits", "signed"), [(8, True), (18, False), (32, True)])
 def test_a_position_counter_through_its_end(tmp_path: Path, bits: int, signed: bool) -> None:
     amplitude = 2.0 ** (bits - 1)
     counts = np.rint(amplitude * np.sin(12.0 * TIME))
@@ -190,7 +166,7 @@ def test_a_position_counter_through_its_end(tmp_path: Path, bits: int, signed: b
     assert any(f"`motor_angle`: a counter of {bits} bits" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (16, 1e-3), (18, 1e-3), (32, 1e-6)])
+@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (32, 1e-6)])
 def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> None:
     ticks = np.arange(N) * round(1e-3 / scale) + 2**bits - 40 * round(1e-3 / scale)
     values = np.column_stack([ticks % 2**bits, CURRENT, 100 * ANGLE, ANGLE])
@@ -210,17 +186,10 @@ def test_signed_numbers_stored_as_unsigned(tmp_path: Path) -> None:
 
 
 def test_channels_that_contradict_each_other_are_doubted(tmp_path: Path) -> None:
-    speed = np.gradient(ANGLE, TIME)
-    spike = CURRENT.copy()
-    spike[40] = 400.0
-    values = np.column_stack([TIME, np.abs(CURRENT), spike, ANGLE, speed * 30 / np.pi, speed])
-    text = "t,size,i,q,rpm,v\n" + "\n".join(lines_of(",", values))
-    notes = load(tmp_path, text, "{time: t, current: i, angle: q, velocity: rpm}").notes
-    assert any("`velocity` is 9" in n and "rpm, set its scale to 0.1047" in n for n in notes), notes
-    assert any("`current` has 1 single sample" in n and "at 0.04 s" in n for n in notes)
-    notes = load(tmp_path, text, "{time: t, current: size, angle: q, velocity: v}").notes
-    assert len(notes) == 1
-    assert "`current` keeps one sign" in notes[0]
+    values = np.column_stack([TIME, np.abs(CURRENT), ANGLE])
+    text = "t,size,q\n" + "\n".join(lines_of(",", values))
+    (note,) = load(tmp_path, text, "{time: t, current: size, angle: q}").notes
+    assert "`current` keeps one sign" in note
 
 
 def test_a_load_that_pulls_one_way_is_no_doubt(tmp_path: Path) -> None:
@@ -244,15 +213,14 @@ def test_structs_of_matlab_by_full_and_short_name(tmp_path: Path) -> None:
         dtype=[("values", object), ("label", object)],
     )
     out = {"out": {"time": TIME, "signals": signals}}
-    for compress in (False, True):
-        scipy.io.savemat(tmp_path / "log.mat", out, do_compression=compress)
-        full = (
-            "{time: out.time, current: 'out.signals[0].values', "
-            "motor_angle: 'out.signals[1].values[0]', angle: 'out.signals[1].values[1]'}"
-        )
-        recording = load_file(tmp_path, "log.mat", full)
-        is_truth(recording)
-        assert recording.notes == ()
+    scipy.io.savemat(tmp_path / "log.mat", out, do_compression=True)
+    full = (
+        "{time: out.time, current: 'out.signals[0].values', "
+        "motor_angle: 'out.signals[1].values[0]', angle: 'out.signals[1].values[1]'}"
+    )
+    recording = load_file(tmp_path, "log.mat", full)
+    is_truth(recording)
+    assert recording.notes == ()
     scipy.io.savemat(tmp_path / "log.mat", {"d": dict(zip(NAMES, TRUTH.T, strict=True))})
     recording = load_file(tmp_path, "log.mat", CHANNELS)
     is_truth(recording)
@@ -324,8 +292,10 @@ def test_lists_and_stamps_of_mcap(tmp_path: Path) -> None:
     assert recording.notes == ()
 
 
-@pytest.mark.parametrize("chunk", [8192, 1 << 24])
-@pytest.mark.parametrize("kind", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+@pytest.mark.parametrize(
+    ("chunk", "kind"),
+    [(8192, CompressionType.NONE), (8192, CompressionType.ZSTD), (1 << 24, CompressionType.LZ4)],
+)
 def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
     tmp_path: Path, chunk: int, kind: CompressionType
 ) -> None:
@@ -341,19 +311,6 @@ def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
     assert f"cut off: its {count} complete messages" in recording.notes[0]
 
 
-def test_an_mcap_damaged_inside_or_cut_in_its_first_chunk_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    write_joint_states(path, 8192)
-    raw = bytearray(path.read_bytes())
-    raw[len(raw) // 3] ^= 0xFF
-    path.write_bytes(raw)
-    with pytest.raises(InputError, match="cannot be read"):
-        open_table(path, PLAIN)
-    path.write_bytes(path.read_bytes()[:60])
-    with pytest.raises(InputError, match="cut off before the first complete message"):
-        open_table(path, PLAIN)
-
-
 def test_json_lines(tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
     rows = [
@@ -365,26 +322,9 @@ def test_json_lines(tmp_path: Path) -> None:
     recording = load_file(tmp_path, "log.jsonl", channels)
     is_truth(recording)
     assert recording.notes == (f"line {N + 1} is incomplete: dropped",)
-    path.write_text('{"t": 1}\n\n[3]\n')
-    with pytest.raises(InputError, match=r"log\.jsonl:3: not a JSON object"):
-        load_file(tmp_path, "log.jsonl", channels)
     path.write_text('{"t": 1}\nnot\n{"t": 2}\n')
     with pytest.raises(InputError, match=r"log\.jsonl:2: not JSON"):
         load_file(tmp_path, "log.jsonl", channels)
-    path.write_text('{"name": "a"}\n')
-    with pytest.raises(InputError, match="no JSON object contains a number"):
-        load_file(tmp_path, "log.jsonl", channels)
-
-
-def test_npy(tmp_path: Path) -> None:
-    np.save(tmp_path / "log.npy", TRUTH)
-    is_truth(load_file(tmp_path, "log.npy", "{time: 0, current: 1, motor_angle: 2, angle: 3}"))
-    fields = np.array([tuple(row) for row in TRUTH], dtype=[(name, float) for name in NAMES])
-    np.save(tmp_path / "log.npy", fields)
-    is_truth(load_file(tmp_path, "log.npy", CHANNELS))
-    np.save(tmp_path / "log.npy", np.array([{}] * 3), allow_pickle=True)
-    with pytest.raises(InputError, match="cannot be read"):
-        load_file(tmp_path, "log.npy", CHANNELS)
 
 
 def test_recordings_that_follow_each_other_are_no_wrap(tmp_path: Path) -> None:
@@ -399,17 +339,6 @@ def test_a_switched_output_is_not_read_as_signed(tmp_path: Path) -> None:
     assert recording.channels["current"].max() == 255.0
 
 
-def test_with_a_rate_every_row_is_a_sample(tmp_path: Path) -> None:
-    lines = [line for row in rows_of() for line in (",".join(row[1:]), ",,")]
-    path = tmp_path / "c.yaml"
-    (tmp_path / "log.csv").write_text("i,m,q\n" + "\n".join(lines))
-    channels = "{current: i, motor_angle: m, angle: q}"
-    text = f"recordings:\n  - {{file: log.csv, rate: 1000, channels: {channels}}}\n"
-    path.write_text(BENCH + text)
-    with pytest.raises(InputError, match=r"`current`: 299 of 599|`current`: 300 of 600"):
-        load_source(path)
-
-
 def test_nanoseconds_in_text_are_rounded_with_a_word(tmp_path: Path) -> None:
     lines = [
         f"{FIRST_NS + k * 1_000_000},{row.split(',', 1)[1]}" for k, row in enumerate(lines_of())
@@ -418,3 +347,165 @@ def test_nanoseconds_in_text_are_rounded_with_a_word(tmp_path: Path) -> None:
     recording = load(tmp_path, HEAD + "\n".join(lines), channels)
     assert np.max(np.abs(recording.time - recording.time[0] - TIME)) < 5e-7
     assert "column 't' holds integers beyond 2^53: rounded to multiples of 256" in recording.notes
+
+
+def delimited(
+    folder: Path, text: str | bytes, options: ReadSection = PLAIN, name: str = "a.csv"
+) -> Table:
+    path = folder / name
+    raw = text if isinstance(text, bytes) else text.encode()
+    path.write_bytes(gzip.compress(raw) if name.endswith(".gz") else raw)
+    return open_table(path, options)
+
+
+VENDOR = (
+    "Date:;2020-07-08\r\n"
+    '"Trigger:;0;""Parameter values"";""Channel 1"""\r\n'
+    "\r\n"
+    "ms;rpm;%\r\n"
+    "0.000;-10;-32.0\r\n"
+    "51.200;-10;-32.6,,\r\n"
+    '"102.400;-11;-33.0"\r\n'
+    '"153.600";"-11";"-33.5"\r\n'
+    "204.800;;-34.0;;\r\n"
+    "\r\n"
+    "256.000;-12;n/a\r\n"
+)
+
+
+def test_a_vendor_export_with_quoted_rows_commas_and_empty_cells(tmp_path: Path) -> None:
+    table = delimited(tmp_path, VENDOR, ReadSection(delimiter=";", skip_rows=2))
+    assert table.names == ("ms", "rpm", "%")
+    time, speed, torque = table.read([0, 1, 2])
+    np.testing.assert_array_equal(time, [0, 51.2, 102.4, 153.6, 204.8, 256])
+    np.testing.assert_array_equal(speed, [-10, -10, -11, -11, np.nan, -12])
+    np.testing.assert_array_equal(torque, [-32, -32.6, -33, -33.5, -34, np.nan])
+    assert [table.place(row).rsplit(":", 1)[1] for row in (0, 4, 5)] == ["5", "9", "11"]
+
+
+def test_without_header_only_indices(tmp_path: Path) -> None:
+    table = delimited(tmp_path, VENDOR, ReadSection(skip_rows=4))
+    assert table.names == ("", "", "")
+    assert table.notes == ()
+    assert table.read([0])[0][1] == 51.2
+    (note,) = delimited(tmp_path, VENDOR, ReadSection(skip_rows=5)).notes
+    assert "the last skipped line contains numbers" in note
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"t,\xb0C\n1,2\n3,4\n",
+        b"\xef\xbb\xbft,\xc2\xb0C\n1,2\n3,4\n",
+        b"# t,\xc2\xb0C\r\n1,2\r\n3,4",
+    ],
+)
+def test_encodings_of_the_header(tmp_path: Path, raw: bytes) -> None:
+    table = delimited(tmp_path, raw)
+    assert table.names == ("t", "°C")
+    np.testing.assert_array_equal(table.read([1])[0], [2, 4])
+
+
+def test_a_units_line_below_the_header_is_told_from_a_broken_row(tmp_path: Path) -> None:
+    table = delimited(tmp_path, "t,x\ns,m\n0,1\n2,3\n")
+    np.testing.assert_array_equal(table.read([1])[0], [1, 3])
+    assert table.units == ("s", "m")
+    assert table.notes == ("line 2 below the names read as units: s, m",)
+    with pytest.raises(InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\)"):
+        delimited(tmp_path, "t,x\ns,1\n0,1\n").read([0])
+
+
+CUT = gzip.compress(b"".join(b"%r\n" % v for v in np.random.default_rng(1).random(5000)))[:-5000]
+
+
+@pytest.mark.parametrize(
+    ("raw", "name", "options", "words"),
+    [
+        (b"\n\n", "a.csv", {}, "the file is empty"),
+        (b"a,b\n\n", "a.csv", {}, "no rows of numbers below line 1"),
+        (
+            b"\x00\x01,\x00\n1,2\n",
+            "a.csv",
+            {},
+            "line 1 contains zero bytes, so that the file is not",
+        ),
+        (b"t;x\n0,5;1\n", "a.csv", {}, r"csv:2: column 't' is not a number .*read\.decimal: \",\""),
+        (CUT, "a.csv.gz", {}, r"cannot be read .*; check that the file was copied"),
+    ],
+)
+def test_a_text_without_numbers_is_refused(
+    tmp_path: Path, raw: bytes, name: str, options: dict[str, Any], words: str
+) -> None:
+    (tmp_path / name).write_bytes(raw)
+    with pytest.raises(InputError, match=words):
+        open_table(tmp_path / name, ReadSection(**options)).read([0])
+
+
+@pytest.mark.parametrize(
+    ("bad", "expected"),
+    [
+        ("0.4,oops,1", "is not a number (got 'oops'); repair or remove the line"),
+        ("0.4", "1 columns, but column 'b' is needed (got '0.4')"),
+        ("0.4,2020-07-08 21:24:28,1", "is not a number (got '2020-07-08 21:24:28')"),
+    ],
+)
+def test_one_bad_line_is_named(tmp_path: Path, bad: str, expected: str) -> None:
+    rows = [f"{k / 1000},{k},{-k}" for k in range(1000)]
+    rows[400] = bad
+    table = delimited(tmp_path, "a,b,c\n" + "\n".join(rows))
+    assert len(table.read([0])[0]) == 1000
+    with pytest.raises(InputError) as caught:
+        table.read([0, 1])
+    assert "a.csv:402: " in str(caught.value)
+    assert expected in str(caught.value)
+
+
+SIX = np.arange(6) * 0.1
+VALUE = np.array([1.0, -2.0, 3.5, 0.0, 7.0, 9.0])
+
+
+def test_mat_in_any_orientation(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    both = np.vstack([SIX, VALUE])
+    scipy.io.savemat(
+        path,
+        {"row": SIX[None, :], "column": VALUE[:, None], "wide": both, "tall": both.T, "one": 3.0,
+        "text": "abc",
+         "count": np.arange(6, dtype=np.uint8)},
+    )  # fmt: skip
+    table = open_table(path, PLAIN)
+    columns = dict(zip(table.names, table.read(range(len(table.names))), strict=True))
+    for name in ("row", "wide[0]", "tall[0]"):
+        np.testing.assert_array_equal(columns[name], SIX)
+    for name in ("column", "wide[1]", "tall[1]"):
+        np.testing.assert_array_equal(columns[name], VALUE)
+    assert columns["count"].dtype == np.float64
+    compressed = tmp_path / "a.mat.gz"
+    compressed.write_bytes(gzip.compress(path.read_bytes()))
+    assert set(open_table(compressed, PLAIN).names) == set(table.names)
+
+
+def test_npz(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, t=SIX, m=np.column_stack([VALUE, -VALUE]), scalar=1.0)
+    table = open_table(path, PLAIN)
+    assert table.names == ("t", "m[0]", "m[1]")
+    np.testing.assert_array_equal(table.read([2])[0], -VALUE)
+    np.savez(path, x=np.array([object()] * 6, dtype=object))
+    with pytest.raises(InputError, match="cannot be read"):
+        open_table(path, PLAIN).read([0])
+    np.savez(path, t=SIX)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"PK\1\2") + 8] |= 1  # says that the member is encrypted
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"cannot be read \(File 't\.npy' is encrypted"):
+        open_table(path, PLAIN)
+
+
+def test_decimal_commas_when_told(tmp_path: Path) -> None:
+    text = 't;x\n0,5;-1,25e3\n1;"2,5"\n'
+    t, x = delimited(tmp_path, text, ReadSection(decimal=",")).read([0, 1])
+    np.testing.assert_array_equal(t, [0.5, 1.0])
+    np.testing.assert_array_equal(x, [-1250.0, 2.5])
+    headless = delimited(tmp_path, "0,5;1,5\n1,0;2,5\n", ReadSection(decimal=","))
+    np.testing.assert_array_equal(headless.read([1])[0], [1.5, 2.5])

@@ -1,6 +1,4 @@
-"""Campaigns of pressure and valve angle: what the file must say, and what `rig diagnose` makes of
-them.
-"""
+"""Campaigns of pressure and valve angle, and what `rig diagnose` makes of them."""
 
 from __future__ import annotations
 
@@ -52,9 +50,7 @@ def campaign(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_leak_is_found_from_a_campaign(
-    campaign: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_leak_is_found_from_a_campaign(campaign: Path) -> None:
     out, result = campaign.parent / "out", campaign.parent / "d.json"
     assert status(["diagnose", str(campaign), "--out", str(out), "--json", str(result)]) == 0
     record = json.loads(result.read_text())
@@ -66,28 +62,14 @@ def test_a_leak_is_found_from_a_campaign(
     assert record["fit"]["equation"] == "pressure"
     assert record["fit"]["validate_final_rms"] < record["fit"]["validate_baseline_rms"]
     assert set(record["parameter_shift"]) == {*CONSTANTS, "V_0"}
-    assert "gas leaks beside the throat through" in " ".join(capsys.readouterr().out.split())
     block = yaml.safe_load((out / GAS_FILE).read_text())
     assert block["gas_generator"]["characteristic_velocity"] == record["parameters"]["C_r"]
     assert block["effects"] == {"leakage": {"area_m2": effect["parameters"]["area_m2"]["value"]}}
-    page = (out / "report.html").read_text()
-    assert "mismatch of the pressure equation" in page
-    assert "mm^2" in page
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_the_corrected_constants_are_a_campaigns_block(campaign: Path) -> None:
-    out = campaign.parent / "out"
-    assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
+    assert "mismatch of the pressure equation" in (out / "report.html").read_text()
     text = yaml.safe_load(campaign.read_text())
-    text["bench"]["gas_generator"] = yaml.safe_load((out / GAS_FILE).read_text())["gas_generator"]
+    text["bench"]["gas_generator"] = block["gas_generator"]
     campaign.write_text(yaml.safe_dump(text))
     assert load_campaign(campaign).value.bench.bench().gas_generator != GasGenerator()
-
-
-def test_what_needs_torque_says_so(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["identify", str(campaign)]) == 2
-    assert "no torque, current or voltage channel" in capsys.readouterr().err
 
 
 def test_of_a_run_only_hot_firings_show_the_gas(campaign: Path) -> None:
@@ -125,21 +107,11 @@ def test_the_block_of_a_campaign(tmp_path: Path) -> None:
     ("bench", "channels", "words"),
     [
         ("{}", "{time: 0, angle: 1, pressure: 2}", "add bench.gas_generator"),
-        (
-            "{gas_generator: {}}",
-            "{time: 0, motor_angle: 1, pressure: 2}",
-            "no `angle` of the valve",
-        ),
         ("{gas_generator: {}}", "{time: 0, angle: 1}", "or `pressure` of a gas generator"),
         (
             "{gas_generator: {pressure_exponent: 1.2}}",
             "{time: 0, angle: 1, pressure: 2}",
             "less than 1",
-        ),
-        (
-            "{gas_generator: {valve: {hole_diameter: 0.06}}}",
-            "{time: 0, angle: 1, pressure: 2}",
-            "wider than its plate",
         ),
     ],
 )

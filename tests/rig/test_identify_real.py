@@ -1,6 +1,4 @@
-"""Real recordings through the whole of identification, against published values where there are
-any.
-"""
+"""Real recordings through the whole of identification, against published values."""
 
 from __future__ import annotations
 
@@ -12,7 +10,8 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.ladder import climb, transfer
-from identification.model.parameters import LADDER
+from identification.estimate.simulated_ladder import climb_simulated
+from identification.model.parameters import DIRECTIONAL, LADDER, TRANSMITTED
 from identification.result import Identification
 from rig.results.identify.simulate import simulate_source
 from rig.sources import load_source
@@ -81,9 +80,7 @@ def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_
 def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
     recordings: Path, way: str
 ) -> None:
-    """Both ways pooled, and each alone; at 2 rpm the lead screw sticks and slips, and nothing of
-    that is fitted.
-    """
+    """At 2 rpm the lead screw sticks and slips, and nothing of that is fitted."""
     first, second = result_of(f"screw_drive_1{way}.yaml"), result_of(f"screw_drive_2{way}.yaml")
     assert first.alpha == second.alpha == 2.0
     speed = first.parameters["omega_sf"]
@@ -168,3 +165,33 @@ def fitted_file(name: str, folder: Path) -> Path:
 
 def quiet(_what: str, _share: float) -> None:
     pass
+
+
+@pytest.mark.proof
+@pytest.mark.recordings
+@pytest.mark.parametrize(
+    ("name", "declared_mrad", "free_mrad"),
+    [("sts3032_to_light.yaml", 12.0, 7.7), ("sts3032_to_heavy.yaml", 22.8, 17.5)],
+)
+def test_sts3032_predicts_the_angle_of_the_other_mass(
+    recordings: Path, name: str, declared_mrad: float, free_mrad: float
+) -> None:
+    """Mean absolute errors of the loop simulated from its command, supply and first sample."""
+    rungs = {
+        (r.friction, r.free): r
+        for r in climb_simulated(
+            load_source(CAMPAIGNS / name),
+            bandwidth_Hz=None,
+            rng=np.random.default_rng(0),
+            replicates=2,
+        )
+    }
+    for friction in (TRANSMITTED, DIRECTIONAL):
+        declared, free = (rungs[friction, way].scored for way in (False, True))
+        assert declared is not None
+        assert free is not None
+        assert 1e3 * declared.value < declared_mrad
+        assert 1e3 * free.value < free_mrad
+        drive = next(c for c in rungs[friction, True].constants if c.name == "torque_per_volt")
+        assert 0.15 < drive.change < 0.45
+        assert drive.moved

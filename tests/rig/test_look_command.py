@@ -93,7 +93,6 @@ def test_a_look_at_a_campaign_and_at_nothing(
     assert status(["look", str(tmp_path / "log.csv"), "--campaign", str(campaign)]) in (None, 0)
     assert status(["look", str(campaign)]) in (None, 0)
     assert "log[1]: recording" in capsys.readouterr().out
-    assert status(["look", str(tmp_path / "none.csv")]) == 2
     assert status(["look", str(tmp_path / "log.csv"), "--delimiter", ";;"]) == 2
     (tmp_path / "log.xyz").write_text("1")
     assert status(["look", str(tmp_path / "log.xyz")]) == 2

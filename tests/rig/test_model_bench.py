@@ -1,6 +1,4 @@
-"""Close the loop: a simulated bench made from a result reproduces the recording that the result
-describes.
-"""
+"""A simulated bench made from a result reproduces the recording that the result describes."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from identification.recording import Bench as Constants
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import Bench, load_bench
-from rig.results.diagnose.model_bench import base_bench, bench_text, model_bench
+from rig.results.diagnose.model_bench import base_bench, model_bench
 from rig.results.diagnose.model_file import model_of
 from rig.runs.run import bench_constants, load_run
 
@@ -57,20 +55,8 @@ def run(tmp_path: Path, name: str, bench: dict[str, Any]) -> Path:
     (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(bench))
     (tmp_path / "short.yaml").write_text(SEQUENCE)
     out = tmp_path / name
-    assert (
-        status(
-            [
-                "run",
-                str(tmp_path / "short.yaml"),
-                "--bench",
-                str(tmp_path / f"{name}.yaml"),
-                "--yes",
-                "--out",
-                str(out),
-            ]
-        )
-        == 0
-    )
+    files = [str(tmp_path / "short.yaml"), "--bench", str(tmp_path / f"{name}.yaml")]
+    assert status(["run", *files, "--yes", "--out", str(out)]) == 0
     return out
 
 
@@ -117,18 +103,6 @@ def test_what_the_machine_cannot_be_is_told_and_left_out() -> None:
     assert "empirical curve" in notes[1]
 
 
-def test_the_file_is_a_bench_that_says_what_it_lacks(tmp_path: Path) -> None:
-    constants = bench_constants(load_bench("practical").value)
-    bench, _ = model_bench(base_bench(tmp_path), model_of(record(EFFECTS), ["a"]), constants)
-    file = tmp_path / "bench.yaml"
-    file.write_text(bench_text(bench, ["one note"]))
-    assert "# one note" in file.read_text()
-    read = load_bench(file).value
-    assert read.mock is not None
-    assert read.mock.joint.Mc_N_m == 5.9
-    assert read.mock.effects["cogging"]["torque_Nm"] == 0.7
-
-
 def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
     constants = bench_constants(load_bench("practical").value)
     found = record({}) | {
@@ -137,17 +111,6 @@ def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
     bench, _ = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
     assert bench["mock"]["joint"]["mu_c"] == bench["mock"]["joint"]["mu_s"] == 0.0
     Bench.model_validate_json(json.dumps(bench), strict=True)
-
-
-def test_a_result_of_an_identification_will_do() -> None:
-    constants = bench_constants(load_bench("practical").value)
-    found = {
-        "parameters": {name: {"value": value, "unit": ""} for name, value in NOMINAL.items()},
-        "alpha": 2.0,
-    }
-    bench, _ = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
-    assert bench["mock"]["joint"]["Ms_N_m"] == 10.1
-    assert bench["mock"]["effects"] == {}
 
 
 @pytest.mark.parametrize(

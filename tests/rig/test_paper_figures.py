@@ -1,19 +1,22 @@
-"""The paper's figures, done again: each says what the numbers in its data file say."""
+"""The paper's figures and tables, done again: each says what the numbers of its file say."""
 
 from __future__ import annotations
 
-import csv
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from identification.model.parameters import NOMINAL
+from identification.recording import Dataset
+from rig.cli.entry import status
 from rig.config.configuration import resolve
 from rig.planning.feedforward import Feedforward
-from rig.results.document import write_texts
-from rig.results.paper import figures, tables
-from rig.results.paper.figures import Exhibit, columns, data_files, files_of
+from rig.results.paper import figures
+from rig.results.paper import tables as paper
+from rig.results.paper.figures import Exhibit
+from rig.results.paper.tables import TABLE_1, TABLE_2
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
@@ -168,30 +171,65 @@ def test_fig_4_falls_with_pressure_and_area() -> None:
     assert "At 50 deg/s" in made.found[0]
 
 
-def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
-    text = "\n".join(tables.chosen())
-    for words in (
-        "C_r = 1000 m/s",
-        "(0.658 C_r)^2",
-        "V_0 = 0.01 m^3",
-        "p_c0 = 0.5 MPa",
-        "i = 100",
-        "400 N m/rad",
-    ):
-        assert words in text
+@pytest.fixture(scope="module")
+def cases() -> tuple[Dataset, dict[str, float]]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "DURATION_S", 2.5)  # half a period, one half cycle each way
+        return paper.simulate_cases()
 
 
-def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
-    made = figures.valve_exhibit()
-    assert files_of([made]) == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
-    write_texts(data_files([made]), tmp_path)
-    with (tmp_path / "data/fig_3.csv").open(newline="") as lines:
-        rows = list(csv.reader(lines))
-    assert rows[0] == ["angle_deg", "impacted_area_m2", "throat_area_m2"]
-    assert float(rows[-1][0]) == 30.0
-    assert len(rows) == 302
+@pytest.fixture(scope="module")
+def folder(
+    cases: tuple[Dataset, dict[str, float]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    path = tmp_path_factory.mktemp("paper")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "simulate_cases", lambda: cases)
+        patch.setattr(paper, "study", lambda seed, progress: [figures.valve_exhibit()])
+        assert (
+            status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")])
+            == 0
+        )
+    return path
 
 
-def test_columns_must_be_of_one_length() -> None:
-    with pytest.raises(ValueError, match="argument 2"):
-        columns(a=np.zeros(3), b=np.zeros(4))
+def test_json_follows_the_contract(folder: Path) -> None:
+    record = json.loads((folder / "copy.json").read_text(), parse_constant=pytest.fail)
+    assert record["schema"] == "loadrig.paper/1"
+    assert set(record["tables"]) == {"default", "paper"}
+    for table in record["tables"].values():
+        assert set(table) == {*TABLE_1, *TABLE_2}
+        for entry in table.values():
+            assert {"true", "printed", "identified", "error_percent", "seeds"} <= set(entry)
+            assert set(entry["seeds"]) == {"0", "1"}
+            if None not in entry["seeds"].values():
+                errors = [100.0 * abs(v / entry["true"] - 1.0) for v in entry["seeds"].values()]
+                assert entry["error_percent"] == pytest.approx(max(errors)), "the worst"
+    default = record["tables"]["default"]
+    for name in ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"):
+        assert default[name]["error_percent"] < default[name]["printed_error_percent"], name
+    for files in record["figures"].values():
+        assert all((folder / file).is_file() for file in files)
+        assert sorted(Path(file).suffix for file in files) == [".csv", ".png"]
+    assert {"fig_3", "fig_12", "fig_13", "errors", "stribeck"} <= set(record["figures"])
+    assert "fig_3" in record["findings"]
+    assert any("C_r" in line for line in record["chosen"])
+
+
+def test_printed_and_simulated_omega_sf_are_both_shown(folder: Path) -> None:
+    entry = json.loads((folder / "paper.json").read_text())["tables"]["paper"]["omega_sf"]
+    assert (entry["true"], entry["printed_true"]) == (0.0557, 0.0577)
+    page = (folder / "paper.html").read_text()
+    assert "0.0557" in page
+    assert "0.0577" in page
+
+
+def test_the_simulated_cases(cases: tuple[Dataset, dict[str, float]]) -> None:
+    dataset, truth = cases
+    unloaded, loaded = dataset.recordings
+    assert loaded.contact_force == pytest.approx(3000.0)
+    assert unloaded.contact_force == 0.0
+    assert truth["omega_sf"] == 0.0557
+    for recording in dataset.recordings:
+        error = abs(recording.channels["angle"] - recording.channels["command"])
+        assert error.max() < 0.01

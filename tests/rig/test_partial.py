@@ -1,6 +1,4 @@
-"""What was recorded of a run that stopped, exported and identified when asked for, and said to be
-partial.
-"""
+"""What was recorded of a run that stopped, exported and identified when asked for."""
 
 from __future__ import annotations
 
@@ -12,10 +10,8 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from identification.recording import RecordingError
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.results.identify import identify
 from rig.runs.mcap.reader import read_run
 from rig.runs.run import LEAST_SAMPLES, RunFolder, discard, load_run
 from rig.runs.run_file import partial_names, partial_warnings, without_partial
@@ -25,9 +21,7 @@ FIRST, SECOND = 600, 1200
 
 
 def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunFolder:
-    """Run the short sequence until a cycle in which the current is too high, or answers are missing
-    before it.
-    """
+    """Run until a cycle with too high a current, or with stale answers before it."""
     bench = fake_bench()
     if stale:
         bench.faults["exchange", cycle - stale] = lambda: setattr(bench, "fresh", False)
@@ -38,15 +32,6 @@ def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunF
     return folder
 
 
-def test_without_partial_the_error_says_what_takes_it(runner: Any, fake_bench: Any) -> None:
-    folder = tripped(runner, fake_bench, FIRST)
-    with pytest.raises(
-        InputError,
-        match=r"no stage was finished \(state tripped: .*\); --partial uses the recorded part",
-    ):
-        load_run(folder.path)
-
-
 def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
     runner: Any, fake_bench: Any
 ) -> None:
@@ -55,6 +40,8 @@ def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
     inside = samples["segment"] == 1
     fresh = int(np.sum(samples["fresh"][inside]))
     assert 0 < fresh == int(np.sum(inside)) - 5
+    with pytest.raises(InputError, match=r"no stage was finished .*--partial uses the recorded"):
+        load_run(folder.path)
     (found,) = load_run(folder.path, partial=True).recordings
     assert (found.name, found.partial, found.role) == ("empty[1] (partial)", True, "fit")
     assert len(found.time) == fresh
@@ -82,12 +69,9 @@ def test_finished_excitations_alone_are_the_default(runner: Any, fake_bench: Any
     assert "without --partial" in without_partial(both)
 
 
-def test_a_run_that_is_done_has_nothing_partial(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    assert not any(r.partial for r in load_run(folder.path, partial=True).recordings)
-
-
-def test_what_was_begun_again_is_not_taken(runner: Any, fake_bench: Any) -> None:
+def test_excitations_that_never_began_or_were_begun_again_are_none(
+    runner: Any, fake_bench: Any
+) -> None:
     folder = tripped(runner, fake_bench, FIRST)
     discard(folder.record, 0)
     folder.save()
@@ -95,13 +79,6 @@ def test_what_was_begun_again_is_not_taken(runner: Any, fake_bench: Any) -> None
         load_run(folder.path, partial=True)
     with pytest.raises(InputError, match="no excitation has begun"):
         load_run(folder.path)
-
-
-def test_a_run_that_stopped_before_its_first_excitation(runner: Any, fake_bench: Any) -> None:
-    folder = tripped(runner, fake_bench, 20)
-    assert folder.record.segments == []
-    with pytest.raises(InputError, match="no excitation was recorded"):
-        load_run(folder.path, partial=True)
 
 
 def first_cycle(runner: Any, fake_bench: Any) -> int:
@@ -144,21 +121,14 @@ def test_a_campaign_has_nothing_partial(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_an_export_names_what_is_partial(
-    runner: Any,
-    fake_bench: Any,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    runner: Any, fake_bench: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     folder = tripped(runner, fake_bench, SECOND)
     assert status(["export", str(folder.path), "--out", "a.csv"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "a.csv: 500 samples of empty[1]"
     assert status(["export", str(folder.path), "--partial", "--out", "b.csv"]) == 0
-    one, two = capsys.readouterr().out.splitlines()[:2]
-    assert one == "b-empty-1.csv: 500 samples of empty[1]"
-    assert two.startswith("b-empty-2-partial.csv: ")
-    assert two.endswith("samples of empty[2] (partial)")
+    names = {path.name for path in tmp_path.glob("*.csv")}
+    assert names == {"a.csv", "b-empty-1.csv", "b-empty-2-partial.csv"}
     assert (
         status(["export", str(folder.path), "--partial", "--format", "mat", "--out", "b.mat"]) == 0
     )
@@ -213,22 +183,3 @@ def test_an_identification_of_what_was_recorded_says_so(
         "partial result: the run stopped before empty (partial)"
         in (tmp_path / "report.html").read_text()
     )
-
-
-def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
-    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tripped(runner, fake_bench, SECOND)
-
-    def refuses(*arguments: Any, **options: Any) -> None:
-        raise RecordingError("too short")
-
-    monkeypatch.setitem(identify.METHODS, "paper", refuses)
-    with pytest.raises(
-        InputError, match="too short; without --partial, only finished excitations are used"
-    ):
-        identify.identify_source(
-            folder.path, identify.Request(["paper"], partial=True), lambda *_: None
-        )
-    with pytest.raises(InputError, match=r"too short$"):
-        identify.identify_source(folder.path, identify.Request(["paper"]), lambda *_: None)

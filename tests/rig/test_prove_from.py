@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from rig.results.prove.interchange import sealed_rigs
 from rig.results.prove.judge import Judgement
 from rig.results.prove.run import SUMS_FILE, write_sums
 from rig.results.prove.score import score
-from rig.results.prove.truth import Truth, load_truth, unseal
+from rig.results.prove.truth import load_truth, unseal
 
 ENGINE = Processes(1)
 CAMPAIGN = """campaign: 1
@@ -140,16 +139,6 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     assert told == ["bench_c"]
 
 
-def test_a_proof_without_its_times_is_gone_on_with(theirs: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    diagnosed(theirs, out)
-    # What repeats was copied, or the proof was begun before dates and durations were apart.
-    shutil.rmtree(out / "times")
-    (out / "judgements" / "bench_c.json").unlink()
-    rows = rows_of(diagnosed(theirs, out))
-    assert len(rows) == len(TRUTHS)
-
-
 def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(
     theirs: Path, tmp_path: Path
 ) -> None:
@@ -178,10 +167,7 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
     ("text", "message"),
     [
         ("truth: 1\neffects: {backlsh: {}}\n", "not an effect of the catalogue"),
-        (
-            "truth: 1\neffects: {backlash: {gap: 1}}\n",
-            "no parameter of backlash",
-        ),
+        ("truth: 1\neffects: {backlash: {gap: 1}}\n", "no parameter of backlash"),
         ("truth: 1\neffects: {cogging: {}}\noutside: [cogging]\n", "is an effect of the catalogue"),
         ("truth: 1\noutside: [mine]\n", "not among effects"),
         ("truth: 1\nnot_scored: [J]\n", "neither an effect"),
@@ -208,12 +194,6 @@ def test_changed_files_are_found_out(theirs: Path, tmp_path: Path) -> None:
     (theirs / SUMS_FILE).unlink()
     with pytest.raises(InputError, match="bench_a are missing or were changed"):
         judging.begin_from(tmp_path / "out", 600, 1, theirs)
-
-
-def test_a_truth_may_bear_the_rigs_number_alone(theirs: Path) -> None:
-    (theirs / "bench_a").rename(theirs / "rig-0007")
-    (theirs / "sealed" / "bench_a.yaml").rename(theirs / "sealed" / "0007.yaml")
-    assert "rig-0007" in [r.name for r in sealed_rigs(theirs)]
 
 
 def test_the_command_line_refuses_what_contradicts(
@@ -253,14 +233,3 @@ def test_own_trials_are_sealed_as_others_are(
     assert "cogging" not in sealed.campaign.read_text()
     assert sealed.reference.is_file()
     assert json.loads(sealed.truth.read_text())["parameters"].keys() >= {"J", "Mc"}
-
-
-@pytest.mark.parametrize(
-    ("unscored", "kind"), [((), "one"), (("cogging",), "unscored"), (("time_skew",), "one")]
-)
-def test_a_rig_whose_effects_are_not_scored_does_not_count_as_a_rig_without_effects(
-    unscored: tuple[str, ...], kind: str
-) -> None:
-    truth = Truth(truth=1, effects={"cogging": {}}, not_scored=unscored)
-    assert truth.kind == kind
-    assert Truth(truth=1, not_scored=unscored).kind == "nothing"

@@ -1,4 +1,4 @@
-"""Blind rigs: what is drawn, what is written, and that nothing written tells what is hidden."""
+"""Blind rigs, of friction and of gas: what is drawn, and that nothing written tells it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.mock.plant.effects.outside import OUTSIDE
+from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import effect_vector, problems
-from drivers.mock.plant.effects.table import CATALOGUE
-from rig.common.errors import InputError
-from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, apportion, assignment, draw
+from identification.effects import EFFECTS
+from rig.cli.entry import status
+from rig.results.prove import gas_simulate
+from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
+from rig.results.prove.gas_simulate import (
+    GAS_OUTSIDE_SIZES,
+    GAS_SIZES,
+    GasExperiment,
+    draw_gas,
+    gas_experiments,
+)
 from rig.results.prove.generate import as_recorded
+from rig.results.prove.judge import Judgement
 from rig.results.prove.score import STRONG
 from rig.results.prove.simulate import (
     SETTLE_S,
@@ -27,7 +36,7 @@ from rig.results.prove.simulate import (
     strength,
     write,
 )
-from rig.results.prove.truth import seal, unseal
+from rig.results.prove.truth import unseal
 from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
@@ -70,16 +79,6 @@ def test_every_draw_is_one_that_the_machine_takes(name: str) -> None:
         assert machine.joint.mu_s > machine.joint.mu_c
 
 
-def test_every_effect_can_be_drawn() -> None:
-    assert CATALOGUE.keys() == SIZES.keys()
-    assert OUTSIDE_SIZES.keys() == OUTSIDE.keys()
-
-
-def test_draws_repeat_with_their_seed_and_differ_without() -> None:
-    assert draw("one", HIDES, (1, 2)) == draw("one", HIDES, (1, 2))
-    assert draw("one", HIDES, (1, 2)).machine.effects != draw("one", HIDES, (1, 3)).machine.effects
-
-
 def test_a_full_proof_goes_round_the_catalogue() -> None:
     drawn = assignment(600, 4)
     kinds = Counter(kind for kind, _ in drawn)
@@ -88,11 +87,6 @@ def test_a_full_proof_goes_round_the_catalogue() -> None:
     assert len(singles) == len(SIZES)
     assert max(singles.values()) - min(singles.values()) <= 1
     assert all(len(set(names)) == 2 for kind, names in drawn if kind == "two")
-
-
-@pytest.mark.parametrize("rigs", [1, 7, 12, 599])
-def test_any_number_of_rigs_is_shared_out(rigs: int) -> None:
-    assert sum(apportion(rigs).values()) == rigs == len(assignment(rigs, 0))
 
 
 def test_the_experiments_stay_within_the_bench() -> None:
@@ -155,18 +149,6 @@ def test_a_gravity_bench_says_what_turns_with_the_joint(tmp_path: Path) -> None:
     assert friction + backward == pytest.approx(2.0 * weight, rel=0.15)
 
 
-def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
-    rig, plan = short(draw("one", ("asymmetric_coulomb",), (3, 1)))
-
-    def current(torque_Nm: float) -> float:
-        hides = {"asymmetric_coulomb": {"torque_Nm": torque_Nm}}
-        hiding = rig._replace(machine=replace(rig.machine, effects=hides))
-        return strength(campaign(hiding, plan), reference_of(hiding, plan))["current"]
-
-    assert current(0.0) == 0.0
-    assert current(2.0) > 3.0 * current(0.02)
-
-
 @pytest.mark.proof
 def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     """Both change the current; but the gear's loss is a bench with other constants."""
@@ -191,26 +173,69 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     )
 
 
-def test_a_weight_on_the_joint_hangs_there_for_its_recording_alone() -> None:
-    rig, _ = short(draw("nothing", (), (3, 1)))
-    named = {e.name: e._replace(command=e.command[:2000]) for e in experiments()}
-    before, hung, after = (
-        r.samples.current for r in campaign(rig, [named["a"], named["m"], named["l"]])
+ONE = ("one", ("leakage",))
+SEED = (5, 1)
+
+
+def test_every_gas_effect_can_be_drawn_hidden_and_named() -> None:
+    named = [e.name for e in EFFECTS.values() if e.group == "gas generator"]
+    assert list(GAS_SIZES) == list(GAS_CATALOGUE) == named
+    assert GAS_OUTSIDE_SIZES.keys() == GAS_OUTSIDE.keys()
+
+
+@pytest.mark.parametrize("name", [*GAS_SIZES, *GAS_OUTSIDE_SIZES])
+def test_draws_are_within_what_the_plant_can_hide(name: str) -> None:
+    machines = [draw_gas("one", (name,), (seed, 1)).machine for seed in range(20)]
+    assert not [text for machine in machines for text in problems(machine.effects)]
+    noises = [m.gas.transmitter.noise_Pa / m.gas.transmitter.range_Pa for m in machines]
+    assert 0.001 <= min(noises) < max(noises) <= 0.0025
+    assert len({m.gas.burning_rate_mm_s for m in machines}) == 20
+
+
+@pytest.fixture
+def short_burns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have burns of 3 s."""
+    plan = tuple(GasExperiment(e.name, e.role, e.command[:3000]) for e in gas_experiments())
+    monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
+
+
+@pytest.mark.usefixtures("short_burns")
+def test_a_rig_is_sealed_and_its_campaign_tells_nothing(tmp_path: Path) -> None:
+    sealed = gas_simulate.seal_gas(tmp_path, 1, ONE, SEED)
+    strengths = gas_simulate.simulate_gas(sealed, ONE, SEED)
+    assert strengths["pressure"] > 0.1
+    truth = unseal(sealed.truth, sealed.digest)
+    assert truth.effects == draw_gas(*ONE, SEED).machine.effects
+    dataset = load_source(sealed.campaign)
+    assert all(
+        r.channels.keys() == {"time", "command", "angle", "pressure"} for r in dataset.recordings
     )
-    assert [e.name for e in experiments() if e.fixed is not None] == ["m"]
-    assert float(np.median(np.abs(hung - before))) > 2.0
-    assert float(np.median(np.abs(after - before))) < 0.1
-    assert all(e.fixed is not None for e in experiments(gravity=True))
+    text = sealed.campaign.read_text()
+    assert not [
+        word
+        for word in ("leakage", *map(str, truth.record(1)["parameters"].values()))
+        if word in text
+    ]
+    other = gas_simulate.seal_gas(tmp_path, 2, ("nothing", ()), (5, 2))
+    assert gas_simulate.simulate_gas(other, ("nothing", ()), (5, 2)) == {}
+    assert other.campaign.read_text() == text
 
 
-def test_a_truth_that_was_changed_is_found_out(tmp_path: Path) -> None:
-    path = tmp_path / "0001.json"
-    digest = seal(path, {"truth": 1, "effects": {"backlash": {"gap_rad": 0.01}}}, "salt")
-    assert unseal(path, digest).effects == {"backlash": {"gap_rad": 0.01}}
-    assert seal(tmp_path / "other.json", {"truth": 1, "effects": {}}, "salt") != digest
-    changed = {**json.loads(path.read_text()), "effects": {}}
-    path.write_text(json.dumps(changed))
-    with pytest.raises(InputError, match="the truth was changed"):
-        unseal(path, digest)
-    with pytest.raises(InputError, match="missing"):
-        unseal(tmp_path / "0002.json", digest)
+def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def blind(source: Path, seed: int) -> Judgement:
+        shift = {"n": {"before": 0.5, "after": 0.51, "unit": "1"}}
+        fit = {"validate_baseline_rms": 2.0, "validate_final_rms": 2.0, "noise_floor_rms": 1.0}
+        record = {"verdict": "nothing_missing", "effects": [], "location": None, "p_value": 1.0}
+        record |= {"fit": fit, "fits": [fit], "parameter_shift": shift}
+        return Judgement(record, {}, lambda _names: None, 0.0, 0.0)
+
+    plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
+    monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
+    monkeypatch.setattr("rig.results.prove.judge.judge", blind)
+    out = tmp_path / "proof"
+    assert status(["prove", "--gas", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 0
+    result = json.loads((out / "prove.json").read_text())
+    assert result["false_alarms"]["n"] == 0
+    assert result["counts"] == {"one": 2, "two": 0, "nothing": 2, "outside": 0, "unscored": 0}
+    assert all(set(row["nominal"]) == {"n"} for row in result["rigs"])
+    assert status(["prove", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 2

@@ -1,6 +1,4 @@
-"""The recording: exact round trip, readable by the MCAP library, and robust to being cut off
-anywhere.
-"""
+"""The recording: exact round trip, read by the MCAP library, robust to being cut off anywhere."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ from rig.runs.mcap.layout import (
     encode_frames,
     encode_sample,
 )
-from rig.runs.mcap.reader import NotARecordingError, read_run
+from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import Recorder, open_recorder
 
 numbers = st.floats(allow_nan=True)
@@ -98,16 +96,6 @@ def test_samples_of_an_older_program_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.samples["fresh"], 1.0)
     assert np.all(np.isnan(log.samples["pressure"]))
     assert len(SAMPLE_SIZES) == len(Sample._fields) - 15
-
-
-def test_samples_of_two_sizes_are_damage(tmp_path: Path) -> None:
-    recorder = open_recorder(tmp_path / "mixed.mcap")
-    recorder.copy(SAMPLE_TOPIC, 0, encode_sample(row(0))[: min(SAMPLE_SIZES)])
-    recorder.sample(1_000_000, row(1), [])
-    recorder.close()
-    damage = read_run(tmp_path / "mixed.mcap").damage
-    assert damage is not None
-    assert f"expected {min(SAMPLE_SIZES)}" in damage
 
 
 @given(frames)
@@ -208,18 +196,6 @@ def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
         assert log.damage is not None
 
 
-def test_many_bad_places_are_counted(long: Path, tmp_path: Path) -> None:
-    damaged = bytearray(long.read_bytes())
-    for begin, end in chunks(damaged)[2:16:2]:
-        damaged[(begin + end) // 2] ^= 0xFF
-    path = tmp_path / "bad.mcap"
-    path.write_bytes(damaged)
-    damage = read_run(path).damage
-    assert damage is not None
-    assert damage.count("damaged again at byte") == 2
-    assert "and 4 more places" in damage
-
-
 def test_a_record_that_vanished_is_missed(long: Path, tmp_path: Path) -> None:
     """A chunk turned into what readers may skip: only the counts at the end tell."""
     damaged = bytearray(long.read_bytes())
@@ -227,14 +203,6 @@ def test_a_record_that_vanished_is_missed(long: Path, tmp_path: Path) -> None:
     path = tmp_path / "bad.mcap"
     path.write_bytes(damaged)
     assert "messages are missing" in (read_run(path).damage or "")
-
-
-@pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n"])
-def test_not_a_recording(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "x.mcap"
-    path.write_bytes(content)
-    with pytest.raises(NotARecordingError, match="not an MCAP recording"):
-        read_run(path)
 
 
 CHILD = """

@@ -146,15 +146,12 @@ def test_an_approach_arrives_smoothly_within_its_speed(
     [
         ("stage: loaded, weight_kg: 41, TONES", ["weight_kg: above", "4021 N"]),
         ("stage: unloaded, tones: [{amplitude_deg: 31, frequency_Hz: 0.2}], SPAN", ["31 deg"]),
-        ("stage: unloaded, center_deg: 29, TONES", ["33.35 deg"]),
         ("stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 2}], SPAN", ["251.3 deg/s"]),
         ("stage: unloaded, tones: [{amplitude_deg: 0.01, frequency_Hz: 60}], SPAN", ["50 Hz"]),
         ("stage: unloaded, TONES, ramp_in_s: 1.5", ["2.5 s is longer than duration_s 2 s"]),
         ("stage: unloaded, weight_kg: 3, TONES", ["an unloaded stage has no weight"]),
         ("stage: loaded, TONES", ["a loaded stage needs weight_kg above 0"]),
-        ("stage: loaded, weight_kg: -1, TONES", ["weight_kg"]),
         ("stage: unloaded, SPAN", ["exactly one excitation"]),
-        ("stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}", ["exactly one excit"]),
         ("stage: unloaded, ramp: {travel_deg: 25, speed_deg_s: 2}, SPAN", ["ramp takes 26 s"]),
         (
             "stage: unloaded, ramp: {travel_deg: 1, speed_deg_s: 1}, SPAN, ramp_in_s: 1",
@@ -197,16 +194,7 @@ def test_a_sequence_tightens_a_limit(tmp_path: Path) -> None:
     assert plan.limits.angle_max == pytest.approx(math.radians(30))
 
 
-@pytest.mark.parametrize(
-    "limit",
-    [
-        "speed_deg_s: 121",
-        "angle_min_deg: -31",
-        "angle_max_deg: 31",
-        "current_A: 26",
-        "sample_age_ms: 6",
-    ],
-)
+@pytest.mark.parametrize("limit", ["speed_deg_s: 121", "angle_min_deg: -31", "sample_age_ms: 6"])
 def test_a_sequence_may_not_loosen_a_limit(tmp_path: Path, limit: str) -> None:
     text = f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{{limit}}}\n"
     (problem,) = problems_of(tmp_path / "s.yaml", text)
@@ -221,8 +209,6 @@ def test_a_sequence_may_not_loosen_a_limit(tmp_path: Path, limit: str) -> None:
         ("angle_min_deg: -30", "angle_min_deg: 40", "must be below angle_max_deg"),
         ("    inertia_kg_m2: 0.204", "    inertia_kg_m2: -1", "joint.inertia_kg_m2 is -1"),
         ("    Mc_N_m: 6.825", "    Mc: 6.825", "Mc"),
-        ("name: practical", "name: practical\nspeed: 3", "unknown key"),
-        ("gear_ratio: 100\n  moment", "gear_ratio: 0\n  moment", "gear_ratio"),
     ],
 )
 def test_bad_benches(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -233,19 +219,6 @@ def test_bad_benches(tmp_path: Path, old: str, new: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
         load_bench(path)
     assert any(words in problem for problem in caught.value.problems), caught.value.problems
-
-
-def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:
-    path = tmp_path / "b.yaml"
-    text = resolve("practical", "benches").read_text()
-    path.write_text(
-        text.replace("    Mc_N_m:", "    Mc_Nm:").replace("  steps_per_loop:", "  steps_pr_loop:")
-    )
-    with pytest.raises(InputError) as caught:
-        load_bench(path)
-    joint, steps = caught.value.problems
-    assert "mock.joint.Mc_Nm: unknown key; did you mean 'Mc_N_m'" in joint
-    assert "mock.steps_pr_loop: unknown key; did you mean 'steps_per_loop'?" in steps
 
 
 @pytest.mark.parametrize(

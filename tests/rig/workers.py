@@ -1,6 +1,4 @@
-"""Parents whose workers hang or die, run by ``test_pool`` in processes of their own,
-by :func:`parent`.
-"""
+"""Parents whose workers hang or die, which ``test_cluster`` runs in processes of their own."""
 
 from __future__ import annotations
 
@@ -26,9 +24,7 @@ def hang(fifo: str) -> None:
 
 
 def square_or_die(task: tuple[int, str]) -> int:
-    """Return the square of a number; the first worker that does not find a file makes it and is
-    killed, and so is the worker of a number below zero.
-    """
+    """Return the square; killed where the number is negative or the file is not there yet."""
     number, file = task
     try:
         Path(file).touch(exist_ok=number < 0)

@@ -1,9 +1,10 @@
-"""``rig new``: what it writes is valid, explained and run at once; nothing is overwritten."""
+"""``rig new``: what it writes is valid, explained and run at once; guesses of columns."""
 
 from __future__ import annotations
 
 import io
 import json
+import math
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +13,6 @@ import pytest
 from jsonschema import Draft7Validator
 
 from rig.cli.authoring.questions import Listed, Question, ask_all
-from rig.cli.commands.new import BENCH, remarks
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.yaml_tree import parse
@@ -20,6 +20,7 @@ from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
 from rig.config.sequence import load_sequence
 from rig.runs.run import load_run
+from rig.sources.columns import guess_channels, guess_mass, is_linear
 from rig.sources.load import load_source
 from rig.terminal.prompt import InputEndedError
 
@@ -113,26 +114,6 @@ def test_values_that_cannot_be_guessed_are_asked_for(
     assert new("bench", "b.yaml", *options) == 2
     assert [line.split(":")[0] for line in capsys.readouterr().err.splitlines()] == lacking
     assert not Path("b.yaml").exists()
-
-
-@pytest.mark.parametrize("rotor", [1e-5, 1.4e-4])
-def test_the_inertia_of_the_joint_contains_that_of_the_rotor(rotor: float) -> None:
-    assert new("bench", "b.yaml", "--lever-ratio", "1", "--rotor-inertia", str(rotor), "--yes") == 0
-    mock = load_bench(Path("b.yaml")).value.mock
-    assert mock is not None
-    assert mock.motor.rotor_inertia_kg_m2 == rotor
-    assert mock.joint.inertia_kg_m2 > rotor * 100**2
-
-
-def test_remarks_on_a_load_too_heavy_and_on_machine_data_that_no_option_gives() -> None:
-    heavy = {"lever_ratio": 10.0, "moment_arm": 1.0, "weights": (50.0,)}
-    answers = ask_all(BENCH, heavy, None, str, {})
-    (note,) = remarks(answers, answers)
-    assert "50 kg" in note
-    answers = ask_all(BENCH, {"lever_ratio": 1.0}, None, str, {})
-    assert remarks(answers, answers) == []
-    (note,) = remarks(answers, {**answers, "resistance": None, "motor_counts": None})
-    assert "--resistance 1.56 ohm, --motor-counts 4096;" in note
 
 
 @pytest.mark.parametrize("kind", ["bench", "sequence"])
@@ -241,24 +222,6 @@ def test_a_campaign_refuses_options_that_make_no_file(
     assert not Path("c.yaml").exists()
 
 
-def test_a_refused_answer_is_asked_for_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    Path("a.csv").write_text("t,y,z\n0,1,2\n1,2,3\n")
-    given = ("--motion", "rotary", "--time", "t", "--current", "-", "--voltage", "-")
-    given += ("--motor-angle", "-", "--velocity", "-", "--command", "-", "--masses", "0")
-    given += ("--gear-ratio", "1", "--validate", "none", "--terms", "none", "--time-scale", "1")
-    # No such column; then no torque at all, which only the whole file shows.
-    typed = ["nowhere", "-", "z", "2", "y", "", "", ""]
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(typed) + "\n"))
-    assert new("campaign", "c.yaml", "a.csv", *given) == 0
-    shown = "".join(capsys.readouterr())
-    assert "no column 'nowhere'" in shown
-    assert "recordings[0].channels: " in shown
-    assert "c.yaml:" not in shown
-    assert channels(0) == {"time": ("t", 1.0), "torque": ("y", 1.0), "angle": ("z", 2.0)}
-
-
 QUESTIONS = (
     Question("gear", "Gear ratio", default=100.0),
     Question("lever", "Lever ratio", refusal=lambda value: "too large" if value > 5 else None),
@@ -290,7 +253,56 @@ def test_questions_are_put_until_they_are_answered() -> None:
         ask_all(QUESTIONS, {"gear": 1.0}, Answering([]), said.append, {})
 
 
-def test_every_problem_of_the_options_is_listed() -> None:
-    with pytest.raises(InputError) as caught:
-        ask_all(QUESTIONS, {"lever": 7.0, "weights": (), "arm": 3.0}, None, str, {})
-    assert [line.split(":")[0] for line in caught.value.problems] == ["--lever", "--arm"]
+@pytest.mark.parametrize(
+    ("name", "channel", "scale"),
+    [
+        ("t_ms", "time", 1e-3),
+        ("Timestamp (us)", "time", 1e-6),
+        ("current [mA]", "current", 1e-3),
+        ("pos/deg", "angle", math.pi / 180),
+        ("speed [rpm]", "velocity", math.pi / 30),
+        ("pos_ref", "command", 1.0),
+        ("motor_position_deg", "motor_angle", math.pi / 180),
+        ("temperature [°C]", "temperature", 1.0),
+        ("current [deg]", None, 1.0),
+        ("comment", None, 1.0),
+    ],
+)
+def test_guesses(name: str, channel: str | None, scale: float) -> None:
+    guesses = guess_channels([name])
+    assert list(guesses) == ([channel] if channel else [])
+    if channel:
+        assert guesses[channel].scale == pytest.approx(scale)
+
+
+def test_a_column_is_taken_once_and_the_first_that_fits() -> None:
+    guesses = guess_channels(["t", "time", "angle", "", "phi"])
+    assert [(name, guess.column) for name, guess in guesses.items()] == [
+        ("time", "t"),
+        ("angle", "angle"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stem", "mass"),
+    [("log_5kg", 5.0), ("run-2.5 kg", 2.5), ("a0p5kg", 0.5), ("empty", 0.0), ("kg5", 0.0)],
+)
+def test_a_mass_in_the_name_of_a_file(stem: str, mass: float) -> None:
+    assert guess_mass(stem) == mass
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "scale"),
+    [
+        ("pos [mm]", "angle", 1e-3),
+        ("speed [m/s]", "velocity", 1.0),
+        ("force_kN", "torque", 1e3),
+        ("pos [deg]", None, 1.0),
+    ],
+)
+def test_guesses_on_a_linear_bench(name: str, channel: str | None, scale: float) -> None:
+    guesses = guess_channels([name], linear=True)
+    assert list(guesses) == ([channel] if channel else [])
+    if channel:
+        assert guesses[channel].scale == pytest.approx(scale)
+    assert is_linear([name]) is (name in ("pos [mm]", "speed [m/s]"))

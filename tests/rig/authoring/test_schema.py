@@ -1,6 +1,4 @@
-"""The JSON Schemas: they accept what the program accepts, and refuse what an editor can know to be
-wrong.
-"""
+"""The JSON Schemas accept what the program accepts, and refuse what an editor can know."""
 
 from __future__ import annotations
 
@@ -66,9 +64,7 @@ def node(tree: Any) -> Node:
 
 @pytest.fixture
 def trees_from_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the program read the thousands of mutants, which are JSON, without the YAML parser, which
-    takes longer than all that judges them.
-    """
+    """Let the program read the mutants, which are JSON, without the slow YAML parser."""
     monkeypatch.setattr(configuration, "parse", lambda text: (node(json.loads(text)), []))
 
 
@@ -125,9 +121,7 @@ def mappings(tree: Any) -> Iterator[dict[str, Any]]:
 
 
 def kinds(tree: Any) -> list[dict[str, Any]]:
-    """Return the mappings of a tree, of entries of one list with the same keys only the first: one
-    part of the schema judges them all.
-    """
+    """Return the mappings of a tree; of entries of one list with the same keys the first."""
     found: dict[tuple[object, ...], dict[str, Any]] = {}
 
     def walk(item: Any, path: tuple[str, ...]) -> None:
@@ -196,9 +190,7 @@ def test_mutants_are_the_same_read_as_yaml_or_as_json() -> None:
 def test_the_schema_refuses_nothing_that_the_program_accepts(
     kind: str, tree: Any, tmp_path: Path
 ) -> None:
-    """Each value in turn is left out, and replaced by others; the schema may be the milder judge,
-    never the harder.
-    """
+    """Each value in turn is left out and replaced; the schema is never the harder judge."""
     check, judged = validator(kind), 0
     defaults = tree.get("defaults")
     for place in kinds(tree):
@@ -220,16 +212,11 @@ def test_the_schema_refuses_nothing_that_the_program_accepts(
 @pytest.mark.parametrize(
     ("kind", "name", "path", "value"),
     [
-        ("bench", "practical", ("machine", "gear_ratio"), 0),
         ("bench", "practical", ("machine", "gear_ratio"), "100"),
         ("bench", "practical", ("limits", "lateness_ms"), 51),
-        ("bench", "practical", ("servo", "node"), 128),
-        ("bench", "practical", ("mock", "loops", "rate_Hz"), -1),
         ("bench", "practical", ("mock", "effects"), {"backlash": {"gap_rad": 5}}),
         ("bench", "practical_serial", ("bus", "port"), 5),
         ("sequence", "figure10", ("stages", 0, "weight_kg"), 5),
-        ("sequence", "figure10", ("stages", 1, "weight_kg"), 0),
-        ("sequence", "figure10", ("stages", 0, "tones", 0, "frequency_Hz"), 0),
         ("sequence", "figure10", ("stages", 0, "name"), "a b"),
     ],
 )
@@ -244,17 +231,6 @@ def test_values_that_are_refused(
     place[path[-1]] = value
     assert not validator(kind).is_valid(tree)
     assert not accepted(kind, tree, tmp_path)
-
-
-def test_a_recording_may_leave_to_the_defaults_what_it_lacks_and_only_then() -> None:
-    check = validator("campaign")
-    channels = {"time": "t", "angle": 1, "current": {"column": "i"}}
-    tree = {"campaign": 1, "bench": {}, "recordings": [{"channels": channels}]}
-    assert not check.is_valid(tree)
-    # A file of `rig export` needs nothing else.
-    assert check.is_valid({**tree, "recordings": [{"file": "a.parquet"}]})
-    assert check.is_valid({**tree, "defaults": {"file": "a.csv"}})
-    assert not check.is_valid({**tree, "defaults": {"file": "a.csv", "channels": {"tme": "t"}}})
 
 
 @pytest.mark.parametrize("kind", KINDS)

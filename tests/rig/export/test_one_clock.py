@@ -1,6 +1,4 @@
-"""Frames and samples of a run on one clock: in the recording and in each export, by readers of
-other projects. The clock of the bench begins far from zero, as a computer's monotonic clock does.
-"""
+"""Frames and samples of a run on one clock, whose origin is far, read by other projects."""
 
 from __future__ import annotations
 
@@ -51,9 +49,7 @@ def sample_times(run: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def behind(times: Any, frames: Any) -> Any:
-    """Time from the start of each cycle to its frames, s. Outside a cycle the fake bench has frames
-    at the very start of the next cycle.
-    """
+    """Time from the start of each cycle to its frames, s."""
     frames = np.sort(frames)
     return frames[np.searchsorted(frames, np.add(times, ANSWER_S / 2))] - times
 

@@ -28,8 +28,7 @@ from rig.runs.run_file import read_record
 
 BUS_ERROR = 0x80
 identifiers = st.one_of(
-    st.integers(0, 0x7FF),
-    st.integers(0, 0x1FFFFFFF).map(lambda n: n | EXTENDED_FLAG),
+    st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF).map(lambda n: n | EXTENDED_FLAG)
 )
 data_frames = st.builds(
     RawFrame, st.integers(0, 1 << 50), identifiers, st.binary(max_size=8), st.booleans()
@@ -162,14 +161,6 @@ def test_a_serial_run_has_no_can_frames(run: Path, capsys: pytest.CaptureFixture
     assert status(["export", str(run), "--format", "candump", "--out", str(path)]) == 2
     assert "its bus is a serial line" in capsys.readouterr().err
     assert not path.exists()
-
-
-def test_raw_frames_of_a_campaign_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "c.yaml").write_text("campaign: 1\n")
-    assert status(["export", str(tmp_path / "c.yaml"), "--format", "asc"]) == 2
-    assert "in run folders only" in capsys.readouterr().err
 
 
 def test_the_events_of_a_run_are_in_its_mcap(run: Path) -> None:

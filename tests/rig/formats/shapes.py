@@ -295,85 +295,63 @@ def bus_property(case: tuple[Database, list[can.Message]], folder: Path) -> bool
 
 
 def _decoded(message: Message, data: bytes) -> dict[str, Any]:
-    """Return what cantools finds in a frame, page by page, of the signals that fit into it."""
-    raw: dict[str, Any] = {}
-    by_name = {s.name: s for s in message.signals}
-    padded = data.ljust(message.length, b"\0")
+    """Return what cantools finds in a frame, signal by signal, of the pages that are there."""
 
-    def bits(signal: BusSignal) -> int:
-        if signal.byte_order == "little_endian":
-            whole = int.from_bytes(padded, "little") >> signal.start
-        else:
-            left = signal.start // 8 * 8 + 7 - signal.start % 8
-            whole = int.from_bytes(padded, "big") >> (8 * message.length - left - signal.length)
-        return whole & ((1 << signal.length) - 1)
-
-    def last(signal: BusSignal) -> int:
-        if signal.byte_order == "little_endian":
-            return (signal.start + signal.length - 1) // 8
-        return (signal.start // 8 * 8 + 7 - signal.start % 8 + signal.length - 1) // 8
+    def alone(signal: BusSignal, scaling: bool = True) -> Any:
+        place = (signal.name, signal.start, signal.length, signal.byte_order, signal.is_signed)
+        plain = BusSignal(*place, conversion=signal.conversion)
+        single = Message(1, "A", message.length, [plain], strict=False)
+        found = single.decode(data, decode_choices=False, scaling=scaling, allow_truncated=True)
+        return found.get(signal.name)
 
     def there(signal: BusSignal) -> bool:
-        if last(signal) >= len(data):
-            return False
         if not signal.multiplexer_ids or signal.multiplexer_signal is None:
             return True
-        above = by_name[signal.multiplexer_signal]
-        return there(above) and bits(above) in signal.multiplexer_ids
+        above = message.get_signal_by_name(signal.multiplexer_signal)
+        page = alone(above, scaling=False)
+        mask = (1 << above.length) - 1
+        return page is not None and there(above) and page & mask in signal.multiplexer_ids
 
-    single = [s for s in message.signals if there(s)]
-    for signal in single:
-        alone = Message(1, "A", message.length, [_plain(signal)], strict=False)
-        raw[signal.name] = alone.decode(padded, decode_choices=False)[signal.name]
-    return raw
-
-
-def _plain(signal: BusSignal) -> BusSignal:
-    """Return a signal that is in every frame."""
-    return BusSignal(
-        signal.name,
-        signal.start,
-        signal.length,
-        signal.byte_order,
-        signal.is_signed,
-        conversion=signal.conversion,
-    )
+    found = {signal.name: alone(signal) for signal in message.signals if there(signal)}
+    return {name: value for name, value in found.items() if value is not None}
 
 
-def mdf_property(case: dict[str, np.ndarray], folder: Path) -> bool:
+def write_mdf(path: Path, case: dict[str, np.ndarray]) -> None:
     time = np.arange(len(next(iter(case.values())))) * 1e-3
     with MDF() as mdf:
-        mdf.append([Signal(v, time, name=f"c_{n}") for n, v in case.items()])
-        mdf.save(folder / "a.mf4", overwrite=True)
-    found, _ = columns(open_table(folder / "a.mf4", ReadSection()))
-    for name, values in case.items():
-        require(found[f"c_{name}"], as_float(values), (), name)
-    return True
+        mdf.append([Signal(v, time, name=n) for n, v in case.items()])
+        mdf.save(path, overwrite=True)
 
 
-def tdms_property(case: dict[str, np.ndarray], folder: Path) -> bool:
+def write_tdms(path: Path, case: dict[str, np.ndarray]) -> None:
     native = {n: v.astype(v.dtype.newbyteorder("=")) for n, v in case.items()}
-    with TdmsWriter(folder / "a.tdms") as writer:
+    with TdmsWriter(path) as writer:
         writer.write_segment([ChannelObject("g", n, v) for n, v in native.items()])
-    found, _ = columns(open_table(folder / "a.tdms", ReadSection()))
-    for name, values in case.items():
-        require(found[name], as_float(values), (), name)
-    return True
 
 
-def hdf5_property(case: dict[str, np.ndarray], folder: Path) -> bool:
-    with h5py.File(folder / "a.h5", "w") as file:
+def write_hdf5(path: Path, case: dict[str, np.ndarray]) -> None:
+    with h5py.File(path, "w") as file:
         file.update(case)
-    found, _ = columns(open_table(folder / "a.h5", ReadSection()))
-    for name, values in case.items():
-        require(found[name], as_float(values), (), name)
-    return True
 
 
-def npz_property(case: dict[str, np.ndarray], folder: Path) -> bool:
-    np.savez(folder / "a.npz", **case)
-    found, _ = columns(open_table(folder / "a.npz", ReadSection()))
-    for name, values in case.items():
+ARRAY_WRITERS: Mapping[str, Callable[[Path, dict[str, np.ndarray]], None]] = {
+    "mf4": write_mdf,
+    "tdms": write_tdms,
+    "h5": write_hdf5,
+    "npz": lambda path, case: np.savez(path, **case),
+}
+
+
+def array_logs(extension: str) -> Callable[[Random], tuple[str, dict[str, np.ndarray]]]:
+    return lambda rng: (extension, {f"c_{n}": v for n, v in arrays(rng).items()})
+
+
+def array_property(case: tuple[str, dict[str, np.ndarray]], folder: Path) -> bool:
+    extension, truth = case
+    path = folder / f"a.{extension}"
+    ARRAY_WRITERS[extension](path, truth)
+    found, _ = columns(open_table(path, ReadSection()))
+    for name, values in truth.items():
         require(found[name], as_float(values), (), name)
     return True
 
@@ -382,9 +360,6 @@ PROPERTIES: Mapping[str, tuple[Callable[[Random], Any], Callable[[Any, Path], bo
     "csv": (csv_logs, csv_property),
     "json": (json_logs, json_property),
     "dbc": (bus_logs, bus_property),
-    "mdf": (arrays, mdf_property),
-    "tdms": (arrays, tdms_property),
-    "hdf5": (arrays, hdf5_property),
-    "npz": (arrays, npz_property),
+    **{extension: (array_logs(extension), array_property) for extension in ARRAY_WRITERS},
 }
 """Format to its random logs, and what must hold of them; whether one was read, and not refused."""

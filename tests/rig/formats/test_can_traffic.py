@@ -114,19 +114,6 @@ def test_stamps_since_1970_keep_their_microseconds(tmp_path: Path) -> None:
     np.testing.assert_allclose(stamps, TIME, rtol=0, atol=1e-15)
 
 
-def test_messages_at_several_rates_are_brought_to_that_of_time(tmp_path: Path) -> None:
-    messages = []
-    for k in range(N):
-        messages.append(motion(k))
-        if k % 2 == 0:
-            messages.append(frame("Real", STAMPS[k], {"Speed": 6.0, "Load": 2.0 * TIME[k]}))
-    write(tmp_path / "log.blf", messages)
-    channels = CHANNELS[:-1] + ", load_force: Load}"
-    recording = load_file(tmp_path, "log.blf", channels, READ)
-    np.testing.assert_allclose(recording.channels["load_force"], 2.0 * TIME[:299], atol=1e-6)
-    assert any("`load_force`: of Real (500 Hz), interpolated" in n for n in recording.notes)
-
-
 def test_error_remote_and_unknown_frames_are_counted(tmp_path: Path) -> None:
     messages = [*map(motion, range(N))]
     messages[100:100] = [
@@ -171,18 +158,6 @@ def test_values_beyond_the_range_of_the_dbc_are_doubted(tmp_path: Path) -> None:
     assert any("2 of 302 values are outside of -30 to 30" in note for note in found.notes)
 
 
-def test_a_scaled_counter_of_a_message_is_unwrapped(tmp_path: Path) -> None:
-    counts = np.rint(3000 * np.sin(12.0 * TIME)).astype(int)
-    messages = [
-        frame("Motion", STAMPS[k], {"Position": 0, "Current": CURRENT[k], "Turns": value})
-        for k, value in enumerate(counts % 4096 * 0.5 - 100)
-    ]
-    write(tmp_path / "log.blf", messages)
-    recording = load_file(tmp_path, "log.blf", CHANNELS.replace("Position", "Turns"), READ)
-    np.testing.assert_allclose(np.diff(recording.channels["angle"]), np.diff(counts) * 0.5)
-    assert any("a counter of 12 bits" in note for note in recording.notes)
-
-
 @pytest.mark.parametrize(
     ("bad", "words"),
     [
@@ -203,21 +178,6 @@ def test_a_dbc_with_wrong_bits_is_read_with_a_word(tmp_path: Path, bad: str, wor
     (tmp_path / "bus.dbc").write_text(DBC.replace("SIG_VALTYPE_ 291", f"{bad}SIG_VALTYPE_ 291", 1))
     notes = load_file(tmp_path, "log.blf", CHANNELS, READ).notes
     assert not any("Extra" in note for note in notes)
-
-
-def test_two_messages_of_one_identifier_matter_where_their_frames_are(tmp_path: Path) -> None:
-    path = write(tmp_path / "log.blf", map(motion, range(N)))
-    right = columns(path)
-    for identifier, refused in ((100, False), (291, True)):
-        twice = f"BO_ {identifier} Again: 8 Drive\n"
-        (tmp_path / "bus.dbc").write_text(
-            DBC.replace("SIG_VALTYPE_ 291", f"{twice}SIG_VALTYPE_ 291", 1)
-        )
-        if refused:
-            with pytest.raises(InputError, match="both have the identifier 123h"):
-                columns(path)
-        else:
-            assert columns(path).keys() == right.keys()
 
 
 def test_j1939_messages_of_other_sources(tmp_path: Path) -> None:
@@ -288,19 +248,10 @@ def test_a_bench_file_is_a_map(tmp_path: Path) -> None:
     [
         ("a.log", "t,i\n1,2\n", r"a\.log:1: not a frame of candump -L .*name it \.csv"),
         ("a.log", "  can0  123   [2]  11 22\n", "output for the screen; record with candump -L"),
-        ("a.log", "(1.0) can0 123#112\n", r"a\.log:1: not a frame"),
         ("a.log", "(1.0) can0 20000004#0000000000000000\n", "no data frames; 1 error frames"),
-        ("a.log", "", "holds no data frames"),
         ("a.trc", ";$FILEVERSION=1.2\n", "versions that can be read are 1.0, 1.1"),
         ("a.blf", "LOGG" + "x" * 200, "no data frames; the file is cut off"),
-        ("a.blf", "garbage", "cannot be read"),
-        (
-            "a.asc",
-            "date Mon\nbase hex timestamps absolute\n 0.1 1 zz Rx d 1 00\n",
-            "cannot be|no data",
-        ),
     ],
-    ids=["table", "screen", "half-byte", "errors", "empty", "trc12", "blf", "short", "asc"],
 )
 def test_what_is_no_traffic_is_refused(tmp_path: Path, name: str, text: str, words: str) -> None:
     (tmp_path / "bus.dbc").write_text(DBC)

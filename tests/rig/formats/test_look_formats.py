@@ -127,11 +127,3 @@ def test_traffic_is_looked_at_with_a_dbc_and_its_campaign_loads(
     dataset = load_source(campaign)
     assert len(dataset.recordings[0].time) == N
     assert any(name.endswith("bus.dbc") for name in dataset.tables)
-
-
-def test_a_foreign_format_is_named_with_its_remedy(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "log.db3").write_text("x")
-    assert status(["look", str(tmp_path / "log.db3")]) == 2
-    assert "unknown format (a bag of ROS 2; convert it to MCAP" in capsys.readouterr().err

@@ -103,17 +103,6 @@ def test_cdr_with_structs_in_lists(tmp_path: Path) -> None:
     assert "/state.word" not in by_name
 
 
-def test_topics_at_several_rates_are_brought_to_one(tmp_path: Path) -> None:
-    write_ros(tmp_path / "log.mcap")
-    channels = CHANNELS[:-1] + ", temperature: /temperature.value}"
-    recording = load_file(tmp_path, "log.mcap", channels)
-    same(recording.channels["current"], CURRENT[:291])
-    np.testing.assert_allclose(recording.channels["temperature"], 20.0 + np.arange(291))
-    assert any("`temperature`: of /temperature (99.9999 Hz)" in n for n in recording.notes) or any(
-        "`temperature`: of /temperature (100 Hz)" in n for n in recording.notes
-    )
-
-
 def protobuf_state() -> type:
     """Return a message of nested and repeated messages, made by protobuf itself."""
     kinds = FieldDescriptorProto
@@ -168,9 +157,7 @@ def test_protobuf_with_repeated_messages(tmp_path: Path) -> None:
 
 
 def test_a_topic_that_cannot_be_decoded_is_left_out(tmp_path: Path) -> None:
-    """One topic lacks the definition of a message inside it, one has a definition that ROS refuses,
-    one breaks off in the log.
-    """
+    """Topics that lack a definition, have one that ROS refuses, or break off."""
     path = tmp_path / "log.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)

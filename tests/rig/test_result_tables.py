@@ -1,9 +1,11 @@
-"""How sure a result is, as text, record and pictures."""
+"""How sure a result is, and the tables of parameters."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from identification.result import (
     Fit,
@@ -15,11 +17,11 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
+from rig.common.tables import interval, number, percent, table
 from rig.results.identify.document import (
     bootstrap_table,
+    parameter_table,
     profile_table,
-    uncertainty_notes,
-    uncertainty_pictures,
     uncertainty_tables,
 )
 from rig.results.identify.identify import uncertainty_record
@@ -53,27 +55,6 @@ RESULT = Identification(
 )
 
 
-def test_notes_name_what_trades_off_bounds_noise_and_starts() -> None:
-    named = (
-        ("Mc and sigma_2 trade off",),
-        ("Mc alone",),
-        ("bounds", "J"),
-        ("0.07 N m", "0.06 N m", "9.5 ms", "0.00115 deg", "5.73e-05 deg"),
-        ("unloaded", "1 of 2", "up to 3"),
-        ("loaded", "2 of 3"),
-    )
-    for line, parts in zip(uncertainty_notes(RESULT), named, strict=True):
-        assert line.startswith("default: ")
-        assert all(part in line for part in parts)
-
-
-def test_the_encoder_of_a_linear_bench_is_in_micrometres() -> None:
-    linear = replace(RESULT, motion="linear")
-    (line,) = [text for text in uncertainty_notes(linear) if "encoder" in text]
-    assert "20 um" in line
-    assert "1 um rms" in line
-
-
 def test_ranges_stand_beside_intervals_and_open_ones_say_so() -> None:
     both, open_below = profile_table(RESULT).rows
     assert both == ("Mc", "[6.9, 7.1]", "[6.9, 7.3]", "3", "0.5", "N m")
@@ -104,12 +85,59 @@ def test_the_record_is_json_without_infinities() -> None:
     }
 
 
-def test_a_single_start_makes_no_waterfall() -> None:
-    assert [p.name for p in uncertainty_pictures([RESULT])] == [
-        "profiles_default",
-        "starts_default",
-    ]
-    bare = Identification(
-        "paper", "rotary", 2.0, {}, RESULT.fit, (), starts=(Starts("loaded", "cost", (1.0,), 2.0),)
+CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
+
+
+@given(st.lists(st.tuples(CELL, CELL, CELL), max_size=6))
+def test_columns_line_up(rows: list[tuple[str, str, str]]) -> None:
+    lines = table(("name", "value", "unit"), rows, right=[1]).split("\n")
+    assert len(lines) == 2 + len(rows)
+    name_width, value_width, _ = (len(rule) for rule in lines[1].split("  "))
+    for line, row in zip(lines[2:], rows, strict=True):
+        assert line[:name_width].rstrip() == row[0]
+        assert line[name_width + 2 : name_width + 2 + value_width].lstrip() == row[1]
+        assert line[name_width + value_width + 4 :] == row[2]
+        assert not line.endswith(" ")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (number(0.000204), "0.000204"),
+        (number(6.82512345), "6.8251"),
+        (number(None), "-"),
+        (interval(1.0, 2.5), "[1, 2.5]"),
+        (percent(16470.4), "16470 %"),
+    ],
+)
+def test_numbers_in_words(text: str, expected: str) -> None:
+    assert text == expected
+
+
+def result(method: str, **parameters: Parameter) -> Identification:
+    return Identification(method, "rotary", 2.0, parameters, Fit("N m", 40.0, 0.1, 0.01), ())
+
+
+MC = Parameter("Mc", "N m", 6.9, 6.8, 7.0)
+J = Parameter("J", "kg m^2", None, identifiable=False, reason="too slow")
+
+
+def test_two_methods_and_the_truth() -> None:
+    made = parameter_table(
+        [result("default", Mc=MC, J=J), result("paper", Mc=Parameter("Mc", "N m", 7.5))],
+        {"Mc": 7.5},
     )
-    assert uncertainty_pictures([bare]) == []
+    assert len(made.header) == len(made.rows[0]) == len(made.rows[1])
+    cells = dict(zip(made.header, made.rows[0], strict=True))
+    assert cells["true"] == "7.5"
+    assert cells["paper: value"] == "7.5"
+    assert cells["default: error"] == "-8 %"
+    assert cells["paper: error"] == "0 %"
+    assert "paper: 90 % interval" not in made.header  # this method has none
+    assert made.rows[1][-1] == "default: not identifiable"
+
+
+def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
+    assert number(-0.0) == "0"
+    assert interval(-0.0, 0.0) == "[0, 0]"
+    assert percent(-0.0) == "0 %"
