@@ -50,7 +50,7 @@ stages:
 
 
 @pytest.mark.parametrize(
-    ("code", "reader"), [(0, "head -1"), (1, "true"), (3, "head -c 100000 | tail -1")]
+    ("code", "reader"), [(0, "head -1"), (3, "head -c 100000 | tail -1")]
 )
 def test_a_reader_that_goes_away_changes_nothing(tmp_path: Path, code: int, reader: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=f"| {reader}", entry=ROWS)
@@ -65,16 +65,14 @@ def test_a_full_disk_behind_the_output_is_said(tmp_path: Path, code: int, status
     ended = rig("rows", str(code), folder=tmp_path, shell="> /dev/full", entry=ROWS)
     assert_in_words(ended)
     assert ended.returncode == status
-    assert ended.stderr == (
-        "storage error: the output cannot be written: No space left on device; "
-        f"the command itself ended with status {code}\n"
-    )
+    assert "No space left on device" in ended.stderr
+    assert f"status {code}" in ended.stderr
     assert (tmp_path / "made.txt").exists()
 
 
 @pytest.mark.parametrize(
     ("code", "shell"),
-    [(0, ">&-"), (1, "2>&-"), (0, "<&-"), (1, "<&- >&- 2>&-"), (0, "2> /dev/full")],
+    [(0, ">&-"), (0, "<&-"), (1, "<&- >&- 2>&-"), (0, "2> /dev/full")],
 )
 def test_a_stream_that_is_closed_changes_nothing(tmp_path: Path, code: int, shell: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=shell, entry=ROWS)
@@ -134,22 +132,17 @@ def test_an_outlet_waits_for_a_reader_that_is_slow() -> None:
 
 def test_an_outlet_whose_reader_went_away_takes_everything_and_does_not_fail() -> None:
     reader, writer = os.pipe()
+    master, slave = pty.openpty()
+    outlets = [Outlet(writer), Outlet(slave)]
     os.close(reader)
-    outlet = Outlet(writer)
-    assert outlet.write(b"words") == 5
-    assert outlet.write(memoryview(b"more")) == 4
-    assert outlet.failure is None
+    os.close(master)
+    for outlet in outlets:
+        assert outlet.write(b"words") == 5
+        assert outlet.write(memoryview(b"more")) == 4
+        assert outlet.failure is None
+    assert Inlet(slave).readinto(bytearray(8)) == 0
     os.close(writer)
-
-
-def test_a_terminal_that_went_away_is_a_reader_that_did() -> None:
-    ours, theirs = pty.openpty()
-    outlet, inlet = Outlet(theirs), Inlet(theirs)
-    os.close(ours)
-    assert outlet.write(b"words") == 5
-    assert outlet.failure is None
-    assert inlet.readinto(bytearray(8)) == 0
-    os.close(theirs)
+    os.close(slave)
 
 
 @pytest.mark.parametrize(
@@ -167,32 +160,19 @@ def test_a_broken_disk_is_no_reader_that_went_away(number: int, terminal: bool, 
     assert reader_gone(OSError(number, os.strerror(number)), terminal=terminal) is gone
 
 
-@pytest.mark.parametrize("closed", [False, True])
-def test_complaining_without_stderr_is_no_error(
-    monkeypatch: pytest.MonkeyPatch, closed: bool
-) -> None:
-    stream = io.StringIO()
-    stream.close()
-    monkeypatch.setattr(sys, "stderr", stream if closed else None)
-    complain("words")
-
-
-def test_complaining_to_a_full_disk_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Unbuffered, as what a buffer cannot write it keeps, and tries again when it is closed.
-    full = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
-    stream = io.TextIOWrapper(full, encoding="utf-8", write_through=True)
-    monkeypatch.setattr(sys, "stderr", stream)
-    complain("words")
-    stream.detach().close()
-
-
-def test_complaining_in_characters_that_stderr_lacks_escapes_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_complaint_that_cannot_be_shown_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     kept = io.BytesIO()
     monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(kept, encoding="ascii", write_through=True))
     complain("25 °C")
     assert kept.getvalue() == b"25 \\xb0C\n"
+    # Unbuffered, as what a buffer cannot write it keeps, and tries again when it is closed.
+    full = io.TextIOWrapper(open("/dev/full", "wb", buffering=0), write_through=True)  # noqa: SIM115
+    closed = io.StringIO()
+    closed.close()
+    for stream in (None, closed, full):
+        monkeypatch.setattr(sys, "stderr", stream)
+        complain("words")
+    full.detach().close()
 
 
 def sequence_in(folder: Path) -> Path:
@@ -207,6 +187,11 @@ class Terminal(io.StringIO):
 
 
 def test_each_kind_of_work_is_shown_as_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipe = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", pipe)
+    with ShareBar() as bar:
+        bar("reading", 0.5)
+    assert pipe.getvalue() == ""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     with ShareBar() as bar:
@@ -219,10 +204,3 @@ def test_each_kind_of_work_is_shown_as_it_begins(monkeypatch: pytest.MonkeyPatch
         bar("simulated replicates, round 1", 0.5)
         assert "50 %" in terminal.getvalue()
     assert "\n" not in terminal.getvalue().rstrip("\n")
-
-
-def test_without_a_terminal_nothing_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    with ShareBar() as bar:
-        bar("reading", 0.5)
-    captured = capsys.readouterr()
-    assert (captured.out, captured.err) == ("", "")

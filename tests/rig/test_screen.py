@@ -12,7 +12,6 @@ import termios
 import time
 import tty
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
@@ -66,12 +65,42 @@ def capable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
 
 
-def on(terminal: Terminal, clock: Any = None) -> Screen:
-    return Screen(clock or SimulatedClock(), terminal.stream, terminal.stream)
+@pytest.fixture
+def screen(terminal: Terminal) -> Iterator[Screen]:
+    made = Screen(SimulatedClock(), terminal.stream, terminal.stream)
+    yield made
+    made.close()
 
 
-def test_a_stopped_terminal_takes_no_time_and_gets_everything_later(terminal: Terminal) -> None:
-    screen = on(terminal)
+def test_a_stream_that_is_no_terminal_is_written_as_it_is() -> None:
+    stream = io.StringIO()
+    screen = Screen(SimulatedClock(), stream, stream)
+    screen.silence()
+    screen.ask("Mass: ")
+    screen.listened()
+    assert not screen.has_status
+    screen.status("busy")
+    screen.say("words")
+    assert stream.getvalue().endswith("words\n")
+    assert "busy" not in stream.getvalue()
+    outlet = Outlet(None)
+    outlet.put("words")
+    assert (outlet.pending, outlet.trouble) == (False, None)
+
+
+def test_what_the_encoding_lacks_is_escaped() -> None:
+    reading, writing = os.pipe()
+    with os.fdopen(writing, "w", encoding="ascii") as stream:
+        screen = Screen(SimulatedClock(), stream, stream)
+        screen.status("busy")
+        screen.say("Jürgen ☃")
+    assert os.read(reading, 100) == b"J\\xfcrgen \\u2603\n"
+    os.close(reading)
+
+
+def test_a_stopped_terminal_takes_no_time_and_gets_everything_later(
+    terminal: Terminal, screen: Screen
+) -> None:
     terminal.stall()
     began = time.monotonic()
     for number in range(2000):
@@ -84,26 +113,23 @@ def test_a_stopped_terminal_takes_no_time_and_gets_everything_later(terminal: Te
         screen.pump()
         shown += terminal.shown()
     assert shown.splitlines() == [f"line {number}" for number in range(2000)]
-    screen.close()
 
 
-def test_what_is_queued_is_bounded(terminal: Terminal) -> None:
-    screen = on(terminal)
+def test_what_is_queued_is_bounded(terminal: Terminal, screen: Screen) -> None:
     terminal.stall()
     for _ in range(QUEUE_BYTES // 1000 + 100):
         screen.say("x" * 1000)
     assert len(screen._err._pending) <= QUEUE_BYTES
-    screen.close()
 
 
-def test_draining_ends_after_its_patience_in_simulated_time(terminal: Terminal) -> None:
-    clock = SimulatedClock()
-    screen = on(terminal, clock)
+def test_draining_ends_after_its_patience_in_simulated_time(
+    terminal: Terminal, screen: Screen
+) -> None:
+    clock = screen._clock
     terminal.stall()
     screen.say("never shown")
     assert not screen.drain()
     assert clock.now_ns() == round(DRAIN_S * 1e9)
-    screen.close()
 
 
 def test_a_pipe_that_nobody_reads_takes_no_time() -> None:
@@ -132,7 +158,7 @@ def test_a_full_device_is_noted_and_raises_nothing() -> None:
 
 def test_a_hung_up_terminal_raises_nothing() -> None:
     terminal = Terminal()
-    screen = on(terminal)
+    screen = Screen(SimulatedClock(), terminal.stream, terminal.stream)
     os.close(terminal.master)
     screen.say("nobody is there")
     screen.status("or here")
@@ -142,74 +168,41 @@ def test_a_hung_up_terminal_raises_nothing() -> None:
     os.close(terminal.slave)
 
 
-def test_without_streams_nothing_happens() -> None:
-    outlet = Outlet(None)
-    outlet.put("words")
-    assert not outlet.pending
-    assert outlet.trouble is None
-
-
-def test_a_stream_without_descriptor_is_written_as_it_is() -> None:
-    stream = io.StringIO()
-    Screen(SimulatedClock(), stream, stream).say("words")
-    assert stream.getvalue() == "words\n"
-
-
-def test_what_the_encoding_lacks_is_escaped() -> None:
-    reading, writing = os.pipe()
-    with os.fdopen(writing, "w", encoding="ascii") as stream:
-        Screen(SimulatedClock(), stream, stream).say("Jürgen ☃")
-    assert os.read(reading, 100) == b"J\\xfcrgen \\u2603\n"
-    os.close(reading)
-
-
 def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(
-    terminal: Terminal,
+    terminal: Terminal, screen: Screen
 ) -> None:
-    clock = SimulatedClock()
+    clock = screen._clock
     terminal.resize(40)
-    screen = on(terminal, clock)
     for number in range(100):
         screen.status(f"{number} " + "x" * 60)
         clock.sleep_until_ns(clock.now_ns() + 10_000_000)
     drawn = [line for line in terminal.shown().split("\r") if line]
     assert len(drawn) == 4
     assert all(len(line.replace("\x1b[J", "")) == 39 for line in drawn)
-    screen.close()
 
 
-def test_a_message_takes_the_place_of_the_status_line(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.status("busy")
-    screen.say("words")
-    assert terminal.shown() == "\rbusy\r\x1b[Jwords\n"
-    screen.close()
-
-
-def test_a_status_line_that_a_narrower_window_broke_is_erased_whole(terminal: Terminal) -> None:
-    screen = on(terminal)
+def test_a_status_line_that_a_narrower_window_broke_is_erased_whole(
+    terminal: Terminal, screen: Screen
+) -> None:
     screen.status("x" * 79)
     terminal.resize(40)
     screen.say("words")
     assert terminal.shown().endswith("\r\x1b[1A\x1b[Jwords\n")
-    screen.close()
 
 
-def test_long_lines_break_between_words_and_tables_stay(terminal: Terminal) -> None:
+def test_long_lines_break_between_words_and_tables_stay(terminal: Terminal, screen: Screen) -> None:
     terminal.resize(20)
-    screen = on(terminal)
     screen.say("the drive is de-energised now\na  table  that  is  wider")
     assert terminal.shown() == "the drive is\nde-energised now\na  table  that  is  wider\n"
-    screen.close()
 
 
-def test_a_message_beside_another_program_begins_a_line_of_its_own(terminal: Terminal) -> None:
-    screen = on(terminal)
+def test_a_message_beside_another_program_begins_a_line_of_its_own(
+    terminal: Terminal, screen: Screen
+) -> None:
     screen.share()
     screen.say("guardian: off")
     screen.say("more")
     assert terminal.shown() == "\nguardian: off\n\nmore\n"
-    screen.close()
     stream = io.StringIO()
     piped = Screen(SimulatedClock(), io.StringIO(), stream)
     piped.share()
@@ -217,8 +210,9 @@ def test_a_message_beside_another_program_begins_a_line_of_its_own(terminal: Ter
     assert stream.getvalue() == "guardian: off\n"
 
 
-def test_a_message_after_an_unanswered_prompt_begins_a_line_of_its_own(terminal: Terminal) -> None:
-    screen = on(terminal)
+def test_a_message_after_an_unanswered_prompt_begins_a_line_of_its_own(
+    terminal: Terminal, screen: Screen
+) -> None:
     screen.ask("Mass: ")
     screen.say("stopped")
     assert terminal.shown() == "Mass: \nstopped\n"
@@ -226,39 +220,34 @@ def test_a_message_after_an_unanswered_prompt_begins_a_line_of_its_own(terminal:
     screen.answered()
     screen.say("thank you")
     assert terminal.shown() == "Mass: thank you\n"
-    screen.close()
 
 
-def test_the_status_line_is_left_out_while_the_terminal_takes_nothing(terminal: Terminal) -> None:
-    clock = SimulatedClock()
-    screen = on(terminal, clock)
+def test_the_status_line_is_left_out_while_the_terminal_takes_nothing(
+    terminal: Terminal, screen: Screen
+) -> None:
+    clock = screen._clock
     terminal.stall()
     screen.say("a message")
     pending = len(screen._err._pending)
     clock.sleep_until_ns(10**9)
     screen.status("busy")
     assert len(screen._err._pending) == pending
-    screen.close()
-
-
-def test_no_status_line_where_the_output_is_no_terminal() -> None:
-    reading, writing = os.pipe()
-    with os.fdopen(writing, "w", encoding="utf-8") as stream:
-        screen = Screen(SimulatedClock(), stream, stream)
-        assert not screen.has_status
-        screen.status("busy")
-        screen.say("words")
-    assert os.read(reading, 100) == b"words\n"
-    os.close(reading)
 
 
 def echoes(terminal: Terminal) -> bool:
     return bool(termios.tcgetattr(terminal.slave)[3] & termios.ECHO)
 
 
-def test_keys_are_shown_at_a_prompt_and_after_the_end_and_not_between(terminal: Terminal) -> None:
+def test_keys_are_shown_at_a_prompt_and_after_the_end_and_not_between(
+    terminal: Terminal, screen: Screen
+) -> None:
+    # A screen that was not silenced leaves the keys alone.
+    other = Screen(SimulatedClock(), terminal.stream, terminal.stream)
+    other.ask("")
+    other.listened()
+    other.close()
+    assert not echoes(terminal)
     Outlet(terminal.stream).echo(True)
-    screen = on(terminal)
     screen.silence()
     assert not echoes(terminal)
     screen.ask("mass: ")
@@ -267,22 +256,6 @@ def test_keys_are_shown_at_a_prompt_and_after_the_end_and_not_between(terminal: 
     assert not echoes(terminal)
     os.write(terminal.master, b"\x03typed")
     screen.say("stopped: by the operator")
-    assert terminal.shown() == "mass: \nstopped: by the operator\n"
+    assert terminal.shown().endswith("mass: \nstopped: by the operator\n")
     screen.close()
     assert echoes(terminal)
-
-
-def test_a_screen_that_was_not_silenced_leaves_the_keys_alone(terminal: Terminal) -> None:
-    screen = on(terminal)
-    screen.ask("mass: ")
-    screen.listened()
-    screen.close()
-    assert not echoes(terminal)
-
-
-def test_silence_on_what_is_no_terminal_does_nothing() -> None:
-    screen = Screen(SimulatedClock(), io.StringIO(), io.StringIO())
-    screen.silence()
-    screen.ask("mass: ")
-    screen.listened()
-    screen.close()
