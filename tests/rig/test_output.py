@@ -49,9 +49,7 @@ stages:
 """
 
 
-@pytest.mark.parametrize(
-    ("code", "reader"), [(0, "head -1"), (3, "head -c 100000 | tail -1")]
-)
+@pytest.mark.parametrize(("code", "reader"), [(0, "head -1"), (3, "head -c 100000 | tail -1")])
 def test_a_reader_that_goes_away_changes_nothing(tmp_path: Path, code: int, reader: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=f"| {reader}", entry=ROWS)
     assert_in_words(ended)
