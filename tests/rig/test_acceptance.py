@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from lxml import etree
@@ -18,7 +19,6 @@ from rig.config.sequence import load_acceptance
 from rig.results.acceptance.certificate import accept, junit
 from rig.results.acceptance.evidence import Check, Evidence, accepted, gather, judge
 from rig.runs.catalogue.entry import Constant
-from rig.runs.run_file import read_record
 
 from .conftest import IDENTIFIED, SHORT, run_in
 
@@ -57,7 +57,6 @@ def evidence(made: Path) -> Evidence:
         ("Mc: about 7", "is no range"),
         ("p98 lateness < 1 ms", "is no quantity"),
         ("latenes p99 < 1 ms", "did you mean lateness"),
-        ("lateness < 1 ms", "write lateness p50 or lateness p99"),
         ("tracking error p99 < 1 deg", "write tracking error rms or tracking error worst"),
         ("p99 lateness < 1 deg", "'deg' is no unit of lateness"),
         ("p99 lateness < 1", "'' is no unit"),
@@ -69,13 +68,15 @@ def test_what_is_no_limit_is_refused_with_the_nearest(text: str, words: str) -> 
         parse_limit(text)
 
 
-def test_every_problem_of_a_file_is_stated_with_its_place(tmp_path: Path) -> None:
-    path = tmp_path / "limits.yaml"
+def test_a_wrong_file_of_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    path, out = tmp_path / "limits.yaml", tmp_path / "run"
     path.write_text("acceptance: 1\nlimits:\n  - Mx: 1..2\n  - nothing missing\n  - foo\n")
     with pytest.raises(InputError) as caught:
         load_acceptance(path)
     places = [problem.partition(": ")[0] for problem in caught.value.problems]
     assert places == [f"{path}:3:5", f"{path}:5:5"]
+    assert status(["run", "figure10", "--yes", "--acceptance", str(path), "--out", str(out)]) == 2
+    assert not out.exists()
 
 
 def judged(evidence: Evidence, *lines: str) -> list[Check]:
@@ -83,36 +84,25 @@ def judged(evidence: Evidence, *lines: str) -> list[Check]:
     return list(judge(limits, evidence))[1:]
 
 
-def constant(evidence: Evidence, value: float | None, low: float, high: float) -> Evidence:
-    return dataclasses.replace(evidence, constants={"Mc": Constant(value, low, high, "N m")})
-
-
 @pytest.mark.parametrize(
-    ("value", "low", "high", "passed", "words"),
+    ("found", "passed"),
     [
-        (6.8, 6.5, 7.1, True, "90 % interval 6.5 to 7.1"),
-        (6.8, 6.49, 7.0, False, "the value is inside the limits, but its interval is not"),
-        (7.2, 7.05, 7.3, False, "outside"),
-        (None, 6.6, 7.0, False, "do not determine"),
+        (Constant(6.8, 6.5, 7.1, "N m"), True),
+        (Constant(6.8, 6.49, 7.0, "N m"), False),
+        (Constant(7.2, 7.05, 7.3, "N m"), False),
+        (Constant(None, 6.6, 7.0, "N m"), False),
+        (Constant(6.8, 6.7, 6.9, "N m", at_bound=True), False),
     ],
 )
 def test_a_constant_passes_where_its_whole_interval_is_inside(
-    evidence: Evidence, value: float | None, low: float, high: float, passed: bool, words: str
+    evidence: Evidence, found: Constant, passed: bool
 ) -> None:
-    (check,) = judged(constant(evidence, value, low, high), "Mc: 6.5..7.1")
+    held = dataclasses.replace(evidence, constants={"Mc": found})
+    (check,) = judged(held, "Mc: 6.5..7.1")
     assert check.passed is passed
-    assert words in check.words
-
-
-def test_an_estimate_at_a_bound_does_not_pass(evidence: Evidence) -> None:
-    stuck = {"Mc": Constant(6.8, 6.7, 6.9, "N m", at_bound=True)}
-    assert not judged(dataclasses.replace(evidence, constants=stuck), "Mc: 6.5..7.1")[0].passed
-
-
-def test_an_open_end_and_a_missing_constant(evidence: Evidence) -> None:
+    # A limit may have an open end; a constant that was not identified does not pass.
     low, missing = judged(evidence, "Mc: 6..", "J: 0..1")
     assert (low.passed, missing.passed) == (True, False)
-    assert "J was not identified" in missing.words
 
 
 def test_quantities_are_measured_in_the_unit_of_the_limit(evidence: Evidence) -> None:
@@ -153,28 +143,21 @@ def test_the_worst_recording_counts(evidence: Evidence) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "passed"),
+    ("line", "found", "passed"),
     [
-        ({}, False),
-        ({"heavy": ("right", "fits")}, True),
-        ({"heavy": ("right", "fits"), "more": ("wrong", "off by 2 kg")}, False),
-        ({"heavy": ("unchecked", "no reference")}, False),
+        ("weight check passed", {"weights": {}}, False),
+        ("weight check passed", {"weights": {"a": ("right", "fits")}}, True),
+        ("weight check passed", {"weights": {"a": ("right", ""), "b": ("wrong", "")}}, False),
+        ("weight check passed", {"weights": {"a": ("unchecked", "no reference")}}, False),
+        ("nothing missing", {"diagnosis": "nothing_missing"}, True),
+        ("nothing missing", {"diagnosis": "named"}, False),
+        ("nothing missing", {"diagnosis": ""}, False),
     ],
 )
-def test_a_weight_that_nothing_checked_does_not_pass(
-    evidence: Evidence, weights: dict[str, tuple[str, str]], passed: bool
+def test_what_nothing_has_checked_does_not_pass(
+    evidence: Evidence, line: str, found: dict[str, Any], passed: bool
 ) -> None:
-    (check,) = judged(dataclasses.replace(evidence, weights=weights), "weight check passed")
-    assert check.passed is passed
-
-
-@pytest.mark.parametrize(
-    ("verdict", "passed"), [("nothing_missing", True), ("named", False), ("", False)]
-)
-def test_a_diagnosis_must_have_found_nothing(
-    evidence: Evidence, verdict: str, passed: bool
-) -> None:
-    (check,) = judged(dataclasses.replace(evidence, diagnosis=verdict), "nothing missing")
+    (check,) = judged(dataclasses.replace(evidence, **found), line)
     assert check.passed is passed
 
 
@@ -184,13 +167,6 @@ def test_a_run_that_is_not_complete_is_rejected(evidence: Evidence) -> None:
     checks = judge((), dataclasses.replace(evidence, record=record))
     assert not accepted(checks)
     assert "tripped: current" in checks[0].words
-
-
-def test_results_of_other_recordings_are_not_used(run: Path) -> None:
-    old = json.loads((run / "identify.json").read_text())
-    old["inputs"][0]["sha256"] = "0" * 64
-    (run / "identify.json").write_text(json.dumps(old))
-    assert gather(run, (), lambda what, share: None).constants == {}
 
 
 def test_junit_is_valid_and_says_what_failed(evidence: Evidence) -> None:
@@ -244,21 +220,32 @@ def test_a_limit_that_is_not_kept_ends_with_1(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     limits = tmp_path / "limits.yaml"
+    arguments = ["runs", "accept", str(run), "--acceptance", str(limits)]
+    limits.write_text("acceptance: 1\nlimits: []\n")
+    assert status(arguments) == 2
     limits.write_text("acceptance: 1\nlimits: [temperature worst < 20 C]\n")
-    assert status(["runs", "accept", str(run), "--acceptance", str(limits)]) == 1
+    assert status(arguments) == 1
     assert "REJECTED" in capsys.readouterr().out
     assert json.loads((run / "acceptance.json").read_text())["verdict"] == "rejected"
     assert status(["runs", "list", str(tmp_path), "--verdict", "rejected"]) == 0
     assert "1 run\n" in capsys.readouterr().out
 
 
-def test_without_limits_there_is_nothing_to_accept(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    limits = tmp_path / "limits.yaml"
-    limits.write_text("acceptance: 1\nlimits: []\n")
-    assert status(["runs", "accept", str(run), "--acceptance", str(limits)]) == 2
-    assert "has 0 entries, needs 1" in capsys.readouterr().err
+def test_what_was_out_of_date_or_of_another_recording_is_seen(run: Path) -> None:
+    raw = json.loads((run / "run.json").read_text())
+    raw["calibrations"] = [
+        {"device": "scale", "id": "C-17", "due": "2026-01-01", "overdue": True},
+        {"device": "encoder", "id": "C-18", "due": "2027-01-01", "overdue": False},
+    ]
+    (run / "run.json").write_text(json.dumps(raw))
+    old = json.loads((run / "identify.json").read_text())
+    old["inputs"][0]["sha256"] = "0" * 64
+    (run / "identify.json").write_text(json.dumps(old))
+    assert gather(run, (), lambda what, share: None).constants == {}
+    accept(run, (), "test", lambda what, share: None)
+    page = (run / "certificate.html").read_text()
+    for words in ("C-17", "2026-01-01", "OVERDUE", "C-18", "valid"):
+        assert words in page
 
 
 @pytest.mark.parametrize("count", [3, 60])
@@ -273,20 +260,6 @@ def test_the_certificate_is_one_page_however_much_is_on_it(run: Path, count: int
     assert len(re.findall(rb"/Type /Page\b", pdf)) == 1
 
 
-def test_calibrations_and_their_due_dates_are_certified(run: Path) -> None:
-    raw = json.loads((run / "run.json").read_text())
-    raw["calibrations"] = [
-        {"device": "scale", "id": "C-17", "due": "2026-01-01", "overdue": True},
-        {"device": "encoder", "id": "C-18", "due": "2027-01-01", "overdue": False},
-    ]
-    (run / "run.json").write_text(json.dumps(raw))
-    assert read_record(run).calibrations
-    accept(run, (), "test", lambda what, share: None)
-    page = (run / "certificate.html").read_text()
-    for words in ("C-17", "2026-01-01", "OVERDUE", "C-18", "valid"):
-        assert words in page
-
-
 def test_a_run_is_judged_at_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sequence = tmp_path / "short.yaml"
     short = SHORT.partition("  - {name: heavy")[0]
@@ -296,11 +269,3 @@ def test_a_run_is_judged_at_its_end(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert code == 1, shown
     assert "REJECTED" in shown
     assert (tmp_path / "run" / "certificate.pdf").exists()
-
-
-def test_a_wrong_file_of_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
-    limits = tmp_path / "limits.yaml"
-    limits.write_text("acceptance: 1\nlimits: [Mx: 1..2]\n")
-    out = tmp_path / "run"
-    assert status(["run", "figure10", "--yes", "--acceptance", str(limits), "--out", str(out)]) == 2
-    assert not out.exists()

@@ -53,20 +53,34 @@ def test_every_kind_of_block_is_shown() -> None:
     assert {type(block) for block in EVERY.values()} == set(get_args(Block))
 
 
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("table", "name     value\n----  --------\nx     1 <unit>"),
-        ("note", "warning: a line & more"),
-        ("items", "  model.py: the model\n  a line of its own"),
-        ("verdict", "All is well\nNothing is left."),
-        ("picture", ""),
-        ("section", "Inside\nwithin"),
-        ("beside", "Left\nhere\nRight\nthere"),
-    ],
-)
-def test_blocks_on_the_terminal(kind: str, expected: str) -> None:
-    assert shown(EVERY[kind]) == expected
+def test_blocks_on_the_terminal() -> None:
+    for kind, expected in {
+        "table": "name     value\n----  --------\nx     1 <unit>",
+        "note": "warning: a line & more",
+        "items": "  model.py: the model\n  a line of its own",
+        "verdict": "All is well\nNothing is left.",
+        "picture": "",
+        "section": "Inside\nwithin",
+        "beside": "Left\nhere\nRight\nthere",
+    }.items():
+        assert shown(EVERY[kind]) == expected
+
+
+def test_blocks_on_the_page() -> None:
+    made = drawn(*EVERY.values())
+    assert '<h2 id="here">Heading</h2>' in made
+    assert "<h1>A &amp; B</h1>" in made
+    for expected in (
+        '<td>x</td><td class="number">1 &lt;unit&gt;</td>',
+        '<p class="warning">a line &amp; more</p>',
+        "<p><strong>At first:</strong> word word",
+        "<li><code>model.py</code>: the model</li><li>a line of its own</li>",
+        '<section class="verdict good"><p class="headline">All is well</p>',
+        'src="data:image/png;base64,iVBORw=="><figcaption>What is drawn',
+        "<h3>Inside</h3>\n<p>within</p>",
+        "<h3>Right</h3>\n<p>there</p>",
+    ):
+        assert expected in made
 
 
 def test_running_text_is_wrapped_and_a_line_is_not() -> None:
@@ -79,26 +93,6 @@ def test_running_text_is_wrapped_and_a_line_is_not() -> None:
 def test_blank_lines_part_the_sections_of_a_summary() -> None:
     summary = (Section("first:", (Note("a"), Note("b", "aside"))), Section("", (Note("c"),)))
     assert text(Document("t", "", summary)) == "first:\na\nnote: b\n\nc"
-
-
-@pytest.mark.parametrize(
-    ("kind", "expected"),
-    [
-        ("table", '<td>x</td><td class="number">1 &lt;unit&gt;</td>'),
-        ("note", '<p class="warning">a line &amp; more</p>'),
-        ("paragraph", "<p><strong>At first:</strong> word word"),
-        ("items", "<li><code>model.py</code>: the model</li><li>a line of its own</li>"),
-        ("verdict", '<section class="verdict good"><p class="headline">All is well</p>'),
-        ("picture", 'src="data:image/png;base64,iVBORw=="><figcaption>What is drawn'),
-        ("section", "<h3>Inside</h3>\n<p>within</p>"),
-        ("beside", "<h3>Right</h3>\n<p>there</p>"),
-    ],
-)
-def test_blocks_on_the_page(kind: str, expected: str) -> None:
-    made = drawn(EVERY[kind])
-    assert expected in made
-    assert '<h2 id="here">Heading</h2>' in made
-    assert "<h1>A &amp; B</h1>" in made
 
 
 @pytest.mark.parametrize(("rows", "folded"), [(16, False), (17, True)])

@@ -59,22 +59,19 @@ def written(
 def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report")
     result = identify_paper(
-        dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=20
+        dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=5
     )
     other = dataclasses.replace(result, method="default", warnings=("mind <the> gap",))
     written(path, dataset, other, result, truth={"Mc": 7.0, "Ms": 12.0}, name="bench & test")
     return path
 
 
-def test_nothing_is_fetched_from_outside(folder: Path) -> None:
+def test_a_report_is_one_page_and_its_figures_are_files_too(folder: Path) -> None:
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"https?://|<script|<link|@import|url\(", page)
     sources = re.findall(r'<img[^>]*src="([^"]{0,30})', page)
     assert len(sources) >= 8
     assert all(source.startswith("data:image/png;base64,") for source in sources)
-
-
-def test_every_figure_is_a_file_too(folder: Path) -> None:
     names = {path.name for path in (folder / "figures").iterdir()}
     assert {
         "intervals.png",
@@ -84,25 +81,10 @@ def test_every_figure_is_a_file_too(folder: Path) -> None:
     } <= names
     assert {"response_a_1.png", "response_b_c.png", "residual_late.png"} <= names
     assert all((folder / "figures" / name).read_bytes().startswith(b"\x89PNG") for name in names)
-
-
-def test_text_is_escaped(folder: Path) -> None:
-    page = (folder / "report.html").read_text(encoding="utf-8")
     assert "<b>" not in page
     assert "mind &lt;the&gt; gap" in page
     assert "<h1>Identification of bench &amp; test</h1>" in page
-
-
-def test_it_says_what_the_records_say(folder: Path) -> None:
-    page = (folder / "report.html").read_text(encoding="utf-8")
-    for words in (
-        "not identifiable",
-        "validate",
-        "genetic algorithm",
-        "true",
-        "simulated bench",
-        "seed",
-    ):
+    for words in ("not identifiable", "validate", "genetic algorithm", ">true<", "seed"):
         assert words in page
 
 
@@ -175,10 +157,9 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
         "parameters": {"Mc": [6.0, 6.9]},
     }
     assert read["warnings"] == ["slow"]
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"), [(None, None), (np.nan, None), (np.inf, None), (np.float64(2.0), 2.0)]
-)
-def test_finite(value: float | None, expected: float | None) -> None:
-    assert finite(value) == expected
+    assert [finite(value) for value in (None, np.nan, np.inf, np.float64(2.0))] == [
+        None,
+        None,
+        None,
+        2.0,
+    ]

@@ -32,16 +32,25 @@ from rig.config.sequence import Sequence
 from rig.config.serial_bus import GUARDED, NO_WATCHDOG
 from rig.control.cycle import Cycle
 from rig.control.operator import AutomaticOperator, OperatorStopError
-from rig.control.safety import Check
+from rig.control.safety import Check, remedy
 from rig.planning.limits import Limits
 from rig.planning.plan import make_plan
 from rig.results.run import charts, recorded, report
-from rig.results.run.charts import NEVER_MOVED, PANELS, Frame, Panel, Plots, Shade, TimeAxis, chart
-from rig.results.run.go_on import ACCEPTANCE_FILE, CERTIFICATE_PAGE
+from rig.results.run.charts import (
+    NEVER_MOVED,
+    PANELS,
+    Chart,
+    Frame,
+    Panel,
+    Plots,
+    Shade,
+    TimeAxis,
+    chart,
+)
+from rig.results.run.go_on import ACCEPTANCE_FILE, CERTIFICATE_PAGE, NOT_READ_BACK
 from rig.results.run.recorded import (
     BRAKING,
     COLUMNS,
-    ENABLED,
     MOVING,
     NAMES,
     STATES,
@@ -87,6 +96,11 @@ def data_of(html: str, index: int) -> Any:
     return json.loads(data)["charts"][index]
 
 
+def plot_of(html: str) -> int:
+    """Return the index of the first chart of a part of a page."""
+    return int(re.findall(r'data-plot="(\d+)"', html)[0])
+
+
 def last_part(html: str) -> str:
     """Return the section of the last seconds."""
     return html.partition("<h2>The last seconds</h2>")[2].partition("<h2>")[0]
@@ -111,7 +125,6 @@ LATENESS = "lateness of the control cycle, beyond a period"
 SUPPLY = "supply voltage (DC link)"
 TRIPS: dict[str, tuple[Callable[[Any], object], Check, str]] = {
     "angle": (becomes("angle_error", 0.6), Check.ANGLE, "joint angle"),
-    "angle, the other way": (becomes("angle_error", -0.8), Check.ANGLE, "joint angle"),
     "speed": (reads(velocity_rad_s=-5.0), Check.SPEED, "joint speed"),
     "current": (reads(current_A=-26.0), Check.CURRENT, "motor current"),
     "torque": (reads(current_A=20.0), Check.TORQUE, "joint torque Km i I"),
@@ -151,8 +164,7 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
     last = last_part(html)
     assert titles(last)[:2] == [title, f"{title}, sample by sample"]
     first = last.partition("</figure>")[0]
-    index = int(re.findall(r'data-plot="(\d+)"', first)[0])
-    shown = data_of(html, index)
+    shown = data_of(html, plot_of(first))
     assert shown["tall"]
     assert shown["frame"]["mark"][1] == f"{folder.record.state} {trip['time']:.3f} s"
     (panel,) = [p for p in PANELS if check in p.checks]
@@ -163,7 +175,6 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
     at = int(np.argmin(np.abs(tail.time - trip["time"])))
     value = abs(float(tail.values[at, NAMES.index(next(iter(panel.channels)))]))
     if check is not Check.DRIVE_STATE:
-        assert "tripped at " in first
         assert "BEYOND THE LIMIT" in first
         assert value == pytest.approx(abs(trip["value"]), rel=1e-9)
         bounds = [limit[-1][2] / panel.scale for limit in shown["limits"]]
@@ -171,34 +182,20 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
 
 
 def test_the_page_says_on_what_by_whom_and_how_to_go_on(runner: Any, fake_bench: Any) -> None:
+    """Also of a trip at the first sample."""
     bench = fake_bench()
     runner.inputs = dataclasses.replace(runner.inputs, operator="Ann <b>")
-    bench.faults["exchange", INSIDE] = lambda: bench.overrides.update(current_A=26.0)
+    bench.faults["exchange", 1] = lambda: bench.overrides.update(current_A=26.0)
     folder, _ = runner(bench)
     html = page_of(folder)
     head = html.partition("<h2>The last seconds</h2>")[0]
     assert headline(html) == ("bad", "TRIPPED, NOT JUDGED")
-    assert head.count("look for jamming") == 1
-    for words in (
-        "TRIPPED",
-        "motor current 26 A is beyond its limit 25 A",
-        "<b>First:</b> look for jamming or a weight above the plan",
-        f"<code>rig resume {folder.path}</code>",
-        "practical <span",
-        "SIMULATED",
-        "Ann &lt;b&gt;",
-        folder.record.created[:10],
-    ):
-        assert words in head
-    assert re.search(
-        r"<td>heavy</td><td>planned</td><td class=\"n\">10</td><td>-</td><td>loaded</td>", head
-    )
-    names = [shade[2] for shade in data_of(html, OPENING)["frame"]["shades"]]
-    assert {"empty[1]: excite", "braking", "drive off"} <= set(names)
+    for words in (remedy(Check.CURRENT), f"rig resume {folder.path}", "SIMULATED", "Ann &lt;b&gt;"):
+        assert head.count(words) == 1
     # Every channel twice, in the last seconds and as a whole, and the tripped one once more; there
     # is no pressure, and in simulated time no lateness.
+    assert titles(last_part(html))[0] == "motor current"
     assert len(titles(html)) == OPENING + 2 * (len(PANELS) - 3) + 1
-    assert "chamber pressure" not in html
 
 
 def headline(html: str) -> tuple[str, str]:
@@ -240,18 +237,8 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return run_in(tmp_path_factory.mktemp("done"))
 
 
-def page_with(folder: RunFolder, **changed: Any) -> str:
-    """Return the page of a run with another record."""
-    record = dataclasses.replace(folder.record, **changed)
-    return write_run_report(folder.path, record).read_text()
-
-
-def clocks(html: str) -> set[str]:
-    return {data_of(html, k)["frame"]["clock"] for k in range(len(titles(html)))}
-
-
 def test_a_page_opens_with_the_result_and_holds_all_it_needs(done: RunFolder) -> None:
-    html = page_with(done)
+    html = page_of(done)
     opening = html.partition("<h2>")[0]
     first = ["tracking error, command less joint encoder", "motor current", "motor temperature"]
     assert titles(opening) == first
@@ -261,42 +248,25 @@ def test_a_page_opens_with_the_result_and_holds_all_it_needs(done: RunFolder) ->
     assert not re.search(r"<[^>]*(src|href)=|url\(|@import|https?://(?!github.com/leeoniya)", html)
     assert html.count("<script") == 2
     assert f"<script>{inlined_script()}</script>" in html
-    assert 'name="viewport"' in html
-    assert "prefers-color-scheme: dark" in html
 
 
-@pytest.mark.parametrize("realtime", [False, True])
-def test_simulated_time_that_is_never_late_is_said_in_words(
-    realtime: bool, done: RunFolder
+@pytest.mark.parametrize(
+    ("fields", "clock", "drawn"),
+    [
+        ({"realtime": False}, "simulated time", False),
+        ({"realtime": True}, "simulated time", False),
+        ({"simulated": False}, "host time", True),
+    ],
+)
+def test_lateness_is_shown_where_there_is_any(
+    fields: dict[str, bool], clock: str, drawn: bool, done: RunFolder
 ) -> None:
-    html = page_with(done, realtime=realtime)
-    assert LATENESS not in titles(html)
-    assert "in which every cycle of this recording started on time" in html
-    assert "Time axis: simulated time since the start of this recording" in html
-    assert clocks(html) == {"simulated time"}
-    assert ("How late cycles started, by the clock of this computer: worst" in html) == realtime
+    html = write_run_report(done.path, dataclasses.replace(done.record, **fields)).read_text()
+    assert (LATENESS in titles(html)) is drawn
     # Without pacing, there is no table of a lateness that is always zero.
-    assert ("there is no lateness to show" in html) != realtime
-
-
-def test_lateness_of_a_real_bench_is_by_the_clock_of_the_host(done: RunFolder) -> None:
-    html = page_with(done, simulated=False)
-    assert LATENESS in titles(html)
-    assert clocks(html) == {"host time"}
-    assert "REAL BENCH" in html
-    assert "SIMULATED" not in html
-
-
-def test_lateness_of_a_simulated_bench_is_drawn(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", INSIDE] = lambda: bench.clock.sleep_until_ns(
-        bench.clock.now_ns() + 5_000_000
-    )
-    folder, _ = runner(bench)
-    html = page_of(folder)
-    assert LATENESS in titles(html)
-    assert "</span>lateness, simulated time</span>" in html
-    assert "started on time" not in html
+    assert ("there is no lateness to show" in html) is (fields == {"realtime": False})
+    assert {data_of(html, k)["frame"]["clock"] for k in range(len(titles(html)))} == {clock}
+    assert ("REAL BENCH" in html) is drawn
 
 
 def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
@@ -338,39 +308,32 @@ def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(
     assert titles(last_part(page_of(folder)))[0] == "joint angle"
 
 
+class GivesUp(AutomaticOperator):
+    """Stops at the prompt for a weight of at least so many kg."""
+
+    def __init__(self, least_kg: float) -> None:
+        super().__init__()
+        self.least_kg = least_kg
+
+    def confirm_weight(self, stage: str, weight_kg: float) -> float:
+        if weight_kg >= self.least_kg:
+            raise OperatorStopError("stopped at the weight prompt")
+        return weight_kg
+
+
 def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(
     runner: Any, fake_bench: Any
 ) -> None:
-    class GivesUp(AutomaticOperator):
-        def confirm_weight(self, stage: str, weight_kg: float) -> float:
-            if weight_kg:
-                raise OperatorStopError("stopped at the weight prompt")
-            return weight_kg
-
-    folder, _ = runner(fake_bench(), operator=GivesUp())
+    folder, _ = runner(fake_bench(), operator=GivesUp(1.0))
     assert data_of(page_of(folder), OPENING)["frame"]["mark"][1].startswith("last under power ")
 
 
 def test_a_run_that_never_moved_says_so(runner: Any, fake_bench: Any) -> None:
-    class GivesUp(AutomaticOperator):
-        def confirm_weight(self, stage: str, weight_kg: float) -> float:
-            raise OperatorStopError("stopped at the weight prompt")
-
-    folder, _ = runner(fake_bench(), operator=GivesUp())
-    assert folder.record.cycles == 0
+    folder, _ = runner(fake_bench(), operator=GivesUp(0.0))
     html = page_of(folder)
     assert NEVER_MOVED in last_part(html)
     assert titles(html) == []
     assert f"rig resume {folder.path}" in html
-
-
-def test_a_trip_at_the_first_sample_is_drawn(runner: Any, fake_bench: Any) -> None:
-    bench = fake_bench()
-    bench.faults["exchange", 1] = lambda: bench.overrides.update(current_A=26.0)
-    folder, _ = runner(bench)
-    html = page_of(folder)
-    assert titles(last_part(html))[0] == "motor current"
-    assert "This part, " not in html
 
 
 def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(
@@ -384,28 +347,15 @@ def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(
     raw["parts"][0]["state"] = raw["stages"][0]["state"] = "running"
     (folder.path / "run.json").write_text(json.dumps(raw))
     assert status(["recover", str(folder.path)]) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert told[-2:] == [
-        f"go on with: rig resume {folder.path}",
-        f"page: {folder.path / 'run.html'}",
-    ]
-    assert told[-3].startswith("first: ")
-    assert "switch the main supply off" in told[-3]
+    first, go_on, page = capsys.readouterr().out.splitlines()[-3:]
+    assert first == f"first: {NOT_READ_BACK}"
+    assert go_on == f"go on with: rig resume {folder.path}"
+    assert page == f"page: {folder.path / 'run.html'}"
     html = (folder.path / "run.html").read_text()
     frame = data_of(html, OPENING)["frame"]
     assert frame["mark"][1].startswith("recording ends ")
     assert frame["shades"][-1][2] == "not recorded"
     assert titles(last_part(html))[0] == "joint angle"
-
-
-def test_a_whole_run_whose_page_is_missing_gets_it_back(runner: Any, fake_bench: Any) -> None:
-    folder, _ = runner(fake_bench())
-    assert status(["recover", str(folder.path)]) == 0
-    before = (folder.path / "run.html").read_bytes()
-    (folder.path / "run.html").write_text("mine")
-    assert status(["recover", str(folder.path)]) == 0
-    assert (folder.path / "run.html").read_text() == "mine"
-    assert before.startswith(b"<!doctype html>")
 
 
 def test_each_recording_of_a_run_that_went_on_is_shown(runner: Any, fake_bench: Any) -> None:
@@ -422,10 +372,7 @@ def test_each_recording_of_a_run_that_went_on_is_shown(runner: Any, fake_bench: 
     assert "<h2>Recording 2: recording.mcap</h2>" in html
     # The trip was in the second.
     one, two = html.partition("<h2>Recording 1")[2].split("<h2>Recording 2")
-    marks = [
-        data_of(html, int(re.findall(r'data-plot="(\d+)"', part)[0]))["frame"]["mark"]
-        for part in (one, two)
-    ]
+    marks = [data_of(html, plot_of(part))["frame"]["mark"] for part in (one, two)]
     assert marks[0] is None
     assert marks[1][1].startswith("tripped 0.")
 
@@ -465,22 +412,14 @@ def broken(whole: tuple[Path, RunRecord], folder: Path, content: bytes | None) -
     return write_run_report(folder, whole[1]).read_text()
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (None, "cannot be read"),
-        (b"", "not an MCAP recording"),
-        (b"hello", "not an MCAP recording"),
-    ],
-)
-def test_without_a_recording_the_page_says_so_and_the_rest_is_there(
-    whole: tuple[Path, RunRecord], tmp_path: Path, content: bytes | None, words: str
+@pytest.mark.parametrize("content", [None, b"hello"])
+def test_without_a_recording_the_rest_of_the_page_is_there(
+    whole: tuple[Path, RunRecord], tmp_path: Path, content: bytes | None
 ) -> None:
     html = broken(whole, tmp_path / "run", content)
-    assert words in last_part(html)
+    assert ("cannot be read" if content is None else "not an MCAP recording") in last_part(html)
     assert "encoder against drive" in html
     assert "rig resume" in html
-    assert "<h2>Provenance</h2>" in html
     assert html.rstrip().endswith("</body></html>")
 
 
@@ -491,10 +430,9 @@ def test_a_damaged_recording_is_drawn_as_far_as_it_is_sound(
     html = broken(whole, tmp_path / "run", content[: int(0.6 * len(content))])
     assert "The recording is damaged: whole up to byte" in html
     assert titles(html)
-    assert "This part, " not in html
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_whatever_the_recording_is_like_there_is_a_page(
     whole: tuple[Path, RunRecord], tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -568,24 +506,21 @@ def test_the_limits_over_time_are_those_that_were_judged_by(
         assert before != limits, time
 
 
-def test_the_limits_of_a_bench_without_a_watchdog_are_those_in_force() -> None:
-    content = load_bench("practical_serial").path.read_bytes()
-    attached = read_attachments({"bench.yaml": content})
-    assert attached.bench is not None
-    assert attached.bench.limits == load_bench("practical_serial").value.limits
-    assert attached.problem == "sequence.yaml is not attached to the recording"
+def attached_limits(bench: str, *warnings: str) -> Limits:
+    """Return the limits of a run to which this bench and these warnings are attached."""
+    run = json.dumps({"warnings": warnings}).encode()
+    content = load_bench(bench).path.read_bytes()
+    found = read_attachments({"bench.yaml": content, "run.json": run}).bench
+    assert found is not None
+    return found.limits
 
 
-@pytest.mark.parametrize("words", [NO_WATCHDOG, GUARDED, "this drive has no watchdog: x"])
-def test_a_run_that_was_warned_has_the_reduced_limits(words: str) -> None:
+def test_the_limits_of_a_bench_without_a_watchdog_are_reduced() -> None:
     """The warnings of earlier versions begin with the same words."""
-    content = load_bench("practical").path.read_bytes()
-    run = json.dumps({"warnings": [words]}).encode()
-    warned = read_attachments({"bench.yaml": content, "run.json": run})
-    plain = read_attachments({"bench.yaml": content})
-    assert warned.bench is not None
-    assert plain.bench is not None
-    assert warned.bench.limits.torque_N_m < plain.bench.limits.torque_N_m
+    assert attached_limits("practical_serial") == load_bench("practical_serial").value.limits
+    plain = attached_limits("practical").torque_N_m
+    for words in (NO_WATCHDOG, GUARDED, "this drive has no watchdog: x"):
+        assert attached_limits("practical", words).torque_N_m < plain
 
 
 @pytest.mark.parametrize("content", [b"\xff", b"a: [", b"bench: 2"])
@@ -612,60 +547,54 @@ def taken(count: int, **fields: Any) -> dict[str, Array]:
     return found | fields
 
 
+def derived(count: int, **fields: Any) -> Callable[[str], Array]:
+    """Return the channels, by name, that follow from so many samples."""
+    values = Deriver(BENCH, 1e-3)(taken(count, **fields), []).values
+    return lambda name: values[:, NAMES.index(name)]
+
+
 BENCH = Bench(torque_constant=0.03, gear_ratio=100.0)
 
 
-def column(values: Array, name: str) -> Array:
-    return values[:, NAMES.index(name)]
-
-
 def test_derived_channels_are_those_of_the_safety_check() -> None:
-    derive = Deriver(BENCH, 1e-3)
-    values = derive(
-        taken(3, motor_angle=np.full(3, 10.0), angle=np.full(3, 0.09), current=np.full(3, -2.0)), []
-    ).values
-    np.testing.assert_allclose(column(values, "disagreement"), 0.01)
-    np.testing.assert_allclose(column(values, "torque"), -6.0)
-    np.testing.assert_allclose(column(values, "error"), -0.09)
-    np.testing.assert_allclose(column(values, "answer"), 4e-4)
-    np.testing.assert_allclose(column(values, "drive_clock"), 0.0, atol=1e-12)
-    np.testing.assert_allclose(column(values, "encoder_clock"), [0.0, 1e-6, 2e-6], atol=1e-12)
-    assert np.isnan(column(values, "pressure")).all()
-    assert np.isnan(column(values, "force")).all()
+    channel = derived(
+        3, motor_angle=np.full(3, 10.0), angle=np.full(3, 0.09), current=np.full(3, -2.0)
+    )
+    np.testing.assert_allclose(channel("disagreement"), 0.01)
+    np.testing.assert_allclose(channel("torque"), -6.0)
+    np.testing.assert_allclose(channel("error"), -0.09)
+    np.testing.assert_allclose(channel("answer"), 4e-4)
+    np.testing.assert_allclose(channel("drive_clock"), 0.0, atol=1e-12)
+    np.testing.assert_allclose(channel("encoder_clock"), [0.0, 1e-6, 2e-6], atol=1e-12)
+    assert np.isnan(channel("pressure")).all()
+    assert np.isnan(channel("force")).all()
 
 
-@pytest.mark.parametrize("split", range(1, 9))
-def test_ages_go_on_from_block_to_block(split: int) -> None:
-    fresh = np.array([1, 1, 0, 0, 1, 0, 0, 0, 1, 1.0])
-    whole, derive = taken(10, fresh=fresh), Deriver(BENCH, 1e-3)
-    parts = [{k: v[:split] for k, v in whole.items()}, {k: v[split:] for k, v in whole.items()}]
-    ages = np.concatenate([column(derive(part, []).values, "age") for part in parts])
-    np.testing.assert_allclose(1e3 * ages, [0, 0, 1, 2, 0, 1, 2, 3, 0, 0], atol=1e-9)
+def test_ages_go_on_from_block_to_block() -> None:
+    whole = taken(10, fresh=np.array([1, 1, 0, 0, 1, 0, 0, 0, 1, 1.0]))
+    for split in range(1, 9):
+        derive, age = Deriver(BENCH, 1e-3), NAMES.index("age")
+        parts = [
+            {k: v[part] for k, v in whole.items()} for part in np.split(np.arange(10), [split])
+        ]
+        ages = np.concatenate([derive(part, []).values[:, age] for part in parts])
+        np.testing.assert_allclose(1e3 * ages, [0, 0, 1, 2, 0, 1, 2, 3, 0, 0], atol=1e-9)
+
+
+def test_the_state_of_the_drive() -> None:
+    words = np.array([0x237, 0x217, 0x218, 0x21F, 0x250, 0x231])
+    found = [STATES[int(state)] for state in derived(6, statusword=words)("state")]
+    assert found == ["enabled", "quick stop", "fault", "fault", "off", "off"]
 
 
 @pytest.mark.parametrize(("event", "at_s"), [("stage start", 0.050), ("stage end", 0.040)])
 def test_a_step_of_time_is_lateness_but_for_a_pause(event: str, at_s: float) -> None:
     time = np.array([0.0, 1.0, 31.0, 32.0, 60.0, 61.0]) * 1e-3
     derived = Deriver(BENCH, 1e-3)(taken(6, time=time), [{"event": event, "time": at_s}])
-    np.testing.assert_allclose(1e3 * column(derived.values, "late"), [0, 0, 29, 0, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        1e3 * derived.values[:, NAMES.index("late")], [0, 0, 29, 0, 0, 0], atol=1e-9
+    )
     assert derived.broken.tolist() == [True, False, True, False, True, False]
-
-
-@pytest.mark.parametrize(
-    ("statusword", "state"),
-    [
-        (0x237, "enabled"),
-        (0x217, "quick stop"),
-        (0x218, "fault"),
-        (0x21F, "fault"),
-        (0x250, "off"),
-        (0x231, "off"),
-    ],
-)
-def test_the_state_of_the_drive(statusword: int, state: str) -> None:
-    values = Deriver(BENCH, 1e-3)(taken(1, statusword=np.full(1, statusword)), []).values
-    assert STATES[int(column(values, "state")[0])] == state
-    assert (column(values, "state")[0] == ENABLED) is np.bool_(state == "enabled")
 
 
 EVENTS: list[dict[str, Any]] = [
@@ -705,9 +634,8 @@ def test_phases_follow_from_events_and_excitations() -> None:
 
 
 def test_what_comes_after_the_end_is_braking() -> None:
-    cut = with_braking(
-        [Span(0.0, 1.0, "a", "excite"), Span(1.0, 2.0, "a", "hold")], Moment(1.5, "tripped")
-    )
+    whole = [Span(0.0, 1.0, "a", "excite"), Span(1.0, 2.0, "a", "hold")]
+    cut = with_braking(whole, Moment(1.5, "tripped"))
     assert [(s.start, s.stop, s.phase) for s in cut] == [
         (0.0, 1.0, "excite"),
         (1.0, 1.5, "hold"),
@@ -715,6 +643,7 @@ def test_what_comes_after_the_end_is_braking() -> None:
     ]
 
 
+@settings(max_examples=25)
 @given(
     count=st.integers(2, 9000),
     pause=st.sampled_from([0, 100_000]),
@@ -764,44 +693,38 @@ def current(*values: float) -> Series:
     return Series(np.arange(len(values)) * 1e-3, matrix, matrix)
 
 
-def panel_of(check: Check) -> Panel:
-    return next(panel for panel in PANELS if check in panel.checks)
+CURRENT = next(panel for panel in PANELS if Check.CURRENT in panel.checks)
+AXIS = Frame(TimeAxis([(0.0, 1e-3)]), "")
 
 
-def with_limit(limit: float) -> Panel:
-    return dataclasses.replace(panel_of(Check.CURRENT), upper=lambda limits: limit)
-
-
-@pytest.mark.parametrize(("limit", "shown"), [(9.9, True), (10.0, True), (10.1, False)])
-def test_a_limit_far_away_is_written_and_not_drawn(limit: float, shown: bool) -> None:
-    made = chart(with_limit(limit), current(0.0, 1.0), [(-math.inf, None)], None, tall=False)  # type: ignore[list-item]
+def held(limit: Any, series: Series) -> Chart:
+    """Return the chart of a current that is held against a limit, or against steps of limits."""
+    steps = limit if isinstance(limit, list) else [(-math.inf, limit)]
+    made = chart(
+        dataclasses.replace(CURRENT, upper=lambda value: value), series, steps, None, tall=False
+    )
     assert made is not None
-    assert bool(made.limits) is shown
-    assert f"limit -{limit:g} and {limit:g} A" in made.reading
-    assert ("outside this chart" in made.reading) is not shown
+    return made
 
 
-@pytest.mark.parametrize(
-    ("value", "beyond"), [(5.0, False), (5.001, True), (-5.0, False), (-5.001, True)]
-)
-def test_what_is_beyond_a_limit_is_said(value: float, beyond: bool) -> None:
-    made = chart(with_limit(5.0), current(0.0, value), [(-math.inf, None)], None, tall=False)  # type: ignore[list-item]
-    assert made is not None
-    assert made.beyond is beyond
-    html = Plots().figure(made, Frame(TimeAxis([(0.0, 1e-3)]), ""))
-    assert ("BEYOND THE LIMIT" in html) is beyond
+def test_a_limit_is_written_with_what_is_beyond_it_and_drawn_if_it_is_near() -> None:
+    for limit, shown in ((9.9, True), (10.0, True), (10.1, False)):
+        made = held(limit, current(0.0, 1.0))
+        assert bool(made.limits) is shown
+        assert f"limit -{limit:g} and {limit:g} A" in made.reading
+    for value, beyond in ((5.0, False), (5.001, True), (-5.0, False), (-5.001, True)):
+        made = held(5.0, current(0.0, value))
+        assert made.beyond is beyond
+        assert ("BEYOND THE LIMIT" in Plots().figure(made, AXIS)) is beyond
 
 
 def test_the_limit_of_a_trip_is_drawn_where_no_other_is_known() -> None:
-    tripped = Tripped(Check.CURRENT, 12.0, 11.0)
-    made = chart(panel_of(Check.CURRENT), current(0.0, -12.0), [], tripped, tall=True)
+    made = chart(CURRENT, current(0.0, -12.0), [], Tripped(Check.CURRENT, 12.0, 11.0), tall=True)
     assert made is not None
     assert sorted(limit[0][1] for limit in made.limits) == [-11.0, 11.0]
     assert made.beyond
-
-
-def test_a_channel_that_was_not_recorded_has_no_chart() -> None:
-    assert chart(panel_of(Check.PRESSURE), current(1.0), [], None, tall=False) is None
+    pressure = next(panel for panel in PANELS if Check.PRESSURE in panel.checks)
+    assert chart(pressure, current(1.0), [], None, tall=False) is None
 
 
 def test_long_pauses_are_drawn_short_and_short_ones_to_scale() -> None:
@@ -840,7 +763,7 @@ def plots_data(plots: Plots) -> Any:
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=50))
 def test_any_values_can_be_drawn(values: list[float]) -> None:
     plots = Plots()
-    made = chart(panel_of(Check.CURRENT), current(*values), [], None, tall=False)
+    made = chart(CURRENT, current(*values), [], None, tall=False)
     if made is not None:
         plots.figure(made, Frame(TimeAxis([(0.0, 1.0)]), ""))
     assert "NaN" not in plots.script()
@@ -866,17 +789,13 @@ def test_text_from_files_is_escaped() -> None:
 
 def test_a_limit_that_changes_is_drawn_in_steps_and_judged_by_the_wider() -> None:
     plots = Plots()
-    steps: Any = [(-math.inf, 5.0), (0.5e-3, 3.0)]
-    panel = dataclasses.replace(panel_of(Check.CURRENT), upper=lambda value: value)
-    series = current(4.0, 2.0)
-    made = chart(panel, series, steps, None, tall=False)
-    assert made is not None
+    steps = [(-math.inf, 5.0), (0.5e-3, 3.0)]
+    made = held(steps, current(4.0, 2.0))
     assert not made.beyond
-    plots.figure(made, Frame(TimeAxis([(0.0, 1e-3)]), ""))
+    plots.figure(made, AXIS)
     upper, lower = plots_data(plots)["charts"][0]["limits"]
     assert upper == [[0.0, 0.5, 5.0], [0.5, 1.0, 3.0]]
     assert lower == [[0.0, 0.5, -5.0], [0.5, 1.0, -3.0]]
     late = current(4.0, 4.0)
-    assert chart(panel, late, steps, None, tall=False).beyond  # type: ignore[union-attr]
-    wide = late._replace(width_s=1.5e-3)
-    assert not chart(panel, wide, steps, None, tall=False).beyond  # type: ignore[union-attr]
+    assert held(steps, late).beyond
+    assert not held(steps, late._replace(width_s=1.5e-3)).beyond

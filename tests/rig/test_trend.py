@@ -39,12 +39,7 @@ SHARE = 0.01
 def details(shares: np.ndarray, serial: int = 1) -> Details:
     """Return an identification whose values are off the truth by these shares."""
     constants = {
-        name: Constant(
-            true * (1.0 + share),
-            true * (1.0 + share - SHARE),
-            true * (1.0 + share + SHARE),
-            "N m",
-        )
+        name: Constant(*(true * (1.0 + share + off) for off in (0.0, -SHARE, SHARE)), "N m")
         for (name, true), share in zip(TRUE.items(), shares.tolist(), strict=True)
     }
     return Details(constants, 0.02, "N m", "rotary", {"servo": f"drive, serial {serial}"})
@@ -77,15 +72,10 @@ def history(runs: int = 10, drift: float = 0.0, step: float = 0.0) -> list[Entry
 ROOT = Path("runs")
 
 
-def test_a_history_without_change_is_quiet() -> None:
-    (found,) = histories(ROOT, history())
-    assert alarms(found) == {}
-    shown = text(trend_document([found]))
-    assert "no change" in shown
-    assert "DRIFT" not in shown
-
-
-def test_a_drift_is_named() -> None:
+def test_a_drift_is_named_and_a_history_without_change_is_quiet() -> None:
+    (quiet,) = histories(ROOT, history())
+    assert alarms(quiet) == {}
+    assert "DRIFT" not in text(trend_document([quiet]))
     (found,) = histories(ROOT, history(drift=3.0))
     assert alarms(found) == {"Mc": None}
     document = trend_document([found])
@@ -109,7 +99,7 @@ def test_a_step_is_placed_and_held_against_the_devices() -> None:
 def test_the_rate_is_of_all_constants_together() -> None:
     rng = np.random.default_rng(5)
     count = 0
-    known = [details(np.zeros(len(TRUE))) for _ in range(10)]
+    known = [details(NONE) for _ in range(10)]
     for _ in range(12):
         runs = [details(rng.normal(0.0, SHARE / 1.645, len(TRUE))) for _ in known]
         count += any(course.alarm for course in courses(runs))
@@ -140,40 +130,21 @@ def test_the_figure_has_the_number_that_a_run_has_in_the_history() -> None:
     assert list(line.get_xdata()) == [4.5, 4.5]
 
 
-def test_runs_of_one_name_are_told_apart_in_the_figure() -> None:
-    runs = [dataclasses.replace(each, run=Path("a/b")) for each in compared(*[details(NONE)] * 2)]
-    for picture in compare_document(runs).pictures():
-        assert picture.data
-    assert _short(runs) == ["1: b", "2: b"]
-    other = dataclasses.replace(runs[1], run=Path("c/b"))
-    assert _short([runs[0], other]) == ["a/b", "c/b"]
-
-
-def test_few_runs_are_not_tested() -> None:
-    (found,) = histories(ROOT, history(runs=4))
-    assert all(course.p_value is None for course in found.courses)
-    assert "the test needs 6" in text(trend_document([found]))
-
-
 def test_copies_and_runs_without_constants_do_not_count() -> None:
     entries = history(runs=6)
     bare = dataclasses.replace(entries[0].head, identified="", digest="b")
     entries += [Entry("copy", entries[1].head, entries[1].details), Entry("bare", bare, "{}")]
     (found,) = histories(ROOT, entries)
     assert len(found.runs) == 6
-    assert set(found.left_out) == {
-        "runs/copy: a copy of runs/run-1",
-        "runs/bare: not identified",
-    }
-
-
-def test_a_value_at_a_bound_or_without_an_interval_is_no_part_of_a_course() -> None:
-    runs = [details(np.zeros(len(TRUE))) for _ in range(7)]
-    stuck = dict(runs[0].constants)
-    stuck["Mc"] = dataclasses.replace(stuck["Mc"], at_bound=True)
-    runs[0] = dataclasses.replace(runs[0], constants=stuck)
-    course = next(course for course in courses(runs) if course.name == "Mc")
+    # Fewer runs are not tested.
+    (few,) = histories(ROOT, history(runs=4))
+    assert all(course.p_value is None for course in few.courses)
+    # A value at a bound is no part of a course.
+    stuck = dataclasses.replace(details(NONE).constants["Mc"], at_bound=True)
+    first = dataclasses.replace(details(NONE), constants={"Mc": stuck})
+    (course,) = (each for each in courses([first] + [details(NONE)] * 6) if each.name == "Mc")
     assert course.runs == (1, 2, 3, 4, 5, 6)
+    assert [words.partition(":")[0] for words in found.left_out] == ["runs/copy", "runs/bare"]
 
 
 def compared(*found: Details) -> list[Compared]:
@@ -183,10 +154,32 @@ def compared(*found: Details) -> list[Compared]:
     ]
 
 
+def test_constants_are_those_of_the_identified_runs() -> None:
+    runs = compared(Details(motion="rotary"), details(NONE), details(NONE))
+    record = compare_record(runs)
+    assert (record["first"], record["not_identified"]) == ("runs/1", ["runs/0"])
+    assert [each["run"] for each in record["compared"]] == ["runs/2"]
+    shown = text(compare_document(runs))
+    assert "runs/2 against runs/1" in shown
+    assert "identify it with `rig identify runs/0`" in shown
+    assert compare_record(runs[:2])["compared"] == []
+    # Runs of one name are told apart in the figure.
+    one, two, other = (
+        dataclasses.replace(runs[1], run=Path(name)) for name in ("a/b", "a/b", "c/b")
+    )
+    assert all(picture.data for picture in compare_document([one, two]).pictures())
+    assert _short([one, two]) == ["1: b", "2: b"]
+    assert _short([one, other]) == ["a/b", "c/b"]
+    # A run that cannot be read is refused with its remedy.
+    bad = dataclasses.replace(runs[0].entry, head=Head("half written", "use `rig recover`"))
+    with pytest.raises(InputError, match="runs/0: use `rig recover`"):
+        require_comparable([dataclasses.replace(runs[0], entry=bad)])
+
+
 def test_what_changed_by_more_than_its_uncertainty_is_marked() -> None:
     shares = np.zeros(len(TRUE))
     shares[:2] = 1.3 * SHARE, 1.5 * SHARE
-    runs = compared(details(np.zeros(len(TRUE))), details(shares, 2))
+    runs = compared(details(NONE), details(shares, 2))
     found = {each.name: each for each in differences(runs[0].details, runs[1].details)}
     # The interval of a difference of two is wider by the root of two.
     assert [name for name, each in found.items() if each.moved] == ["Ms"]
@@ -202,11 +195,11 @@ def test_what_changed_by_more_than_its_uncertainty_is_marked() -> None:
 
 
 def test_a_constant_that_is_not_determined_is_not_judged() -> None:
-    other = details(np.zeros(len(TRUE)))
+    other = details(NONE)
     constants = dict(other.constants)
     constants["Mc"] = Constant(None, None, None, "N m")
     del constants["Ms"]
-    runs = compared(details(np.zeros(len(TRUE))), dataclasses.replace(other, constants=constants))
+    runs = compared(details(NONE), dataclasses.replace(other, constants=constants))
     found = {each.name: each.moved for each in differences(runs[0].details, runs[1].details)}
     assert (found["Mc"], found["Ms"], found["J"]) == (None, None, False)
     assert "not known" in text(compare_document(runs))
@@ -234,22 +227,3 @@ def test_runs_without_constants_are_compared_by_what_was_measured(
         assert values["lost samples"]["value"] == 0.0
         assert (each["stages_done"], each["problem"]) == ("2 of 2", "")
     assert "<td>tracking error rms</td>" in (tmp_path / "page" / "report.html").read_text()
-
-
-def test_constants_are_those_of_the_identified_runs() -> None:
-    runs = compared(Details(motion="rotary"), details(NONE), details(NONE))
-    record = compare_record(runs)
-    assert (record["first"], record["not_identified"]) == ("runs/1", ["runs/0"])
-    assert [each["run"] for each in record["compared"]] == ["runs/2"]
-    shown = text(compare_document(runs))
-    assert "runs/2 against runs/1" in shown
-    assert "identify it with `rig identify runs/0`" in shown
-    alone = text(compare_document(runs[:2]))
-    assert "constants are compared when two or more of the runs are identified" in alone
-
-
-def test_a_run_that_cannot_be_read_is_refused_with_its_remedy() -> None:
-    (bad,) = compared(Details())
-    entry = dataclasses.replace(bad.entry, head=Head("half written", "use `rig recover`"))
-    with pytest.raises(InputError, match="runs/0: use `rig recover`"):
-        require_comparable([dataclasses.replace(bad, entry=entry)])

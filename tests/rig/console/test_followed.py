@@ -5,6 +5,8 @@ against speed; also of a run that was stopped and continued.
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +29,10 @@ from rig.console.followed import (
     Growing,
     TorqueSpeed,
     curves,
-    event_words,
 )
 from rig.control.remote import RunProgress
 from rig.runs.decimation import KEPT, Decimation
-from rig.runs.mcap.reader import DamageError, read_run
+from rig.runs.mcap.reader import read_run
 from rig.runs.recorder import open_recorder
 
 SEQUENCE = """\
@@ -46,23 +47,41 @@ stages:
 RECORDINGS = ("recording.mcap", "recording-2.mcap")
 
 
-@pytest.fixture
-def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A run that was stopped in its second stage."""
-    sequence, folder = tmp_path / "two.yaml", tmp_path / "run"
-    sequence.write_text(SEQUENCE)
+@pytest.fixture(scope="module")
+def states(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A run that was stopped in its second stage, and this run continued to its end."""
+    root = tmp_path_factory.mktemp("states")
+    (root / "two.yaml").write_text(SEQUENCE)
 
     def press(self: RunProgress, name: str, *rest: Any) -> None:
         if name == "b":
             raise KeyboardInterrupt
 
-    with monkeypatch.context() as context:
+    with pytest.MonkeyPatch.context() as context:
         context.setattr(RunProgress, "__call__", press)
-        assert status(["run", str(sequence), "--yes", "--out", str(folder)]) == 3
-    return folder
+        run = ["run", str(root / "two.yaml"), "--yes", "--out", str(root / "stopped")]
+        assert status(run) == 3
+    shutil.copytree(root / "stopped", root / "done")
+    assert status(["resume", str(root / "done"), "--yes"]) == 0
+    return root / "stopped", root / "done"
 
 
-def followed(folder: Path, socket: Path) -> Followed:
+@pytest.fixture
+def stopped(states: tuple[Path, Path], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(states[0], tmp_path / "run"))
+
+
+@pytest.fixture
+def resume(states: tuple[Path, Path], stopped: Path) -> Callable[[], object]:
+    """Continue the stopped run to its end."""
+    return lambda: shutil.copytree(states[1], stopped, dirs_exist_ok=True)
+
+
+def followed(folder: Path, gone: bool = False) -> Followed:
+    """Follow a run, whose program may have ended."""
+    socket = folder.parent / "run-1.sock"
+    if not gone:
+        socket.touch()
     about = {
         "run": "1",
         "folder": str(folder),
@@ -86,15 +105,15 @@ def drawn(run: Followed) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     return np.concatenate([np.full(found.first, np.nan), angle])
 
 
-def test_a_continued_run_keeps_its_charts_and_events(stopped: Path, tmp_path: Path) -> None:
-    socket = tmp_path / "run-1.sock"
-    socket.touch()
-    run = followed(stopped, socket)
+def test_a_continued_run_keeps_its_charts_and_events(
+    stopped: Path, resume: Callable[[], object]
+) -> None:
+    run = followed(stopped)
     read_all(run)
     before = [words for _, words in run.events]
     assert any("stopped by the operator" in words for words in before)
     assert run.continued_s == []
-    assert status(["resume", str(stopped), "--yes"]) == 0
+    resume()
     read_all(run)
     words = [words for _, words in run.events]
     assert words[: len(before)] == before
@@ -109,10 +128,30 @@ def test_a_continued_run_keeps_its_charts_and_events(stopped: Path, tmp_path: Pa
         expected[cycles] = samples["angle"] * DEG
     np.testing.assert_allclose(drawn(run), expected)
     # A console that finds the run later shows the same.
-    other = followed(stopped, socket)
+    other = followed(stopped)
     read_all(other)
     assert [words for _, words in other.events] == words
     np.testing.assert_array_equal(drawn(other), drawn(run))
+    # What cannot be read is said, and does not hide the next recording.
+    (stopped / RECORDINGS[0]).write_bytes(b"something else")
+    broken = followed(stopped)
+    read_all(broken)
+    assert broken.trouble is not None
+    assert "not an MCAP recording" in broken.trouble
+    assert any("all 2 stages done" in words for _, words in broken.events)
+
+
+def test_a_program_that_has_ended_does_not_show_the_recording_of_the_next(
+    stopped: Path, resume: Callable[[], object]
+) -> None:
+    run = followed(stopped, gone=True)
+    read_all(run)
+    before, begun = list(run.events), run.begun
+    resume()
+    read_all(run)
+    assert (run.events, run.begun, run.continued_s) == (before, begun, [])
+    assert run.record is not None
+    assert run.record.state == "done"
 
 
 def told(run: Followed, phase: str) -> dict[str, Any]:
@@ -125,22 +164,20 @@ def told(run: Followed, phase: str) -> dict[str, Any]:
 
 
 def test_values_of_the_time_before_a_stop_are_never_current(
-    stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stopped: Path, resume: Callable[[], object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    socket = tmp_path / "run-1.sock"
-    socket.touch()
-    run = followed(stopped, socket)
+    run = followed(stopped)
     # The program that continues the run connects; its recording does not exist yet.
     read_all(run)
     live = told(run, "connecting")
     assert live["time_s"] > 0
     assert (live["current"], live["drive"]) == (False, "not read yet")
-    assert status(["resume", str(stopped), "--yes"]) == 0
+    resume()
     # A report that came after the last reading does not make the old values current.
     run.hear({"phase": "excite", "ended": None})
     assert not run.parts()["live"][1]["current"]
     monkeypatch.setattr(growing, "READ_BYTES", 1 << 14)
-    for late, first in ((run, 1), (followed(stopped, socket), 0)):
+    for late, first in ((run, 1), (followed(stopped), 0)):
         shown = []
         while not (live := told(late, "excite"))["current"]:
             assert live["drive"] == "not read yet"
@@ -152,33 +189,6 @@ def test_values_of_the_time_before_a_stop_are_never_current(
         assert not late.read()
         last = read_run(stopped / RECORDINGS[1]).samples["time"][-1]
         assert live["time_s"] == pytest.approx(late.continued_s[0] + last, abs=0.06)
-
-
-def test_a_program_that_has_ended_does_not_show_the_recording_of_the_next(
-    stopped: Path, tmp_path: Path
-) -> None:
-    run = followed(stopped, tmp_path / "gone.sock")
-    read_all(run)
-    before, begun = list(run.events), run.begun
-    assert status(["resume", str(stopped), "--yes"]) == 0
-    read_all(run)
-    assert (run.events, run.begun, run.continued_s) == (before, begun, [])
-    assert run.record is not None
-    assert run.record.state == "done"
-
-
-def test_a_recording_that_cannot_be_read_does_not_hide_the_next(
-    stopped: Path, tmp_path: Path
-) -> None:
-    assert status(["resume", str(stopped), "--yes"]) == 0
-    (stopped / RECORDINGS[0]).write_bytes(b"something else")
-    socket = tmp_path / "run-1.sock"
-    socket.touch()
-    run = followed(stopped, socket)
-    read_all(run)
-    assert run.trouble is not None
-    assert "not an MCAP recording" in run.trouble
-    assert any("all 2 stages done" in words for _, words in run.events)
 
 
 def recorded(path: Path, count: int) -> bytes:
@@ -217,86 +227,46 @@ def test_everything_is_read_once_however_it_grows(
     assert events == 8
 
 
-@pytest.mark.parametrize("content", [b"no recording at all", b"\x89MCAP0\r\n" + b"\xee" * 30])
-def test_what_is_no_recording_is_said(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "other.mcap"
-    path.write_bytes(content)
-    with pytest.raises(DamageError):
-        Growing(path).read()
-
-
-def test_events_are_told_in_words() -> None:
-    assert event_words({"time": 1.25, "event": "answer", "stage": "heavy", "weight_kg": 30.6}) == (
-        "1.2 s  heavy: 30.6 kg confirmed"
-    )
-    assert event_words({"time": 3.0, "event": "repeat", "stage": "heavy"}) == (
-        "3.0 s  heavy: the stage will be repeated"
-    )
-    assert event_words({"time": 4.0, "event": "abort", "stage": "heavy"}) == (
-        "4.0 s  heavy: the operator aborted the run"
-    )
-    assert event_words({"time": 2, "event": "stopped", "message": "by the operator"}) == (
-        "2.0 s  stopped: by the operator"
-    )
-    assert event_words({"event": "prompt"}) == "prompt"
-
-
-def taken_in(segments: list[int]) -> dict[str, Any]:
+def points(found: TorqueSpeed, segments: list[int], torque_per_ampere: float = 1.0) -> None:
     segment = np.array(segments, dtype=float)
-    return {
-        "segment": segment,
-        "velocity": 0.1 * segment,
-        "current": 2.0 * segment,
-    }
+    samples = {"segment": segment, "velocity": 0.1 * segment, "current": 2.0 * segment}
+    found.add(samples, torque_per_ampere)
 
 
 def test_points_are_means_within_one_excitation() -> None:
     found = TorqueSpeed()
     # 25 samples of the first excitation, a rest, 15 of the second: one block has both.
     for part in ([1] * 13, [1] * 12 + [0] * 30, [2] * 15):
-        found.add(taken_in(part), 3.0)
+        points(found, part, 3.0)
     np.testing.assert_allclose(
         found.points, [[0.1 * DEG, 6.0, 1], [0.1 * DEG, 6.0, 1], [0.2 * DEG, 12.0, 2]]
     )
-
-
-def test_their_number_is_bounded_and_every_part_of_the_run_stays() -> None:
+    # Their number is bounded, and every part of the run stays.
     found = TorqueSpeed()
     for segment in range(1, 9):
-        found.add(taken_in([segment] * BLOCK * (MOST // 2)), 1.0)
+        points(found, [segment] * BLOCK * (MOST // 2))
     assert MOST // 2 < len(found.points) <= MOST
     assert found.version > 0
     counts = [np.count_nonzero(found.points[:, 2] == segment) for segment in range(1, 9)]
     assert max(counts) - min(counts) <= 2
 
 
-@pytest.mark.parametrize("identified", [False, True])
-def test_the_curve_is_that_of_an_identification_of_this_bench(
-    runner: Any, fake_bench: Any, identified: bool
-) -> None:
+def test_the_curve_is_that_of_an_identification_of_this_bench(runner: Any, fake_bench: Any) -> None:
     folder, _ = runner(fake_bench())
-    if identified:
-        result = {
-            "schema": IDENTIFY_SCHEMA,
-            "motion": "rotary",
-            "parameters": {name: {"value": value} for name, value in NOMINAL.items()},
-            "alpha": 2.0,
-        }
-        (folder.path / RESULT_FILE).write_text(json.dumps(result))
+    assert curves(folder.record, folder.path) is None
+    result = {
+        "schema": IDENTIFY_SCHEMA,
+        "motion": "rotary",
+        "parameters": {name: {"value": value} for name, value in NOMINAL.items()},
+        "alpha": 2.0,
+    }
+    (folder.path / RESULT_FILE).write_text(json.dumps(result))
     found = curves(folder.record, folder.path)
-    if not identified:
-        assert found is None
-        return
     assert found is not None
     assert [line["mass_kg"] for line in found["lines"]] == [0, 10]
     light, heavy = (np.array(line["torque"]) for line in found["lines"])
     assert np.all(heavy > light)
     assert light[-1] == pytest.approx(NOMINAL["Mc"] + 2.0 * NOMINAL["sigma_2"], rel=1e-3)
-
-
-def test_a_place_without_a_run_has_no_curve(runner: Any, fake_bench: Any, tmp_path: Path) -> None:
-    folder, _ = runner(fake_bench())
-    assert curves(folder.record, tmp_path / "elsewhere" / "run") is None
 
 
 CYCLE_S = 1e-3
@@ -346,10 +316,5 @@ def test_a_single_peak_is_seen_in_an_hour() -> None:
     assert found.high.max() == 99.0
     assert decimation.interval_s(level) <= 3600.0 / 390 < 2 * decimation.interval_s(level)
     assert found.low.shape[1] <= KEPT
-
-
-def test_pixels_and_windows_choose_one_or_two_intervals_per_pixel() -> None:
-    decimation = Decimation(1, CYCLE_S)
     assert decimation.level(0.1, 1000) == 0
-    assert decimation.level(10.0, 600) == 4
     assert decimation.level(10.0, 10**9) == decimation.level(10.0, KEPT // 2)

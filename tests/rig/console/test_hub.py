@@ -40,6 +40,7 @@ class Desk:
         self.hub = Hub(Starter(("practical",), root))
         self.hub._links.close()
         self.page = self.hub.controls.open()
+        self.console = Console(self.hub, Token(), frozenset())
 
     def begin(self, key: str, folder: str = "") -> None:
         about: dict[str, Any] = {
@@ -61,6 +62,15 @@ class Desk:
         status = {"phase": "excite", "ended": ended, "stopping": False}
         self.hub._heard(f"/{key}.sock", {"status": status})
 
+    def reached(self, key: str, **about: object) -> None:
+        """Hear of a program that is no run."""
+        given = {"version": VERSION, "run": key, "name": "jog", "bench": "b", "real": True, **about}
+        self.hub._heard(f"/{key}.sock", {"about": given})
+
+    def press(self, page: Page | None = None, **more: object) -> dict[str, Any]:
+        """Press STOP on a page, or without one."""
+        return asyncio.run(self.console._command(page, {"command": "stop", **more}))
+
     def end(self, key: str) -> None:
         self.tell(key, {"words": "done", "good": True})
 
@@ -72,223 +82,6 @@ class Desk:
 @pytest.fixture
 def desk(tmp_path: Path) -> Desk:
     return Desk(tmp_path)
-
-
-def test_a_run_that_begins_elsewhere_does_not_take_the_place_of_the_run(desk: Desk) -> None:
-    assert desk.shown() is None
-    desk.begin("mine")
-    assert desk.shown() == "mine"
-    desk.begin("other")
-    assert desk.shown() == "mine"
-    # A page that is opened now shows the newest.
-    assert desk.shown(desk.hub.controls.open()) == "other"
-    desk.end("mine")
-    assert desk.shown() == "mine"
-    desk.begin("next")
-    assert desk.shown() == "next"
-
-
-def test_a_run_that_was_started_from_the_page_is_shown(desk: Desk) -> None:
-    desk.begin("other")
-    assert desk.shown() == "other"
-    desk.hub.follow_up(desk.page, Path("/runs/mine"))
-    assert desk.shown() == "other"
-    desk.begin("third")
-    desk.begin("mine")
-    assert desk.shown() == "mine"
-    desk.end("mine")
-    # A resumed run has the same folder.
-    desk.hub.follow_up(desk.page, Path("/runs/mine"))
-    assert desk.shown() == "mine"
-    desk.begin("again", "/runs/mine")
-    assert desk.shown() == "again"
-
-
-def test_a_page_shows_the_end_of_its_run_that_ended_before_it_was_found(desk: Desk) -> None:
-    desk.begin("other")
-    assert desk.shown() == "other"
-    desk.hub.follow_up(desk.page, Path("/runs/mine"))
-    desk.begin("mine")
-    desk.end("mine")
-    assert desk.shown() == "mine"
-    # Another page, or a terminal, continues that run.
-    desk.begin("again", "/runs/mine")
-    assert desk.shown() == "mine"
-
-
-def take_controls(desk: Desk, key: str) -> None:
-    desk.begin(key)
-    desk.hub.controls.admit(desk.page)
-    assert desk.shown() == key
-
-
-def start_it(desk: Desk, key: str) -> None:
-    desk.hub.follow_up(desk.page, Path(f"/runs/{key}"))
-    desk.begin(key)
-
-
-def stop_it(desk: Desk, key: str) -> None:
-    desk.begin(key)
-    console = Console(desk.hub, Token(), frozenset())
-    # The run does not answer, as its end is not verified.
-    with pytest.raises(Refusal):
-        asyncio.run(console._command(desk.page, {"run": key, "command": "stop"}))
-
-
-@pytest.mark.parametrize("own", [take_controls, start_it, stop_it])
-def test_a_page_keeps_the_end_of_its_own_run(desk: Desk, own: Callable[[Desk, str], None]) -> None:
-    own(desk, "mine")
-    desk.begin("other")
-    assert desk.shown() == "mine"
-    desk.end("mine")
-    assert desk.shown() == "mine"
-    desk.begin("later")
-    desk.end("other")
-    assert desk.shown() == "mine"
-    # Not even the many runs after it take the run from the page, and a lost contact does not.
-    for number in range(9):
-        desk.begin(f"more-{number}")
-        desk.end(f"more-{number}")
-    desk.hub._look(0.0)
-    assert desk.shown() == "mine"
-    assert "more-1" not in desk.hub.runs
-    assert desk.shown(opened_again(desk, "mine", own=True)) == "mine"
-    # Only the user replaces the run.
-    desk.page.run = "later"
-    assert desk.shown() == "later"
-    desk.hub.follow_up(desk.page, Path("/runs/next"))
-    assert desk.shown() == "later"
-    desk.begin("next")
-    assert desk.shown() == "next"
-
-
-def test_a_page_that_waits_for_its_run_shows_the_run_that_was_chosen(desk: Desk) -> None:
-    for key in ("older", "newer"):
-        desk.begin(key)
-        desk.end(key)
-    assert desk.shown() == "newer"
-    desk.page.run = "older"
-    assert desk.shown() == "older"
-    desk.hub.follow_up(desk.page, Path("/runs/mine"))
-    assert desk.shown() == "older"
-    desk.begin("other")
-    assert desk.shown() == "older"
-    desk.begin("mine")
-    assert desk.shown() == "mine"
-
-
-def test_a_page_that_is_opened_after_a_run_waits_for_the_next(desk: Desk) -> None:
-    desk.begin("before")
-    desk.end("before")
-    assert desk.shown() == "before"
-    desk.begin("next")
-    assert desk.shown() == "next"
-
-
-def test_a_run_that_was_chosen_is_shown(desk: Desk) -> None:
-    desk.begin("one")
-    desk.begin("two")
-    desk.page.run = "one"
-    assert desk.shown() == "one"
-    desk.begin("three")
-    assert desk.shown() == "one"
-
-
-def reached(desk: Desk, key: str, **about: object) -> None:
-    given = {"version": VERSION, "run": key, "name": "jog", "bench": "b", "real": True, **about}
-    desk.hub._heard(f"/{key}.sock", {"about": given})
-
-
-class Sent:
-    """What is sent to the programs in progress; some of them do not answer."""
-
-    def __init__(self, desk: Desk, monkeypatch: pytest.MonkeyPatch, *mute: str) -> None:
-        self.stopped: list[str] = []
-        self.mute = mute
-        self.begins: list[str] = []
-        self.desk = desk
-        monkeypatch.setattr(
-            desk.hub._links, "runs", lambda: [f"/{key}.sock" for key in self.begins]
-        )
-        monkeypatch.setattr(desk.hub._links, "ask", self.ask)
-        monkeypatch.setattr(desk.hub._links, "command", self.command)
-
-    def ask(self, path: str, what: str) -> None:
-        if what == "about":
-            reached(self.desk, path[1:-5])
-
-    async def command(self, path: str, run: str, command: Command, *_: object) -> dict[str, object]:
-        assert command is Command.STOP
-        self.stopped.append(run)
-        if run in self.mute:
-            raise Unreachable("no answer")
-        return {"taken": True, "words": ""}
-
-
-def pressed(desk: Desk, page: Page | None = None) -> dict[str, Any]:
-    console = Console(desk.hub, Token(), frozenset())
-    return asyncio.run(console._command(page, {"command": "stop"}))
-
-
-def test_stop_is_for_whatever_moves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    start_it(desk, "mine")
-    desk.end("mine")
-    desk.begin("other")
-    reached(desk, "jog")
-    sent = Sent(desk, monkeypatch)
-    # The page shows the end of its own run.
-    assert desk.shown() == "mine"
-    assert pressed(desk, desk.page)["stopped"] == ["other", "jog"]
-    assert sent.stopped == ["other", "jog"]
-    # The page then shows the end of what was stopped.
-    assert desk.shown() == "other"
-    # A jog is no run: it is not shown, and its end is its socket's.
-    assert "jog" not in desk.hub.runs
-    desk.hub.others["jog"].gone = True
-    desk.end("other")
-    assert pressed(desk)["stopped"] == []
-
-
-def test_stop_reaches_what_began_just_now(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    sent = Sent(desk, monkeypatch)
-    sent.begins = ["new"]
-    assert pressed(desk)["stopped"] == ["new"]
-
-
-def test_a_stop_names_what_did_not_confirm_it(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    desk.begin("one")
-    desk.begin("two")
-    sent = Sent(desk, monkeypatch, "one")
-    with pytest.raises(Refusal) as refused:
-        pressed(desk)
-    assert refused.value.details == {"unconfirmed": ["one"]}
-    assert sent.stopped == ["one", "two"]
-
-
-def test_programs_on_other_benches_are_not_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    desk = Desk(tmp_path)
-    desk.hub._only = frozenset({"mine"})
-    reached(desk, "other", bench="b")
-    reached(desk, "jog", bench="mine")
-    Sent(desk, monkeypatch)
-    assert pressed(desk)["stopped"] == ["jog"]
-
-
-@pytest.mark.parametrize(("may", "most"), [(True, MOST_PAGES), (False, MOST_READERS)])
-def test_pages_are_bounded_with_the_token_and_without(desk: Desk, may: bool, most: int) -> None:
-    controls = desk.hub.controls
-    desk.hub.controls.close(desk.page)
-    opened = []
-    while controls.room(may):
-        opened.append(controls.open())
-        if may:
-            controls.admit(opened[-1])
-    assert len(opened) == most
-    assert controls.room(not may)
-    controls.close(opened[0])
-    assert controls.room(may)
 
 
 def opened_again(desk: Desk, shown: object, own: object = False) -> Page:
@@ -314,31 +107,174 @@ def opened_again(desk: Desk, shown: object, own: object = False) -> Page:
 
     found: list[Page] = []
     opening = desk.hub.controls.open
-
-    def noted() -> Page:
-        found.append(opening())
-        return found[0]
-
-    desk.hub.controls.open = noted  # type: ignore[method-assign]
-    console = Console(desk.hub, Token(), frozenset())
-    asyncio.run(console._live(cast("WebSocket", Socket())))
+    with pytest.MonkeyPatch.context() as context:
+        context.setattr(desk.hub.controls, "open", lambda: found.append(opening()) or found[0])
+        asyncio.run(desk.console._live(cast("WebSocket", Socket())))
     return found[0]
 
 
-def test_a_page_that_lost_its_contact_keeps_its_run(desk: Desk) -> None:
+def test_a_run_that_begins_elsewhere_does_not_take_the_place_of_the_run(desk: Desk) -> None:
+    assert desk.shown() is None
     desk.begin("mine")
     assert desk.shown() == "mine"
     desk.begin("other")
+    assert desk.shown() == "mine"
+    # A page that is opened now shows the newest, until its user chooses another.
+    late = desk.hub.controls.open()
+    assert desk.shown(late) == "other"
+    late.run = "mine"
+    desk.begin("third")
+    assert desk.shown(late) == "mine"
+    # A page that lost its contact keeps its run, unless that has ended.
     assert desk.shown(opened_again(desk, "mine")) == "mine"
+    desk.end("mine")
+    assert desk.shown() == "mine"
+    for shown in (None, "unknown", 7, ["mine"], "mine"):
+        assert desk.shown(opened_again(desk, shown)) == "third"
+    desk.begin("next")
+    assert desk.shown() == "next"
 
 
-@pytest.mark.parametrize("shown", [None, "unknown", 7, ["mine"], "ended"])
-def test_a_page_that_showed_no_run_in_progress_shows_the_newest(desk: Desk, shown: object) -> None:
-    desk.begin("ended")
-    desk.end("ended")
-    desk.begin("mine")
+def test_a_run_that_was_started_from_the_page_is_shown(desk: Desk) -> None:
     desk.begin("other")
-    assert desk.shown(opened_again(desk, shown)) == "other"
+    assert desk.shown() == "other"
+    desk.hub.follow_up(desk.page, Path("/runs/mine"))
+    desk.begin("third")
+    assert desk.shown() == "other"
+    desk.begin("mine")
+    # Also if it has ended before it was found.
+    desk.end("mine")
+    assert desk.shown() == "mine"
+    # Another page, or a terminal, continues that run; then this page does, in the same folder.
+    desk.begin("again", "/runs/mine")
+    assert desk.shown() == "mine"
+    desk.hub.follow_up(desk.page, Path("/runs/mine"))
+    assert desk.shown() == "mine"
+    desk.begin("mine once more", "/runs/mine")
+    assert desk.shown() == "mine once more"
+
+
+def take_controls(desk: Desk, key: str) -> None:
+    desk.begin(key)
+    desk.hub.controls.admit(desk.page)
+    assert desk.shown() == key
+
+
+def start_it(desk: Desk, key: str) -> None:
+    desk.hub.follow_up(desk.page, Path(f"/runs/{key}"))
+    desk.begin(key)
+
+
+def stop_it(desk: Desk, key: str) -> None:
+    desk.begin(key)
+    # The run does not answer, as its end is not verified.
+    with pytest.raises(Refusal):
+        desk.press(desk.page, run=key)
+
+
+@pytest.mark.parametrize("own", [take_controls, start_it, stop_it])
+def test_a_page_keeps_the_end_of_its_own_run(desk: Desk, own: Callable[[Desk, str], None]) -> None:
+    own(desk, "mine")
+    desk.begin("other")
+    desk.end("mine")
+    assert desk.shown() == "mine"
+    # Not even the many runs after it take the run from the page, and a lost contact does not.
+    for number in range(9):
+        desk.begin(f"more-{number}")
+        desk.end(f"more-{number}")
+    desk.hub._look(0.0)
+    assert desk.shown() == "mine"
+    assert "more-1" not in desk.hub.runs
+    assert desk.shown(opened_again(desk, "mine", own=True)) == "mine"
+    # Only the user replaces the run, also while the page waits for a run that it has started.
+    desk.page.run = "other"
+    desk.hub.follow_up(desk.page, Path("/runs/next"))
+    desk.begin("later")
+    assert desk.shown() == "other"
+    desk.begin("next")
+    assert desk.shown() == "next"
+
+
+class Sent:
+    """What is sent to the programs in progress; some of them do not answer."""
+
+    def __init__(self, desk: Desk, monkeypatch: pytest.MonkeyPatch, *mute: str) -> None:
+        self.stopped: list[str] = []
+        self.mute = mute
+        self.begins: list[str] = []
+        self.desk = desk
+        links = desk.hub._links
+        monkeypatch.setattr(links, "runs", lambda: [f"/{key}.sock" for key in self.begins])
+        monkeypatch.setattr(links, "ask", self.ask)
+        monkeypatch.setattr(links, "command", self.command)
+
+    def ask(self, path: str, what: str) -> None:
+        if what == "about":
+            self.desk.reached(path[1:-5])
+
+    async def command(self, path: str, run: str, command: Command, *_: object) -> dict[str, object]:
+        assert command is Command.STOP
+        self.stopped.append(run)
+        if run in self.mute:
+            raise Unreachable("no answer")
+        return {"taken": True, "words": ""}
+
+
+def test_stop_is_for_whatever_moves(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    start_it(desk, "mine")
+    desk.end("mine")
+    desk.begin("other")
+    desk.reached("jog")
+    sent = Sent(desk, monkeypatch)
+    # The page shows the end of its own run.
+    assert desk.shown() == "mine"
+    # The last of them began just now.
+    sent.begins = ["new"]
+    assert desk.press(desk.page)["stopped"] == sent.stopped == ["other", "jog", "new"]
+    # The page then shows the end of what was stopped.
+    assert desk.shown() == "other"
+    # A jog is no run: it is not shown, and its end is its socket's.
+    assert "jog" not in desk.hub.runs
+    sent.begins = []
+    for each in desk.hub.others.values():
+        each.gone = True
+    desk.end("other")
+    assert desk.press()["stopped"] == []
+
+
+def test_a_stop_names_what_did_not_confirm_it(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    desk.begin("one")
+    desk.begin("two")
+    sent = Sent(desk, monkeypatch, "one")
+    with pytest.raises(Refusal) as refused:
+        desk.press()
+    assert refused.value.details == {"unconfirmed": ["one"]}
+    assert sent.stopped == ["one", "two"]
+
+
+def test_programs_on_other_benches_are_not_stopped(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk.hub._only = frozenset({"mine"})
+    desk.reached("other", bench="b")
+    desk.reached("jog", bench="mine")
+    Sent(desk, monkeypatch)
+    assert desk.press()["stopped"] == ["jog"]
+
+
+@pytest.mark.parametrize(("may", "most"), [(True, MOST_PAGES), (False, MOST_READERS)])
+def test_pages_are_bounded_with_the_token_and_without(desk: Desk, may: bool, most: int) -> None:
+    controls = desk.hub.controls
+    desk.hub.controls.close(desk.page)
+    opened = []
+    while controls.room(may):
+        opened.append(controls.open())
+        if may:
+            controls.admit(opened[-1])
+    assert len(opened) == most
+    assert controls.room(not may)
+    controls.close(opened[0])
+    assert controls.room(may)
 
 
 def test_questions_to_a_run_that_hangs_leave_room_for_stop_in_its_queue(
@@ -396,6 +332,13 @@ class Line:
             peer.attach(Path(self.path))
             while True:
                 peer.put({"ask": "status"})
+
+    def pause(self, later_ns: int) -> None:
+        """Have another program send a command that is so much later."""
+        with Peer(self.folder) as peer:
+            peer.attach(Path(self.path))
+            peer.run = self.run.run
+            peer.put(peer.order("pause", number=self.clock.now_ns() + later_ns))
 
     def take_all(self) -> None:
         """Let the run take all messages of its queue."""
@@ -461,10 +404,7 @@ def test_a_stop_is_confirmed_only_if_the_run_took_it(line: Line) -> None:
 
     def pause() -> None:
         line.take_all()
-        with Peer(line.folder) as peer:
-            peer.attach(Path(line.path))
-            peer.run = line.run.run
-            peer.put(peer.order("pause", number=line.clock.now_ns() - 1))
+        line.pause(-1)
 
     line.steps = [pause, line.nothing, line.take_all]
     assert line.stop_it()["taken"]
@@ -480,12 +420,7 @@ def test_a_stop_whose_answer_is_lost_is_one_press(line: Line) -> None:
 
 
 def test_a_stop_after_a_later_command_of_another_program_gets_a_new_number(line: Line) -> None:
-    with Peer(line.folder) as peer:
-        peer.attach(Path(line.path))
-        peer.run = line.run.run
-        # The other program was faster: its later command waits before STOP.
-        peer.put(peer.order("pause", number=line.clock.now_ns() + NS // 10))
-
+    line.pause(NS // 10)
     line.steps = [line.take_all, line.take_all]
     assert line.stop_it()["taken"]
     assert line.tries == 2
@@ -493,7 +428,7 @@ def test_a_stop_after_a_later_command_of_another_program_gets_a_new_number(line:
     assert line.stop.pausing
 
 
-@pytest.mark.parametrize("number", [errno.ENOBUFS, errno.ENOMEM, errno.EAGAIN])
+@pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
 def test_a_message_that_cannot_be_sent_now_does_not_end_a_run(
     line: Line, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:

@@ -27,7 +27,6 @@ from rig.cli.entry import STOPPED
 from rig.console.gate import MOST_OPEN, MOST_PAGES, MOST_READERS, YOUNG_SHARE, bounded
 
 from .processes import Served, place, served, wait_until
-from .sockets import Peer
 
 STOP = {"page": "none", "number": 1, "command": "stop", "run": "0" * 32}
 
@@ -36,6 +35,12 @@ STOP = {"page": "none", "number": 1, "command": "stop", "run": "0" * 32}
 def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with place(tmp_path_factory.mktemp("console")) as where, served(where) as made:
         yield made
+
+
+def test_the_sockets_are_this_users_only(console: Served) -> None:
+    folder = console.place.sockets
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert {path.stat().st_mode & 0o077 for path in folder.glob("console-*.sock")} == {0}
 
 
 class Page:
@@ -130,75 +135,45 @@ def test_the_page_is_read_without_a_token(console: Served) -> None:
     assert headers["x-frame-options"] == "DENY"
     assert "default-src 'none'" in headers["content-security-policy"]
     assert "set-cookie" not in headers
-
-
-def test_everything_comes_from_the_console_itself(console: Served) -> None:
+    # Everything comes from the console itself, and nothing else does.
     for name in ("page.js", "link.js", "charts.js", "console.css", "index.html"):
         status, text, _ = console.request("GET", f"/static/{name}")
         assert status == 200
         assert "https://" not in text
+    for name in ("../app.py", "..%2fapp.py", "%2e%2e/app.py", ".hidden", "app.py", ""):
+        assert console.request("GET", f"/static/{name}")[0] == 404
 
 
-@pytest.mark.parametrize(
-    "name", ["../app.py", "..%2fapp.py", "%2e%2e/app.py", ".hidden", "app.py", ""]
-)
-def test_only_the_pages_own_files_are_served(console: Served, name: str) -> None:
-    assert console.request("GET", f"/static/{name}")[0] == 404
-
-
-@pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "0.0.0.0:{port}"]
-)
-@pytest.mark.parametrize("method", ["GET", "POST"])
-def test_a_foreign_host_is_refused(console: Served, host: str, method: str) -> None:
+def test_a_foreign_host_is_refused(console: Served) -> None:
     # As after DNS rebinding: the browser sends the other site's name to this computer.
-    host = host.format(port=console.port)
-    path = "/" if method == "GET" else "/command"
-    status, text, _ = console.request(method, path, STOP, host=host, origin=f"http://{host}")
-    assert status == 403
-    assert "does not belong to the console" in text
+    port = console.port
+    for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", f"0.0.0.0:{port}"):
+        for method, path in (("GET", "/"), ("POST", "/command")):
+            given = {"host": host, "origin": f"http://{host}"}
+            assert console.request(method, path, STOP, **given)[0] == 403
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", None, "https://127.0.0.1:{port}", "http://127.0.0.1"]
-)
-def test_a_command_of_another_site_is_refused(console: Served, origin: str | None) -> None:
-    given = None if origin is None else origin.format(port=console.port)
-    status, text, _ = console.request("POST", "/command", STOP, origin=given)
-    assert (status, text) == (403, "the request comes from another site")
+def test_a_command_of_another_site_is_refused(console: Served) -> None:
+    port = console.port
+    for origin in ("http://evil.example", "null", None, f"https://127.0.0.1:{port}"):
+        assert console.request("POST", "/command", STOP, origin=origin)[0] == 403
+    # As the form of another page sends it.
+    assert console.request("POST", "/command", STOP, content_type="text/plain")[0] == 415
 
 
 PATHS = ("/command", "/controls", "/dry-run", "/start", "/resume", "/off", "/compare", "/trend")
 
 
-@pytest.mark.parametrize(
-    ("path", "authorization"),
-    [*((path, "Bearer wrong") for path in PATHS)]
-    + [("/command", each) for each in (None, "", "Bearer", "Basic {token}")],
-)
-def test_no_command_without_the_token(
-    console: Served, path: str, authorization: str | None
-) -> None:
-    given = None if authorization is None else authorization.format(token=console.token)
-    status, text, _ = console.request("POST", path, STOP, authorization=given)
-    assert status == 401
-    assert "read-only" in text
-
-
-@pytest.mark.parametrize(
-    ("path", "method"),
-    [*((path, "GET") for path in PATHS)]
-    + [("/command", each) for each in ("HEAD", "PUT", "OPTIONS")],
-)
-def test_nothing_is_commanded_by_another_method(console: Served, path: str, method: str) -> None:
+@pytest.mark.parametrize("path", PATHS)
+def test_no_command_without_the_token_or_by_another_method(console: Served, path: str) -> None:
+    for given in ("Bearer wrong", None, "", "Bearer", f"Basic {console.token}"):
+        assert console.request("POST", path, STOP, authorization=given)[0] == 401
+    query = f"{path}?token={console.token}"
+    assert console.request("POST", query, STOP, authorization=None)[0] == 401
     origin = f"http://127.0.0.1:{console.port}"
     headers = {"authorization": f"Bearer {console.token}", "origin": origin}
-    assert console.request(method, path, **headers)[0] == 405
-
-
-def test_the_token_is_not_taken_from_the_address(console: Served) -> None:
-    path = f"/command?token={console.token}"
-    assert console.request("POST", path, STOP, authorization=None)[0] == 401
+    for method in ("GET", "HEAD", "PUT", "OPTIONS"):
+        assert console.request(method, path, **headers)[0] == 405
 
 
 @pytest.mark.parametrize(
@@ -206,11 +181,9 @@ def test_the_token_is_not_taken_from_the_address(console: Served) -> None:
     [
         (b"", 400),
         (b"[]", 400),
-        (b"null", 400),
         (b"\xff", 400),
         (b"[" * 5000, 400),
         ({"page": 1, "number": 1}, 400),
-        ({"page": "p", "number": "1"}, 400),
         ({"page": "p", "number": True}, 400),
         (b"[" * 9000, 413),
         ({**STOP, "command": "jump"}, 409),
@@ -225,11 +198,6 @@ def test_broken_commands_are_refused_in_words(
     assert (found, bool(json.loads(text)["words"])) == (status, True)
 
 
-def test_a_form_of_another_page_is_no_command(console: Served) -> None:
-    found, _, _ = console.request("POST", "/command", STOP, content_type="text/plain")
-    assert found == 415
-
-
 def test_a_replayed_command_of_a_page_is_refused(console: Served, page: Page) -> None:
     content = {"page": page.key, "number": 7}
     assert console.request("POST", "/controls", content)[0] == 200
@@ -239,47 +207,27 @@ def test_a_replayed_command_of_a_page_is_refused(console: Served, page: Page) ->
     assert console.request("POST", "/controls", {"page": page.key, "number": 8})[0] == 200
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {"origin": "http://evil.example"},
-        {"origin": ""},
-        {"host": "evil.example"},
-        {"host": "127.0.0.1"},
-    ],
-)
-def test_another_site_cannot_watch(
-    console: Served, opened: Callable[..., Page], headers: dict[str, str]
-) -> None:
-    assert not opened(console.token, **headers).accepted
+def test_another_site_cannot_watch(console: Served, opened: Callable[..., Page]) -> None:
+    for headers in ({"origin": "http://evil.example"}, {"origin": ""}, {"host": "evil.example"}):
+        assert not opened(console.token, **headers).accepted
 
 
-def test_a_page_without_the_token_only_watches(page: Page, opened: Callable[..., Page]) -> None:
-    found = opened("wrong").controls()
-    assert (found["yours"], found["may"]) == (False, False)
-
-
-def test_one_page_holds_the_controls(
+def test_one_page_holds_the_controls_until_it_closes(
     console: Served, page: Page, opened: Callable[..., Page]
 ) -> None:
+    reader = opened("wrong").controls()
+    assert (reader["yours"], reader["may"]) == (False, False)
     second = opened(console.token)
     assert not second.controls()["yours"]
     content = {"page": second.key, "number": 1, "command": "pause", "run": "0" * 32}
-    status, text, _ = console.request("POST", "/command", content)
-    assert (status, "holds the controls" in text) == (409, True)
+    assert console.request("POST", "/command", content)[0] == 409
     assert console.request("POST", "/start", {**content, "number": 2, "shown": ""})[0] == 409
     assert console.request("POST", "/controls", {"page": second.key, "number": 3})[0] == 200
     assert second.controls()["yours"]
     assert not page.controls()["yours"]
-
-
-def test_the_controls_of_a_closed_page_go_to_the_only_other(
-    console: Served, page: Page, opened: Callable[..., Page]
-) -> None:
-    second = opened(console.token)
-    assert not second.controls()["yours"]
-    page.close()
-    assert second.controls()["yours"]
+    # The controls of a closed page go to the only other page that may have them.
+    second.close()
+    assert page.controls()["yours"]
 
 
 def test_only_known_benches_are_made_safe(console: Served) -> None:
@@ -303,12 +251,11 @@ def still_open(connections: list[socket.socket]) -> int:
     return count
 
 
-@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: "])
-def test_connections_are_bounded_and_the_newest_is_served(console: Served, begun: bytes) -> None:
+def test_connections_are_bounded_and_the_newest_is_served(console: Served) -> None:
     connections = []
-    for _ in range(300):
+    for number in range(300):
         connections.append(socket.create_connection(("127.0.0.1", console.port), timeout=20))
-        connections[-1].sendall(begun)
+        connections[-1].sendall(b"GET / HTTP/1.1\r\nHost: " if number % 2 else b"")
     # A command comes after them, and is answered.
     assert console.request("POST", "/command", {**STOP, "run": None})[0] == 200
     assert still_open(connections) <= YOUNG_SHARE * MOST_OPEN
@@ -415,10 +362,3 @@ def test_stop_reaches_a_jog(console: Served, page: Page) -> None:
     assert where.started[-1].wait(60) == STOPPED
     while names:
         names = page.read().get("state", {}).get("moving", names)
-
-
-def test_the_sockets_are_this_users_only(console: Served) -> None:
-    folder = console.place.sockets
-    assert folder.stat().st_mode & 0o777 == 0o700
-    with Peer(folder):
-        assert {path.stat().st_mode & 0o077 for path in folder.glob("console-*.sock")} == {0}
