@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.mock.plant.effects import kernel, table
+from drivers.mock.plant.effects.friction import WORK_SIZE
+from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.machine import SimulatedMachine, drive_vector, friction_vector, simulate
 from drivers.mock.plant.parts import loops
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Sensing
@@ -24,10 +27,12 @@ def at_constant_voltage(
     s = np.zeros(loops.STATE_SIZE)
     s[loops.OMEGA] = speed
     d, p = drive_vector(machine), friction_vector(machine.joint, 0.0)
+    x, w, e = np.zeros(table.EXTRA_SIZE), np.zeros(WORK_SIZE), effect_vector(machine)
+    w[: len(p)] = p
     decay = float(np.exp(-0.5 * RESISTANCE * d[loops.LOOP_S] / d[loops.STEPS] / INDUCTANCE))
     out = np.empty((periods, loops.STATE_SIZE))
     for k in range(periods):
-        loops.integrate(s, d, p, voltage, True, decay)
+        kernel.integrate(s, x, d, w, e, voltage, True, decay, RESISTANCE)
         out[k] = s
     return out
 

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.kernel import Histories, advance_hiding
+from drivers.mock.plant.effects.kernel import Histories, advance
 from drivers.mock.plant.effects.pack import GAS_KNOWN
-from drivers.mock.plant.effects.table import JOINT, RUN, SEEN
+from drivers.mock.plant.effects.table import JOINT
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
 from drivers.mock.plant.parts.friction import MOMENT, open_throat
-from drivers.mock.plant.parts.loops import LOOP_S, THETA, advance
+from drivers.mock.plant.parts.loops import LOOP_S
 
 # State vector.
 (
@@ -409,7 +409,7 @@ def felt_force(force: float, e: Vector) -> float:
     ``force``, equal to ``force`` at the reference force. Without this effect it is equal to
     ``force``.
     """
-    if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
+    if e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
         return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
     return force
 
@@ -442,15 +442,10 @@ def advance_loaded(
         if burns:
             p[MOMENT] = felt_force(y[FORCE], e) * g[ARM]
         part = path[done : done + n]
-        if len(e) > 0:
-            advance_hiding(n, s, x, histories, d, p, e, noise[done : done + n], part)
-        else:
-            advance(n, s, d, p, noise[done : done + n], part)
-            x[RUN] += n * d[LOOP_S]
-            x[SEEN] = s[THETA]
+        advance(n, s, x, histories, d, p, e, noise[done : done + n], part)
         done += n
         if burns:
             y[PENDING] += n
             if y[PENDING] >= g[LOOPS_PER_STEP]:
-                step_gas(y, g, x[JOINT] if len(e) > 0 else s[THETA], y[PENDING] * d[LOOP_S])
+                step_gas(y, g, x[JOINT], y[PENDING] * d[LOOP_S])
                 y[PENDING] = 0.0

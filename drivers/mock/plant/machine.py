@@ -16,7 +16,7 @@ from drivers.mock.plant import gas
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects import table as extra
 from drivers.mock.plant.effects.kernel import Histories
-from drivers.mock.plant.effects.pack import bare_vector, effect_vector
+from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.effects.table import RUN, SEEN, SUPPLY
 from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
@@ -309,15 +309,12 @@ class SimulatedMachine:
         self._load()
 
     def _angle(self) -> float:
-        return float(self._x[extra.JOINT] if self._e.size else self._s[loops.THETA])
+        return float(self._x[extra.JOINT])
 
     def fix_weight(self, mass_kg: float, length_m: float, zero_rad: float) -> None:
         """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m
         l^2.
         """
-        if not self._e.size:
-            self._e = bare_vector(self.constants)
-            self._x[extra.JOINT] = self._x[extra.SEEN] = self._s[loops.THETA]
         # The torques of the weight and of an injected imbalance are both sines of the angle; their
         # sum is one sine.
         hidden = self.constants.effects.get(
@@ -341,9 +338,6 @@ class SimulatedMachine:
             else self._force_N
         )
         force += float(self._y[gas.FORCE])
-        if not e.size:
-            self._p = friction_vector(joint, force)
-            return
         coming = self._x[extra.RECORDING] + (self._s[loops.MODE] == loops.OFF)
         if e[table.WEIGHT_RECORDING] == coming and self._force_N is None and not self._y[gas.MASS]:
             force = per_kg * e[table.WEIGHT_MASS]
@@ -420,7 +414,7 @@ class SimulatedMachine:
         """Advance the time with the power off and the joint at rest, so that the motor cools."""
         self._x[extra.RUN] += seconds
         e = self._e
-        if e.size and e[table.HEATING_RISE] > 0.0:
+        if e[table.HEATING_RISE] > 0.0:
             self._x[extra.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
     def track(self, target_counts: float, over_ns: int) -> None:
@@ -547,7 +541,7 @@ class SimulatedMachine:
         """
         s = self._s
         theta = float(s[loops.THETA])
-        seen = float(self._x[extra.SEEN]) if self._e.size else theta
+        seen = float(self._x[extra.SEEN])
         n = float(s[loops.SUM_LOOPS])
         if n:
             seconds = n * float(self._d[loops.LOOP_S])

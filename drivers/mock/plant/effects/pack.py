@@ -59,8 +59,7 @@ def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[s
 
 
 def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray[np.float64]:
-    """Pack the effects of a machine, except those of its gas generator; the vector is empty without
-    effects.
+    """Pack the effects of a machine, except those of its gas generator.
 
     Args:
         machine: The machine.
@@ -75,9 +74,10 @@ def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray
     if wrong or (text := too_light(machine)):
         raise ValueError("; ".join(wrong) or text)
     effects = {name: given for name, given in machine.effects.items() if name in KNOWN}
-    if not effects:
-        return np.zeros(0)
-    e = bare_vector(machine)
+    e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
+    e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
+    e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
+    e[CONSTANTS_AT + NOMINAL_SUPPLY] = machine.supply_V
     for name, given in effects.items():
         for key, parameter in KNOWN[name].items():
             value = given.get(key, parameter.default)
@@ -90,17 +90,6 @@ def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray
         reduced = rotor * (total - rotor) / total
         e[CONSTANTS_AT + SHAFT_DAMPING] = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_of(e) * reduced)
     e[CONSTANTS_AT + OUTSIDE_TORQUE] = 1.0 if OUTSIDE.keys() & effects.keys() else 0.0
-    return e
-
-
-def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Return an effect vector in which all effects are absent, for the kernel with injected
-    effects.
-    """
-    e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
-    e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
-    e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
-    e[CONSTANTS_AT + NOMINAL_SUPPLY] = machine.supply_V
     return e
 
 
