@@ -159,14 +159,6 @@ class Amt21Line:
 
 
 COUNTS_PER_TURN: Final = 1 << 14
-TURNS: Final = 1
-EXTENDED: Final = 2
-RESET: Final = 0x75
-SET_ZERO: Final = 0x5E
-"""Values that are added to the address in a request, and commands that follow a request with
-``address + EXTENDED``.
-"""
-
 _ODD: Final = 0x2AAA
 _EVEN: Final = 0x1555
 _VALUE: Final = 0x3FFF

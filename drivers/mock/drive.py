@@ -509,7 +509,7 @@ class SimulatedDrive(SimulatedNode):
         objects.written[0x6072] = objects.written[0x6073] = lambda _sub, _value: (
             self._limit_current()
         )
-        objects.written[0x6040] = lambda _sub, _value: self._outputs()
+        objects.written[0x6040] = lambda _sub, _value: self.act()
         self.restore()
 
     def restore(self) -> None:
@@ -676,7 +676,6 @@ class SimulatedDrive(SimulatedNode):
         else:
             self._flags |= _TARGET_REACHED
             self._show_status()
-        self.announce()
 
     def _fault(self, code: int, register: int, announce: bool = True) -> None:
         self._values[_ERROR_CODE] = code

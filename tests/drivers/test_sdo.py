@@ -68,11 +68,6 @@ def test_refusals(request_: bytes, code: int) -> None:
     assert abort_code(make_server().answer(request_)) == code
 
 
-def test_canopen_can_force_a_segmented_download(host: Host) -> None:
-    host.drive.sdo.download(0x607A, 0, struct.pack("<i", -123456), force_segment=True)
-    assert host.drive.read(0x607A) == -123456
-
-
 def test_refusals_become_errors_that_name_the_object(host: Host) -> None:
     with pytest.raises(
         ObjectAccessError, match=r"6007h:00h: node 1 refuses the access: Value range .*06090030h"
