@@ -67,9 +67,7 @@ class HomingOffer:
         return f"the drive can set its zero by homing, {shown}{more}"
 
     def problem(self, method: int) -> str:
-        """Return the reason why a homing method cannot be used, or an empty text if it can be
-        used.
-        """
+        """Return why a homing method cannot be used; empty if it can."""
         return "" if method in self.methods else f"method {method} is not offered; {self.words}"
 
 

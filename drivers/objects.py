@@ -154,9 +154,7 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
-        """Return whether these objects fit into one PDO; the result is True for unknown objects,
-        which :meth:`require_mappable` refuses. Nothing is sent.
-        """
+        """Return whether these objects fit into one PDO. Nothing is sent."""
         ...
 
     def stated(self, index: int, subindex: int) -> int | None:
@@ -198,9 +196,7 @@ class ProcessChannel(ObjectAccess, Protocol):
     def accessed(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
     ) -> Iterator[ObjectAddress]:
-        """Yield the objects that :meth:`map_process_data` and :meth:`watch` read or write. Nothing
-        is sent.
-        """
+        """Yield the objects that mapping and watch read or write. Nothing is sent."""
         ...
 
     def unguarded(self, watched: bool) -> Iterator[DeviceError]:

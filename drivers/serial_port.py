@@ -46,9 +46,7 @@ def _require_posix() -> None:
 
 
 class BytePort(Protocol):
-    """An open serial line. The methods of a port raise nothing but OSError, also after
-    :meth:`close`.
-    """
+    """An open serial line; its methods raise nothing but OSError, also after :meth:`close`."""
 
     def write(self, data: bytes) -> None:
         """Send bytes.

@@ -228,9 +228,7 @@ def write(
 def store_limit(
     drive: ObjectAccess, scales: ServoScales, address: ObjectAddress, value: int
 ) -> None:
-    """Write one limit object and verify it by reading it back; the errors are those of
-    :func:`write`.
-    """
+    """Write one limit object and read it back; errors as of :func:`write`."""
     for error in problem_of(store, drive, address, value):
         raise named(address, value, scales, error) from error
 
@@ -238,9 +236,7 @@ def store_limit(
 def problems(
     drive: ProcessChannel, scales: ServoScales, values: Iterable[tuple[ObjectAddress, int]]
 ) -> Iterator[DeviceError]:
-    """Yield an error for each value that does not fit into its limit object, without sending
-    anything.
-    """
+    """Yield an error for each value that does not fit into its object. Nothing is sent."""
     for address, value in values:
         for error in problem_of(drive.require_fit, *address, value):
             yield named(address, value, scales, error)

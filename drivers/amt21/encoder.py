@@ -167,9 +167,7 @@ _STILL_COUNTS: Final = 2
 
 
 def encode(value: int) -> bytes:
-    """Return the answer that contains a 14-bit value; bit 15 is the check bit of the odd bits, bit
-    14 that of the even bits.
-    """
+    """Return the answer with a 14-bit value; bit 15 checks the odd bits, bit 14 the even bits."""
     value &= _VALUE
     odd = 1 - ((value & _ODD).bit_count() & 1)
     even = 1 - ((value & _EVEN).bit_count() & 1)
@@ -298,9 +296,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def identity(self) -> Identity:
-        """Return the identity from the bench file, because the encoder cannot be asked for its
-        identity.
-        """
+        """Return the identity from the bench file: the encoder has none."""
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
@@ -317,9 +313,7 @@ class Amt21Encoder(Encoder):
         yield from problem_of(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
-        """Find the encoder, and start from a position at rest on which several of its answers
-        agree.
-        """
+        """Find the encoder; start from a position at rest on which several answers agree."""
         self._gate.start(self._trusted(), cycle_s, near=self._scales.middle)
         self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
@@ -360,9 +354,7 @@ class Amt21Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def _trusted(self) -> int:
-        """Return a position at rest on which several answers agree; the errors are those of
-        :meth:`prepare`.
-        """
+        """Return a position at rest on which several answers agree."""
         line = self.line
         line.find_echo()
         values = [self._ask() for _ in range(_PROBES)]

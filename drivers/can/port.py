@@ -163,9 +163,7 @@ def _identifier(message: can.Message) -> int:
 
 
 def _limit_sockets(bus: can.BusABC) -> None:
-    """Set a time-out of the operating system for blocking calls, because some socket interfaces of
-    python-can ignore the time-out of a send.
-    """
+    """Limit blocking calls: some socket interfaces of python-can ignore the time-out of a send."""
     limit = struct.pack("ll", 0, round(SEND_LIMIT_S * 1e6))
     for part in getattr(bus, "__dict__", {}).values():
         if isinstance(part, socket.socket):

@@ -53,16 +53,12 @@ objects.
 
 
 def stops_alone(has: Callable[[int, int], bool]) -> bool:
-    """Return whether a drive with these objects takes the power off by itself when it loses its
-    master: it can monitor its master, and its reaction can be set.
-    """
+    """Return whether such a drive monitors its master and takes the power off without it."""
     return has(*ON_ABORT) and watchable(has)
 
 
 def settings(channel: ProcessChannel, cycle_s: float) -> list[tuple[ObjectAddress, int]]:
-    """Return the objects that a preparation sets, with their values, as far as the EDS contains
-    them.
-    """
+    """Return the objects of the EDS that a preparation sets, with their values."""
     wanted = ((CYCLE, round(cycle_s * 1e3)), (CYCLE_EXPONENT, -3), (ON_ABORT, ABORT_IS_FAULT))
     return [(address, value) for address, value in wanted if channel.describes(*address)]
 
@@ -129,9 +125,7 @@ def outputs(motion: Motion) -> list[PdoLayout]:
 
 
 def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
-    """Return the inputs of a control cycle. An object that does not fit into one PDO with others of
-    its kind is put into the next PDO.
-    """
+    """Return the inputs of a control cycle; what does not fit goes into the next PDO."""
     motion = (cia402.STATUSWORD, POSITION, sent.current)
     layouts: list[PdoLayout] = []
     over: list[ObjectAddress] = []
@@ -151,9 +145,7 @@ def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
 def _beside(
     layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
 ) -> list[PdoLayout]:
-    """Return the layouts, with the torque added to the last layout in which it fits. The torque is
-    only compared with the current; if it fits into no layout, it is omitted.
-    """
+    """Return the layouts with the torque in the last one with room; without room it is omitted."""
     for at in reversed(range(1, len(layouts))):
         if channel.fit_together([*layouts[at].objects, torque]):
             more = replace(layouts[at], objects=(*layouts[at].objects, torque))
@@ -275,9 +267,7 @@ class CyclicValues:
         )
 
     def _change(self, position: int) -> float:
-        """Return the joint speed, rad/s, from the change of the position over the last exchanges in
-        which new values arrived.
-        """
+        """Return the joint speed, rad/s, from the positions of the last exchanges."""
         cycle, passed = self._channel.cycle, self._passed
         if self._channel.fresh and (not passed or passed[-1][0] != cycle):
             passed.append((cycle, position))

@@ -406,9 +406,7 @@ class _Reader:
         return variable
 
     def _data_type(self, section: Section) -> int:
-        """Return the data type of an object; raise ValueError with file and line if it is missing
-        or invalid.
-        """
+        """Return the data type; raise ValueError with file and line if it is invalid."""
         if "datatype" not in section.values:
             raise ValueError(
                 f"{self._eds}:{section.line}: section [{section.name}] has no DataType"

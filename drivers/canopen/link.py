@@ -102,9 +102,7 @@ class Guarding:
             self.unanswered_ns = now_ns
 
     def accepts(self, answer: int) -> bool:
-        """Register an answer, unless its toggle bit is that of the last answer: CiA 301 handles
-        such an answer as one that was not received.
-        """
+        """Register an answer, unless it repeats the last toggle bit (CiA 301: not received)."""
         toggle = answer >> 7
         if toggle == self.toggle:
             return False
@@ -320,9 +318,7 @@ class CanopenNode:
         self._then[identifier] = packing.pack(*then)
 
     def sent(self) -> None:
-        """Register that the outputs were sent: values for one exchange are replaced by the
-        following values.
-        """
+        """Replace the outputs for one exchange, which was made, by those that follow."""
         if self._then:
             self.outputs.update(self._then)
             self._then.clear()
@@ -404,9 +400,7 @@ class CanopenNode:
         return self._axis.at(self._dictionary, index, subindex)
 
     def _guarded(self, watched: bool) -> bool:
-        """Return whether the device is guarded; otherwise it sends heartbeats. A device does not do
-        both.
-        """
+        """Return whether the device is guarded; otherwise it sends heartbeats."""
         by_heartbeat = self.describes(*_PRODUCER) and (not watched or self.describes(*CONSUMER))
         return not by_heartbeat and self.describes(*GUARD_TIME) and self.describes(*LIFE_FACTOR)
 
@@ -817,9 +811,7 @@ class CanopenLink(Link):
         return self._port
 
     def _check_gone(self, error: Exception) -> None:
-        """Close a dead port, so that the next frame opens it again: an adapter that is plugged in
-        again carries the stop of a drive.
-        """
+        """Close a dead port: the next frame opens it again, and carries the stop of a drive."""
         if is_gone(error) and self._port is not None:
             CanopenLink.close(self)
             self._lost = True

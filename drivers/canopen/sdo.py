@@ -47,9 +47,7 @@ class Wire(Protocol):
         ...
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()`` is true; return False after
-        ``timeout_s``.
-        """
+        """Dispatch frames until ``ready()`` is true; return False after ``timeout_s``."""
         ...
 
     def keep_alive(self) -> None:
@@ -105,9 +103,7 @@ class PumpedSdoClient(SdoClient):
         )
 
     def _wait(self, wait_s: float) -> bool:
-        """Wait for a response; the signs of the control loop are sent meanwhile if the link keeps
-        the devices alive.
-        """
+        """Wait for a response; meanwhile send the signs of the control loop that are due."""
         wire = self._wire
         wire.keep_alive()
         while wire.alive_until_ns and wait_s > _STEP_S:
@@ -231,9 +227,7 @@ class Axis:
         return index, subindex
 
     def share(self, dictionary: ObjectDictionary, index: int, subindex: int) -> int | None:
-        """Return the number, from 0, of the 16 bits that belong to this axis in an object of this
-        axis, or None if the whole object belongs to it.
-        """
+        """Return which 16 bits of an object belong to this axis, from 0; None for all its bits."""
         if not self.sub_index or (index, subindex) != STATUSWORD:
             return None
         item = dictionary.get_variable(index, subindex)

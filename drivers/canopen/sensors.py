@@ -79,9 +79,7 @@ class Cia406Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def description_problems(self) -> Iterator[DeviceError]:
-        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
-        sent.
-        """
+        """Yield an error for each needed object that the EDS lacks. Nothing is sent."""
         yield from problem_of(self._channel.require_fit, *VENDOR, 0)
         yield from problem_of(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
@@ -221,9 +219,7 @@ class Cia404Transmitter(PressureTransmitter):
         return math.nan if status else value * self._unit_Pa
 
     def description_problems(self) -> Iterator[DeviceError]:
-        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
-        sent.
-        """
+        """Yield an error for each needed object that the EDS lacks. Nothing is sent."""
         for address in (VENDOR, _UNIT, _DIGITS):
             yield from problem_of(self._channel.require_fit, *address, 0)
         yield from problem_of(self._channel.require_mappable, (), _PRESSURE_INPUTS)

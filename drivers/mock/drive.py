@@ -101,9 +101,7 @@ class Homing:
         return self._bits
 
     def begin(self, counts: int) -> None:
-        """Hold the position when the power is switched on in homing mode; the homing starts at a
-        rising edge of bit 4.
-        """
+        """Hold the position; the homing starts at a rising edge of bit 4."""
         self._bits = REACHED
         self._word = self._values[_CONTROLWORD]
         self._demand, self._speed = float(counts), 0.0
@@ -113,9 +111,7 @@ class Homing:
         self._timer.stop()
 
     def obey(self) -> None:
-        """Start the homing at a rising edge of bit 4 of the controlword, and interrupt the homing
-        at a falling edge.
-        """
+        """Start at a rising edge of bit 4 of the controlword, interrupt at a falling edge."""
         word = self._values[_CONTROLWORD]
         rising, falling = word & ~self._word & _START, ~word & self._word & _START
         self._word = word

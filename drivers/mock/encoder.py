@@ -110,9 +110,7 @@ class SimulatedAmt21:
         self._resolution = sampler.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the requests in ``data``; requests to other addresses get no
-        answer.
-        """
+        """Return the answers to the requests to this address in ``data``."""
         return b"".join(encode(self._counts()) for byte in data if byte == self._address)
 
     def _counts(self) -> int:
@@ -131,9 +129,7 @@ _OVERLOAD: Final = 0x02
 
 
 class SimulatedTransmitter(SimulatedNode):
-    """A simulated transmitter: 9130h is the pressure at the last SYNC, with noise; 6150h reports
-    whether the pressure is out of range.
-    """
+    """A transmitter: 9130h is the pressure at the last SYNC, 6150h whether it is in range."""
 
     def __init__(
         self,

@@ -74,9 +74,7 @@ class SimulatedEposPort:
         drive.entered.append(self._entered)
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the frames that ``data`` completes; an invalid frame gets no
-        answer.
-        """
+        """Return the answers to the valid frames that ``data`` completes."""
         return b"".join(
             encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data)
         )

@@ -124,9 +124,7 @@ class WireFaults:
         )
 
     def bus_off(self, for_s: float | None) -> None:
-        """Put the host's controller into the state bus-off, for a time (s) or permanently
-        (None).
-        """
+        """Put the host's controller into bus-off, for a time (s) or for good (None)."""
         self._bus.down = True
         if for_s is not None:
             self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._recover)
@@ -204,9 +202,7 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def flip(self, from_host: bool | None, count: int, bit: int) -> None:
-        """Invert bit number ``bit``, counted from the lowest bit of the first byte; in a shorter
-        message, invert a bit of the last byte.
-        """
+        """Invert bit ``bit``, from the lowest of the first byte; at most one of the last byte."""
 
         def change(data: bytes, _host: bool) -> bytes:
             spoiled = bytearray(data)
@@ -222,9 +218,7 @@ class LineFaults:
         )
 
     def delay(self, from_host: bool | None, count: int, by_s: float) -> None:
-        """Deliver messages with a delay of ``by_s``; later messages wait, because bytes keep their
-        order on a line.
-        """
+        """Deliver messages later by ``by_s``; those that follow wait."""
         self._add(
             from_host,
             count,
@@ -274,9 +268,7 @@ _MODE_DISPLAY = key(0x6061)
 
 
 class Sensor(Protocol):
-    """A simulated encoder of any kind; ``distort`` is the function by which a fault changes the
-    counts, or None without a fault.
-    """
+    """A simulated encoder; ``distort`` changes the counts, or is None without a fault."""
 
     distort: Callable[[int], int] | None
 
@@ -287,9 +279,7 @@ class Sensor(Protocol):
 
 
 def flip_bit(encoder: Sensor, bit: int, count: int) -> None:
-    """Invert one bit of the position in the next ``count`` readings, or in all readings if
-    ``count`` is 0.
-    """
+    """Invert one bit of the position in the next ``count`` readings; 0 for all."""
     left = count or None
 
     def distort(counts: int) -> int:
@@ -369,9 +359,7 @@ class Mistake:
         return self.spoil is None and self.change is None
 
     def build_into(self, bench: SimulatedBench | SimulatedDbcBench, encoder: Sensor) -> None:
-        """Inject the mistake into the devices of a bench, of which ``encoder`` is the used joint
-        encoder.
-        """
+        """Inject the mistake into a bench and its used joint encoder."""
         for loop in self.signs:
             bench.machine.reverse(loop)
         if self.spoil is not None and isinstance(bench, SimulatedBench):

@@ -122,9 +122,7 @@ _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 
 
 def description(make: str) -> str:
-    """Return the text of the EDS file of a make: the EDS file of the simulated drive, without the
-    objects that the make lacks, and with the additional objects of the make.
-    """
+    """Return the EDS of a make: that of the simulated drive with other objects."""
     traits = MAKES[make]
     kept, keep = [], True
     for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():

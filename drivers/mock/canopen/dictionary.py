@@ -108,9 +108,7 @@ class DeviceDictionary:
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
-        """Remove all objects except these (index and subindex), as in a device that does not offer
-        the removed objects on its bus; the device still uses the removed values internally.
-        """
+        """Hide all objects except these from the bus; the device still uses them."""
         self.entries = {
             number: entry
             for number, entry in self.entries.items()
@@ -118,9 +116,7 @@ class DeviceDictionary:
         }
 
     def reset(self, first: int, last: int) -> None:
-        """Reset the objects of indices ``first`` to ``last`` to their defaults, without running
-        hooks.
-        """
+        """Reset the objects ``first`` to ``last`` to their defaults, without hooks."""
         for number, entry in self.entries.items():
             if first <= number >> 8 <= last:
                 if isinstance(entry.default, str):
@@ -133,9 +129,7 @@ class DeviceDictionary:
         return self.values[key(index, subindex)]
 
     def kept(self, index: int, subindex: int = 0) -> int:
-        """Return the value of an object of the communication profile; 0 if the device does not have
-        the object.
-        """
+        """Return the value of an object; 0 if the device does not have it."""
         number = key(index, subindex)
         return self.values[number] if number in self.entries else 0
 

@@ -409,9 +409,7 @@ class SimulatedNode:
         self._process_data.send_synchronous()
 
     def stamp(self, time_ns: int) -> None:
-        """Put the time of the device's own clock at ``time_ns`` (1013h, microseconds modulo 2^32)
-        into the dictionary.
-        """
+        """Set 1013h to the device's own time at ``time_ns``, microseconds modulo 2^32."""
         self._values[_TIME_STAMP] = (time_ns // 1000 + self._clock_offset_us) & 0xFFFFFFFF
 
     def _rpdo_too_short(self, length: int) -> None:
@@ -533,6 +531,4 @@ class SimulatedNode:
         """Bring the device into its safe state immediately, before a restart."""
 
     def restore(self) -> None:
-        """Reset the internal state to that after power-on; the dictionary already contains its
-        defaults.
-        """
+        """Reset the internal state after the dictionary has its defaults."""

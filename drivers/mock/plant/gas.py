@@ -74,9 +74,7 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
-    """Return the conditions of the next step: factors on throat area, burning area, burning rate
-    and heat, and the area of the leak, m^2.
-    """
+    """Return the factors on throat, burning area, burning rate and heat, and the leak, m^2."""
     throat, burning, rate, heat, leak = (
         g[THROAT_SHARE],
         g[BURNING_SHARE],
@@ -102,9 +100,7 @@ def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]
 
 @inlined
 def remember(y: Vector, g: Vector, grown: float, burning_area: float, h: float) -> None:
-    """Update the states of the effects after a step of ``h`` s in which ``grown`` m^3 burnt over
-    ``burning_area`` m^2.
-    """
+    """Update the states of the effects after ``h`` s in which ``grown`` m^3 burnt."""
     web, cooled, warmed = MEMORY + hidden.WEB, MEMORY + hidden.COOLED, MEMORY + hidden.WARMED
     y[web] += grown / burning_area
     if g[HIDDEN + hidden.HEAT_FLOW] > 0.0:
@@ -169,9 +165,7 @@ def solve_stage(
 
 @inlined
 def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
-    """Advance the gas generator by ``h`` s while the throat area changes to that at ``angle``
-    (rad).
-    """
+    """Advance by ``h`` s while the throat area changes to that at ``angle`` (rad)."""
     throat_share, burning_share, rate_share, heat_share, leak = conditions(y, g)
     energy, velocity = g[ENERGY] * heat_share, g[VELOCITY] * math.sqrt(heat_share)
     grown = g[BURNING_AREA] * burning_share * g[RATE] * rate_share

@@ -53,9 +53,7 @@ def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
 
 
 def take_over(s: Vector, d: Vector, cascade: Loops) -> bool:
-    """Close all loops of a drive in motion, at its present position and speed; return whether a
-    loop was open.
-    """
+    """Close all loops of a drive in motion, and return whether one was open."""
     if d[loops.POSITION_GAIN] == cascade.position_gain:
         return False
     s[loops.TARGET] = s[loops.MEASURED]
@@ -211,9 +209,7 @@ class Reading(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """The exact state of the machine, for tests and for benches with exact channels; this state is
-    not sent over the bus.
-    """
+    """The exact state of the machine, which no bus carries."""
 
     angle_rad: float
     velocity_rad_s: float
@@ -287,9 +283,7 @@ class SimulatedMachine:
         self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
-        """Hang a weight with the label ``mass_kg`` in total on the lever: contact force (L3/L4) m_w
-        g (eq. 17).
-        """
+        """Hang ``mass_kg`` on the lever: contact force (L3/L4) m_w g (eq. 17)."""
         self._label_kg, self._force_N = mass_kg, None
         self._y = unlit(self.constants)
         self._load()
@@ -301,9 +295,7 @@ class SimulatedMachine:
         self._load()
 
     def ignite(self) -> None:
-        """Load the valve with the gas generator in place of a weight; the gas generator burns
-        steadily from the start until another load is set.
-        """
+        """Load the valve with the gas generator, which burns until another load is set."""
         self._label_kg, self._force_N = 0.0, None
         self._y = lit(self.constants, self._g, self._angle())
         self._load()
@@ -312,9 +304,7 @@ class SimulatedMachine:
         return float(self._x[extra.JOINT])
 
     def fix_weight(self, mass_kg: float, length_m: float, zero_rad: float) -> None:
-        """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m
-        l^2.
-        """
+        """Fix a weight to the joint: torque -m g l sin(theta - zero), inertia m l^2."""
         # The torques of the weight and of an injected imbalance are both sines of the angle; their
         # sum is one sine.
         hidden = self.constants.effects.get(
@@ -418,9 +408,7 @@ class SimulatedMachine:
             self._x[extra.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
     def track(self, target_counts: float, over_ns: int) -> None:
-        """Follow ``target_counts`` (motor encoder), which is reached by linear interpolation within
-        ``over_ns``.
-        """
+        """Follow ``target_counts`` (motor encoder), reached linearly within ``over_ns``."""
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
@@ -430,16 +418,12 @@ class SimulatedMachine:
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
     def feed(self, current_A: float) -> None:
-        """Add a current to the current command of the control loops, until the next call, while the
-        machine follows targets.
-        """
+        """Add a current to the command of the loops while the machine follows targets."""
         if self._s[loops.MODE] == loops.TRACK:
             self._s[loops.OFFSET] = current_A
 
     def brake(self, deceleration_rad_s2: float) -> None:
-        """Reduce the commanded joint speed to zero with this deceleration, then hold the position
-        (quick stop).
-        """
+        """Reduce the commanded joint speed to zero, then hold the position (quick stop)."""
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
@@ -660,9 +644,7 @@ def simulate(
 def _load(
     plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
 ) -> None:
-    """Load the valve with a burning gas generator, with a contact force if it is given, or with a
-    weight.
-    """
+    """Load the valve with a gas generator, a contact force, or a weight."""
     if burning:
         plant.ignite()
     elif contact_force_N is None:

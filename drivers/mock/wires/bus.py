@@ -38,9 +38,7 @@ def _rank(identifier: int) -> int:
 
 
 class Port:
-    """One controller on the bus: sends its frames in order, and receives the identifiers for which
-    it has a handler.
-    """
+    """One controller: sends its frames in order, and receives those with a handler."""
 
     def __init__(self, bus: SimulatedBus, number: int) -> None:
         self._bus = bus

@@ -17,9 +17,7 @@ class Station(Protocol):
     """The device at the other end of a line."""
 
     def receive(self, data: bytes) -> bytes:
-        """Process received bytes, which may be empty, and return the answer or unsolicited bytes
-        that are due.
-        """
+        """Process received bytes, if any, and return the bytes that are due."""
         ...
 
 

@@ -40,9 +40,7 @@ def static_limit(side: float, w: Vector) -> float:
 
 @inlined
 def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float]:
-    """Return friction at a sliding ``speed`` >= 0 rad/s in the direction ``side``, and its slope; N
-    m and N m s/rad.
-    """
+    """Return friction, N m, at ``speed`` >= 0 rad/s in direction ``side``, and its slope."""
     magnitude, slope = friction(speed, w)
     magnitude += side * (w[SIDE] + w[VISCOUS_SIDE] * speed) + w[DRAG] * speed * speed + w[LAGGED]
     slope += side * w[VISCOUS_SIDE] + 2.0 * w[DRAG] * speed
@@ -56,9 +54,7 @@ def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float
 
 @inlined
 def bristle_level(speed: float, p: Vector, moment: float) -> float:
-    """Return the part of the nominal friction that falls with speed, at ``speed`` >= 0 rad/s, N
-    m.
-    """
+    """Return the nominal friction that falls with speed, at ``speed`` >= 0 rad/s, N m."""
     at_rest = p[DM] * math.exp(-((speed / p[OMEGA_SF]) ** p[ALPHA]))
     if moment > 0.0:
         at_rest += moment * p[DMU] * math.exp(-((speed / p[OMEGA_SL]) ** p[ALPHA]))
@@ -187,9 +183,7 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
 
 @inlined
 def load_factor(theta: float, time: float, e: Vector) -> float:
-    """Return the ratio of the contact force to that of the weight at rest, at an angle and a
-    time since power-on.
-    """
+    """Return the ratio of the contact force to that of the weight at rest."""
     factor = 1.0
     if e[table.LOAD_SLOPE] != 0.0:
         factor = max(1.0 + e[table.LOAD_SLOPE] * theta, 0.0)

@@ -107,9 +107,7 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
 
 @inlined
 def mesh_error(theta: float, e: Vector) -> tuple[float, float]:
-    """Return the mesh error phi/i - theta at a joint angle, rad, and its derivative with respect to
-    the angle.
-    """
+    """Return the mesh error phi/i - theta, rad, and its derivative by the angle."""
     if e[table.MESH_AMPLITUDE] == 0.0:
         return 0.0, 0.0
     at = e[table.MESH_ORDER] * theta + e[table.MESH_PHASE]
@@ -165,9 +163,7 @@ def dead_time_voltage(supply: float, nominal: float, e: Vector) -> float:
 
 @inlined
 def flux_factor(shaft: float, e: Vector) -> float:
-    """Return the ratio of the flux at a motor angle (rad) to the mean flux; this ratio scales
-    torque and back-EMF.
-    """
+    """Return the ratio of the flux at a motor angle to its mean; it scales torque and back-EMF."""
     if e[table.RIPPLE_FRACTION] == 0.0:
         return 1.0
     return float(
@@ -203,9 +199,7 @@ Histories = NDArray[np.float64]
 
 @inlined
 def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> float:
-    """Return the value that was ``delay_s`` before the newest value, interpolated between loop
-    periods; ``loop`` is the index of the newest value.
-    """
+    """Return the value ``delay_s`` before the newest one, which has the index ``loop``."""
     back = delay_s / period_s
     whole = math.floor(back)
     share = back - whole
@@ -216,9 +210,7 @@ def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> fl
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Sample the joint encoder, and return the charge, A s, that corresponds to the logged mean
-    current of this period.
-    """
+    """Sample the joint encoder; return the charge, A s, of the logged mean current."""
     x[table.LOOP] += 1.0
     at = int(x[table.LOOP]) & (table.HISTORY - 1)
     theta = x[table.JOINT]
@@ -251,9 +243,7 @@ CONSTANTS_AT = OUTSIDE_END
 def move_joint(
     omega: float, held: float, bristles: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float, float]:
-    """Advance the joint speed by ``h`` s; return speed, friction at the end of the step, deflection
-    of the bristles, and work of friction.
-    """
+    """Advance by ``h`` s; return speed, friction, deflection of the bristles, and work."""
     if e[table.PRESLIDING_STIFFNESS] > 0.0:
         new, bristles, drag = step_bristles(omega, bristles, torque, h, w, e)
         return new, abs(drag), bristles, h * drag * 0.5 * (omega + new)
@@ -363,9 +353,7 @@ def integrate(
 
 @inlined
 def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
-    """Set the supply voltage under the present load, and return the winding voltage for the
-    commanded ``voltage``, V.
-    """
+    """Set the supply voltage under load; return the winding voltage for ``voltage``, V."""
     nominal = e[CONSTANTS_AT + table.NOMINAL_SUPPLY]
     x[table.SUPPLY] = nominal
     if e[table.SAG_RESISTANCE] == 0.0:

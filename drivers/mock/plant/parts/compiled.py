@@ -31,9 +31,7 @@ def _shared_sources() -> str:
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of one kernel; in addition to the kernel's own file, which numba watches, a
-    change of a shared file makes the machine code obsolete.
-    """
+    """Numba's cache of one kernel, obsolete also when a shared file has changed."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)

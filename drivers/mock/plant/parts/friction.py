@@ -44,18 +44,14 @@ def friction(speed: float, p: Vector) -> tuple[float, float]:
 
 @inlined
 def disc_beyond(radius: float, distance: float) -> float:
-    """Return the area of a disc on the far side of a line at this signed distance from its
-    centre.
-    """
+    """Return the area of a disc beyond a line at this signed distance from its centre."""
     t = min(max(distance / radius, -1.0), 1.0)
     return radius * radius * (math.acos(t) - t * math.sqrt(1.0 - t * t))
 
 
 @inlined
 def lens(large: float, small: float, distance: float) -> float:
-    """Return the area common to two discs of these radii, ``large`` >= ``small``, with their
-    centres ``distance`` apart.
-    """
+    """Return the area common to two discs with their centres ``distance`` apart."""
     if distance >= large + small:
         return 0.0
     if distance <= large - small:

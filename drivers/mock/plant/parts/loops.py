@@ -56,9 +56,7 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Compute position P and velocity PI controller once; return the limited current command with
-    the added current, A.
-    """
+    """Return the limited current command of position P and velocity PI controller, A."""
     measured = s[THETA] + s[FLICKER]
     if d[COUNT] > 0.0:
         measured = math.floor(measured / d[COUNT]) * d[COUNT]
@@ -93,9 +91,7 @@ def current_command(s: Vector, d: Vector) -> float:
 
 @inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
-    """Compute the PI controller of the current once; return the limited voltage for the next loop
-    period, V.
-    """
+    """Return the limited voltage of the current controller for the next loop period, V."""
     error = wanted - (s[CURRENT] + noise)
     integral = s[VOLTAGE_INTEGRAL] + d[CURRENT_GAIN] * d[CURRENT_INTEGRAL_GAIN] * d[LOOP_S] * error
     voltage = d[CURRENT_GAIN] * error + integral
