@@ -97,9 +97,6 @@ class Homes(Protocol):
     def homing_offer(self) -> HomingOffer:
         """Return whether the drive can home, by its EDS and by reading objects, without writing
         anything.
-
-        Raises:
-            LinkError: The drive cannot be reached.
         """
         ...
 

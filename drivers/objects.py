@@ -304,11 +304,7 @@ def read_identity(objects: ObjectAccess) -> Identity:
 
 
 def identity_problems(channel: ProcessChannel) -> Iterator[ConfigurationError]:
-    """Yield an error for each number of the identity object (1018h) that differs from the EDS.
-
-    Raises:
-        LinkError: No answer.
-    """
+    """Yield an error for each number of the identity object (1018h) that differs from the EDS."""
     for address, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
         stated = channel.stated(*address)
         found = optional(channel.read, *address) if stated else None

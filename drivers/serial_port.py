@@ -33,11 +33,7 @@ _DRAIN_STEP_NS: Final = NS // 1000
 
 
 def _require_posix() -> None:
-    """Check, before a drive moves, that this system can flush a serial line.
-
-    Raises:
-        OSError: This system cannot flush a serial line.
-    """
+    """Check, before a drive moves, that this system can flush a serial line."""
     if termios is None or fcntl is None:
         raise OSError(
             "this system has no termios, which is needed to lock and flush serial lines; use "
@@ -66,11 +62,7 @@ class BytePort(Protocol):
         ...
 
     def discard(self) -> None:
-        """Drop what has come in.
-
-        Raises:
-            OSError: The line is gone.
-        """
+        """Drop what has come in."""
         ...
 
     def close(self) -> None:
@@ -140,11 +132,7 @@ class InheritedPort:
         termios.tcflush(self.fileno(), termios.TCIFLUSH)
 
     def fileno(self) -> int:
-        """Return the file descriptor of the port.
-
-        Raises:
-            OSError: The port is closed.
-        """
+        """Return the file descriptor of the port."""
         if self._descriptor < 0:
             raise OSError("the port is closed")
         return self._descriptor

@@ -85,9 +85,6 @@ class SteppedServo(Servo):
     ) -> None:
         """Read the state of the drive until the expected state is reached; call ``again`` after
         each read of another state.
-
-        Raises:
-            StateError: The state was not reached in time.
         """
         deadline = self._clock.now_ns() + self._timeout_s * NS
         while not reached(state := read()):

@@ -100,11 +100,7 @@ class ServoScales:
         )
 
     def __post_init__(self) -> None:
-        """Refuse invalid scales.
-
-        Raises:
-            ConfigurationError: A scale is not positive, or the sign is not 1 or -1.
-        """
+        """Refuse invalid scales."""
         for name in ("counts_per_turn", "gear_ratio", "rated_current_A", "rated_torque_N_m"):
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
@@ -273,11 +269,7 @@ class EncoderScales:
     middle_rad: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse invalid scales.
-
-        Raises:
-            ConfigurationError: The resolution is not positive, or the sign is not 1 or -1.
-        """
+        """Refuse invalid scales."""
         if self.counts_per_turn <= 0:
             raise ConfigurationError(
                 f"counts_per_turn is {self.counts_per_turn}, but must be positive: correct the "

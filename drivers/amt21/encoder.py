@@ -25,7 +25,7 @@ _FRAMES_KEPT: Final = 1 << 14
 
 
 class Amt21Line:
-    """The RS-485 line of one encoder.
+    """The RS-485 line of one encoder; LinkError if the line or the encoder is gone.
 
     Args:
         clock: Real or simulated clock, as the port.
@@ -58,11 +58,7 @@ class Amt21Line:
         self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
 
     def open(self) -> None:
-        """Open the line.
-
-        Raises:
-            LinkError: It cannot be opened.
-        """
+        """Open the line."""
         if self._port is None:
             advice = "check the name of the port and your permission to use it"
             self._port = opened(self._connect, self.name, advice)
@@ -74,11 +70,7 @@ class Amt21Line:
             close_all(port.close)
 
     def find_echo(self) -> None:
-        """Detect whether the adapter returns the bytes that it sends (echo).
-
-        Raises:
-            LinkError: No encoder answers.
-        """
+        """Detect whether the adapter returns the bytes that it sends (echo)."""
         self._echo = b""
         self.answer_s = _FIRST_ANSWER_S
         sent = bytes([self.address])
@@ -96,11 +88,7 @@ class Amt21Line:
         )
 
     def ask(self) -> None:
-        """Send a request; the encoder latches its position when it receives the request.
-
-        Raises:
-            LinkError: The line is gone.
-        """
+        """Send a request; the encoder latches its position when it receives the request."""
         port = self._opened()
         request = bytes([self.address])
         try:
@@ -117,9 +105,6 @@ class Amt21Line:
 
         Args:
             since_ns: Start of the time for the answer; None for the time of the request.
-
-        Raises:
-            LinkError: The line is gone.
         """
         heard = self._read(len(self._echo) + _ANSWER_BYTES, since_ns)
         self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
@@ -319,11 +304,7 @@ class Amt21Encoder(Encoder):
         self._fresh = True
 
     def ask(self) -> None:
-        """Request the position for this cycle.
-
-        Raises:
-            LinkError: The line is gone.
-        """
+        """Request the position for this cycle."""
         self._fresh = False
         self.line.ask()
         self._asked_ns = self.line.asked_ns
@@ -333,9 +314,6 @@ class Amt21Encoder(Encoder):
 
         Args:
             since_ns: Start of the time for the answer; None for the time of the request.
-
-        Raises:
-            LinkError: The line is gone.
         """
         self.line.collect(since_ns)
         value = decode(self.line.answer)

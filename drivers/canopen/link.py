@@ -432,11 +432,7 @@ class CanopenNode:
                 self.write(*address, 0)
 
     def _produce_heartbeat(self) -> None:
-        """Set the period of the device's heartbeat, and read the period that the device stores.
-
-        Raises:
-            ConfigurationError: The device sends no heartbeat.
-        """
+        """Set the period of the device's heartbeat, and read the period that the device stores."""
         wanted_ms = round(HEARTBEAT_S * 1e3)
         self.write(*_PRODUCER, wanted_ms)
         period_ms = self.read(*_PRODUCER)
@@ -689,11 +685,7 @@ class CanopenLink(Link):
             close_all(port.shutdown)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, which must be the same for all devices.
-
-        Raises:
-            ConfigurationError: Another device has a different cycle time.
-        """
+        """Set the cycle time, which must be the same for all devices."""
         require_one_cycle(self._cycle_s, cycle_s, who)
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
@@ -741,11 +733,7 @@ class CanopenLink(Link):
         return frames
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame.
-
-        Raises:
-            LinkError: The bus refuses the frame.
-        """
+        """Send one frame."""
         port = self._port or self._opened()
         try:
             port.transmit(identifier, data)
@@ -785,11 +773,7 @@ class CanopenLink(Link):
         ]
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()`` is true; return False after ``timeout_s``.
-
-        Raises:
-            LinkError: The bus failed.
-        """
+        """Dispatch frames until ``ready()`` is true; return False after ``timeout_s``."""
         deadline = self.clock.now_ns() + round(timeout_s * NS)
         while not ready():
             left = deadline - self.clock.now_ns()

@@ -160,11 +160,6 @@ def _load(data: bytes) -> Database:
     no encoding can decode are replaced. The encodings of East Asia are needed because in them the
     second byte of a character may be a backslash, which another encoding would read as an escape of
     the following quotation mark.
-
-    Raises:
-        DbcError: The syntax is wrong in every encoding; the error is that of the first encoding
-            that can decode the file.
-        _NotTextError: The file contains a zero byte.
     """
     encodings = next((names for mark, names in _MARKS if data.startswith(mark)), _ENCODINGS)
     if encodings is _ENCODINGS and (zero := data.find(0)) >= 0:

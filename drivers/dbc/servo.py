@@ -35,7 +35,7 @@ _BRAKING_S: Final = 0.04
 
 
 class Feedback:
-    """The quantities that a drive reports.
+    """The quantities that a drive reports; LinkError if it sends none.
 
     Args:
         link: The link to the drive.
@@ -73,11 +73,7 @@ class Feedback:
         ]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits in the next frames of the drive.
-
-        Raises:
-            LinkError: The drive sends no frames.
-        """
+        """Return the limits in the next frames of the drive."""
         reported = self._channel.wiring.reported.values()
         for message in sorted({held.message for held in reported}):
             self.await_frame(message)
@@ -128,9 +124,6 @@ class Feedback:
     def told(self, name: str, otherwise: int) -> int:
         """Return an integer from the next frame of the drive; ``otherwise`` if the drive does not
         report the value.
-
-        Raises:
-            LinkError: The drive sends no frames.
         """
         quantity = self._inputs.get(name)
         if quantity is None:
@@ -141,9 +134,6 @@ class Feedback:
     def await_frame(self, name: str, *, ask: bool = False) -> None:
         """Wait for the next valid frame of a message; with ``ask``, send the current order until it
         arrives, because a drive may send a message only as an answer.
-
-        Raises:
-            LinkError: The message is not received, or never without error.
         """
         slot = self._channel.slot(name)
         refused = slot.refused

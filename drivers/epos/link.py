@@ -692,9 +692,6 @@ class EposSerialLink(Link):
     def tell(self, opcode: Opcode, data: bytes) -> None:
         """Send one request at once, and wait for its answer at most as long as an exchange does; if
         the answer does not arrive, the next exchange resynchronises the line.
-
-        Raises:
-            LinkError: The line is gone.
         """
         frame = encode(opcode, data)
         if self._in_step:

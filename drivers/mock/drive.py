@@ -43,11 +43,7 @@ following-error limit if this is less.
 
 
 def check_method(_subindex: int, value: int) -> None:
-    """Refuse a homing method that the drive does not have.
-
-    Raises:
-        SdoAbortError: The drive does not have this method.
-    """
+    """Refuse a homing method that the drive does not have."""
     if value not in METHODS:
         raise SdoAbortError(OUT_OF_RANGE)
 

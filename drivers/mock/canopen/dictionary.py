@@ -151,11 +151,7 @@ class DeviceDictionary:
         return self.entries[self.place(key(index, subindex))]
 
     def read(self, index: int, subindex: int) -> bytes:
-        """Return the encoded value, clamped to the range of the object.
-
-        Raises:
-            SdoAbortError: There is no such object, or it cannot be read.
-        """
+        """Return the encoded value, clamped to the range of the object."""
         number = self.place(key(index, subindex))
         entry = self.entries[number]
         if not entry.readable:
@@ -165,12 +161,7 @@ class DeviceDictionary:
         return struct.pack(f"<{entry.code}", held(entry.code, self.values[number]))
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
-        """Store an encoded value received by SDO.
-
-        Raises:
-            SdoAbortError: There is no such object, it cannot be written, or the value has the wrong
-                length or range.
-        """
+        """Store an encoded value received by SDO."""
         number = self.place(key(index, subindex))
         entry = self.entries[number]
         index, subindex = number >> 8, number & 0xFF

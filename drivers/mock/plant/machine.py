@@ -481,9 +481,6 @@ class SimulatedMachine:
     def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
         """For each target of ``target_counts`` (motor encoder counts): advance one cycle, sample
         the sensors and set the target.
-
-        Raises:
-            ValueError: The cycle is not a whole number of loop periods.
         """
         per_cycle = self._loops_in(cycle_ns)
         out = np.zeros((len(target_counts), LATCHED))

@@ -161,11 +161,7 @@ class SimulatedBus(can.BusABC):
         self._received.append(raw_frame((self._clock.now_ns(), ERROR_FLAG, b"", False)))
 
     def transmit(self, identifier: int, data: bytes) -> None:
-        """Queue a frame of the host.
-
-        Raises:
-            OSError: The bus is down or closed.
-        """
+        """Queue a frame of the host."""
         if self.down or self._is_shutdown:
             raise OSError("bus-off" if self.down else "the bus is shut")
         self._host.send(identifier, data)
@@ -176,9 +172,6 @@ class SimulatedBus(can.BusABC):
 
         Frames without a gap between them are returned together, as from the buffer of a controller,
         each with its arrival time.
-
-        Raises:
-            OSError: The bus is closed.
         """
         deadline = self._clock.now_ns() + round(timeout_s * NS)
         if not self._wait(deadline):
@@ -188,11 +181,7 @@ class SimulatedBus(can.BusABC):
         return frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Queue a frame of the host.
-
-        Raises:
-            can.CanOperationError: The bus is down or closed.
-        """
+        """Queue a frame of the host."""
         with _of_python_can():
             if msg.is_remote_frame:
                 self.transmit(msg.arbitration_id | REMOTE_FLAG, bytes(msg.dlc))
@@ -204,9 +193,6 @@ class SimulatedBus(can.BusABC):
 
         ``timeout`` is in seconds of simulated time; with None the method waits as long as any event
         is scheduled.
-
-        Raises:
-            can.CanOperationError: The bus is closed.
         """
         with _of_python_can():
             return self._next(timeout)
