@@ -51,10 +51,6 @@ def _boot_ns() -> int:
 class Suspension:
     """Detects that the computer slept: the monotonic clock does not count this time, so that no
     lateness shows it.
-
-    Args:
-        boot_ns: Time that counts sleep, ns.
-        awake_ns: Time that does not count sleep, ns.
     """
 
     def __init__(

@@ -326,13 +326,6 @@ def access_problems(
     """Yield an error for each object of the process data that cannot be mapped by the EDS; if there
     is none, an error for each object of a preparation that the device refuses to read.
 
-    Args:
-        channel: The device.
-        outputs: See :meth:`ProcessChannel.map_process_data`.
-        inputs: See :meth:`ProcessChannel.map_process_data`.
-        watched: See :meth:`ProcessChannel.map_process_data`.
-        others: Further objects that a preparation reads or writes.
-
     Raises:
         LinkError: No answer.
     """

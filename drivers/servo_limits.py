@@ -160,12 +160,6 @@ def named(
 ) -> DeviceError:
     """Return an error that names the keys of the bench file from which a refused value was
     computed.
-
-    Args:
-        address: Object of the limit.
-        value: The refused value, in units of the object.
-        scales: Units of the drive.
-        error: Error of the drive or of its EDS.
     """
     if isinstance(error, NotDescribedError):
         return error

@@ -15,12 +15,7 @@ FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
 
 
 class SteppedServo(Servo):
-    """A servo whose drive is energised state by state. Only :meth:`enable` leads toward power.
-
-    Args:
-        link: The link to the drive.
-        state_timeout_s: Time-out for reaching a state, s.
-    """
+    """A servo whose drive is energised state by state. Only :meth:`enable` leads toward power."""
 
     def __init__(self, link: Link, state_timeout_s: float) -> None:
         self._link = link

@@ -170,10 +170,6 @@ def decode(answer: bytes) -> int | None:
 class PlausibilityGate:
     """Tracks positions modulo a turn, and rejects positions that the joint cannot have reached
     since the last accepted position.
-
-    Args:
-        speed_counts_s: Greatest speed, counts/s.
-        acceleration_counts_s2: Greatest acceleration, counts/s^2.
     """
 
     SLACK_COUNTS: Final = 2.0

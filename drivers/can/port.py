@@ -96,10 +96,6 @@ class PythonCanPort:
     A garbled message from a serial or socket interface raises an error, because python-can does
     not report how many bytes of the message were read; the port stays usable. CAN FD frames are
     ignored.
-
-    Args:
-        bus: The opened interface; closed by :meth:`shutdown`.
-        clock: Clock for the time stamps of frames.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:

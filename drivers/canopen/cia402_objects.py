@@ -177,14 +177,7 @@ _NOT_SENT: Final = -1
 
 
 class CyclicValues:
-    """Converts the values of the last exchange.
-
-    Args:
-        channel: The drive.
-        scales: Units of the drive.
-        sent: The objects that the drive sends.
-        layouts: PDOs of these objects; the first two objects are state and position.
-    """
+    """Converts the values of the last exchange."""
 
     def __init__(
         self,

@@ -307,13 +307,7 @@ def addresses(dictionary: ObjectDictionary) -> frozenset[Address]:
 
 
 class _Reader:
-    """Converts the sections of a file into objects.
-
-    Args:
-        eds: The file, for messages.
-        node_id: Node identifier.
-        found: Sections of the file, from :func:`~drivers.canopen.eds_file.sections`.
-    """
+    """Converts the sections of a file into objects."""
 
     def __init__(self, eds: Path, node_id: int, found: Mapping[str, Section]) -> None:
         self._eds = eds

@@ -659,11 +659,6 @@ class CanopenLink(Link):
     def add_node(self, node_id: int, eds: Path, axis: Axis = ONE_AXIS) -> CanopenNode:
         """Declare a device on the bus.
 
-        Args:
-            node_id: Node identifier.
-            eds: Its EDS file.
-            axis: The axis that is used of a device with several axes.
-
         Raises:
             ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
                 read.

@@ -238,22 +238,11 @@ class Motion(ABC):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put the command into the PDO of the next exchange.
-
-        Args:
-            channel: The drive.
-            word: Controlword.
-            counts: Position to follow.
-            observe: Function that returns the state of the drive at the last exchange.
-        """
+        """Put the command into the PDO of the next exchange."""
 
 
 class CyclicPosition(Motion):
-    """Cyclic synchronous position: the drive has the position loop.
-
-    Args:
-        torque_offset: Whether the torque offset 60B2h is sent.
-    """
+    """Cyclic synchronous position: the drive has the position loop."""
 
     mode = 8
     words = "cyclic synchronous position"
@@ -281,12 +270,6 @@ class _HostLoop(Motion):
 
     A command is sent in one exchange: if no new command follows, or after several exchanges with
     incomplete samples, the next exchange sends the command 0.
-
-    Args:
-        scales: Units of the drive.
-        gains: Gains that the bench file states, 0 for each gain that is derived from the cycle
-            time.
-        inertia_kg_m2: Inertia at the joint, for a torque command.
     """
 
     needs_watch = True
@@ -426,10 +409,6 @@ class ProfilePosition(Motion):
     """Profile position: each new set-point immediately replaces the previous set-point (bits 4 and
     5 of the controlword, bit 12 of the statusword). The profile of the drive ends at the last
     set-point.
-
-    Args:
-        scales: Units of the drive.
-        acceleration_rad_s2: Acceleration and deceleration of the profile, at the joint.
     """
 
     mode = 1
@@ -567,11 +546,7 @@ def stated_unit_problems(
 
 
 class SpeedUnit(SpeedRemedies):
-    """The unit of the drive's speed (606Ch) beside those that drives have.
-
-    Args:
-        scales: Units of the drive, from the bench file.
-    """
+    """The unit of the drive's speed (606Ch) beside those that drives have."""
 
     def __init__(self, scales: ServoScales) -> None:
         self._scales = scales

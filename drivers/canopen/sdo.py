@@ -137,13 +137,7 @@ def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
 
 
 def unfit(label: str, item: Any, value: int) -> ConfigurationError:
-    """Return the error for a value that cannot be packed into an object.
-
-    Args:
-        label: Name of the device.
-        item: The object, as :func:`variable` returns it.
-        value: The value.
-    """
+    """Return the error for a value that cannot be packed into an object."""
     what = (
         f"{label}: the value {value} does not fit into object "
         f"{item.index:04X}h:{item.subindex:02X}h ({item.name})"

@@ -51,12 +51,7 @@ object.
 
 
 class Cia406Encoder(Encoder):
-    """An absolute encoder that answers every SYNC with its position and its time stamp.
-
-    Args:
-        channel: The device.
-        scales: Resolution, direction and zero of the encoder, from the bench file.
-    """
+    """An absolute encoder that answers every SYNC with its position and its time stamp."""
 
     def __init__(self, channel: ProcessChannel, scales: EncoderScales) -> None:
         self._channel = channel
@@ -198,10 +193,6 @@ _PRESSURE_INPUTS: Final = (PdoLayout(_PRESSURE, (_PROCESS_VALUE, _STATUS), slack
 class Cia404Transmitter(PressureTransmitter):
     """A transmitter that answers every SYNC with process value (9130h) and status (6150h) of its
     first input.
-
-    Args:
-        channel: The device.
-        unit_Pa: Unit of the process value from the bench file, Pa.
     """
 
     def __init__(self, channel: ProcessChannel, unit_Pa: float) -> None:

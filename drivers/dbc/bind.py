@@ -425,13 +425,7 @@ class _Binder:
 
 
 def _other_page(signal: Signal, frame: bytes, set_bits: int) -> bool:
-    """Return whether an order has selected a page of its message that does not contain a signal.
-
-    Args:
-        signal: The signal.
-        frame: Frame of the message so far.
-        set_bits: Its bits that have been set.
-    """
+    """Return whether an order has selected a page of its message that does not contain a signal."""
     selector = signal.selector
     if selector is None or not set_bits & selector.covers:
         return False

@@ -107,10 +107,6 @@ class _Output:
 class DbcChannel:
     """State of one drive for its link.
 
-    Args:
-        wiring: Messages of the drive.
-        label: Name of the drive in messages.
-
     Attributes:
         slots: Slots of the messages of the drive, by CAN identifier.
         cycle: Number of exchanges so far.

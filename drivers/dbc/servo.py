@@ -35,12 +35,7 @@ _BRAKING_S: Final = 0.04
 
 
 class Feedback:
-    """The quantities that a drive reports; LinkError if it sends none.
-
-    Args:
-        link: The link to the drive.
-        channel: The drive.
-    """
+    """The quantities that a drive reports; LinkError if it sends none."""
 
     def __init__(self, link: DbcLink, channel: DbcChannel) -> None:
         self._link = link
@@ -175,14 +170,7 @@ _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
 class DbcServo(SteppedServo):
-    """A drive with its own CAN frames. Only :meth:`enable` changes its state toward power.
-
-    Args:
-        link: The link to the drive.
-        channel: The drive.
-        drive: Data of the drive from the bench file.
-        state_timeout_s: Time-out for reaching a state, s.
-    """
+    """A drive with its own CAN frames. Only :meth:`enable` changes its state toward power."""
 
     def __init__(
         self, link: DbcLink, channel: DbcChannel, drive: DbcDrive, state_timeout_s: float = 1.0

@@ -175,12 +175,6 @@ class EposSerialNode:
     (:meth:`~drivers.epos.link.EposSerialLink.call_at_instant`). The position was taken somewhat
     earlier, and the mean of the current ends somewhat later; both are brought to the instant.
 
-    Args:
-        node_id: Node identifier, 1 to 127.
-        dictionary: Objects of the drive.
-        line: The link.
-        fastest_1_s: Fastest plausible change of the position, counts/s.
-
     Attributes:
         node_id: Node identifier, 1 to 127.
         cycle: Number of the last exchange.
@@ -435,12 +429,6 @@ class EposSerialNode:
     ) -> None:
         """Write and read the objects of this cycle, up to the first lost answer. Position and mean
         are brought to the instant of the cycle, if this cycle and the last were complete.
-
-        Args:
-            cycle: Number of the cycle.
-            ask: Function that sends a frame and returns the data of its answer, or None if the
-                answer is lost.
-            at_instant: Function that is called at the instant of the cycle.
         """
         self.cycle = cycle
         self._complete = False

@@ -54,14 +54,6 @@ class Homing:
 
     The limit switches are closed where the true joint angle is beyond them.
 
-    Args:
-        sampler: Access to the machine.
-        clock: Simulated time.
-        values: The drive's dictionary.
-        counts_per_rad: Motor counts per radian of the motor.
-        speed_unit: Function that returns the unit of the drive's speeds, counts/s.
-        acceleration_unit: Function that returns the unit of its accelerations, counts/s^2.
-
     Attributes:
         shift: Drive position less the motor's counts.
         switches_deg: Joint angles of the limit switches, or None for switches that never close.
@@ -196,15 +188,6 @@ _BIT_12: Final = 0x1000
 
 class Mover:
     """Commands the machine according to the mode and the targets in the dictionary.
-
-    Args:
-        sampler: Access to the machine.
-        clock: Simulated time.
-        values: The drive's dictionary.
-        counts_per_rad: Motor counts per radian of the motor.
-        speed_unit: Unit of the drive's speeds, counts/s.
-        acceleration_unit: Unit of the drive's accelerations, counts/s^2.
-        current_A: Motor current of one unit of torque.
 
     Attributes:
         homing: Homing of the drive, and the zero that the last homing has set.

@@ -88,11 +88,6 @@ class SimulatedEncoder(SimulatedNode):
 class SimulatedAmt21:
     """A simulated encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Args:
-        clock: Simulated time.
-        sampler: Sampler of the machine.
-        address: Address of the encoder, a multiple of 4.
-
     Attributes:
         distort: Function that changes the counts as a faulty sensor does, or None for a sensor
             without fault.

@@ -45,11 +45,6 @@ class SimulatedEposPort:
     There is no SYNC on the serial line: a target takes effect when it is written, values are
     sampled when they are read, and the drive checks its following error every millisecond. Current
     and voltage are means between two reads of the current.
-
-    Args:
-        bus: CAN bus of the drive, for NMT services.
-        clock: Simulated time.
-        drive: The drive with this port.
     """
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, drive: SimulatedDrive) -> None:

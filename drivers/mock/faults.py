@@ -61,10 +61,6 @@ class WireFaults:
     ``count`` is the number of affected frames, :data:`FOR_GOOD` for all frames from now on. A CAN
     controller repeats frames with a wrong CRC, so that a receiver never receives them; the injected
     corruption is one that the CRC does not detect.
-
-    Args:
-        bus: The bus; its ``frame_filters`` and ``down`` are used.
-        clock: Simulated time.
     """
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock) -> None:
@@ -175,10 +171,6 @@ class LineFaults:
 
     ``from_host`` selects requests (True), answers (False) or both (None); ``count`` is the number
     of affected messages, 0 for all messages from now on.
-
-    Args:
-        line: The line; its ``filters`` and ``cut`` are used.
-        clock: Simulated time.
     """
 
     def __init__(self, line: SimulatedLine, clock: SimulatedClock) -> None:

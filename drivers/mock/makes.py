@@ -145,10 +145,6 @@ def description(make: str) -> str:
 def described_drive(dictionary: ObjectDictionary, axis: Axis = ONE_AXIS) -> Traits:
     """Return the kind of simulated drive for an EDS: the make follows from vendor and objects in
     the EDS, and the drive has only the objects of the EDS, and its values of NMT error control.
-
-    Args:
-        dictionary: The EDS.
-        axis: The axis that the simulated drive is, of a device with several axes.
     """
     vendor, product = identity(dictionary)
     usual, described = _usual(), addresses(dictionary)

@@ -34,11 +34,7 @@ _ENDS: Final = {
 
 
 class SdoAbortError(Exception):
-    """An access that the device refuses.
-
-    Args:
-        code: Abort code of CiA 301.
-    """
+    """An access that the device refuses."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort {code:08X}h")

@@ -209,11 +209,6 @@ class _Transfer:
 class SdoServer:
     """Answers SDO requests from an object dictionary, with the abort codes of CiA 301. Values of
     more than four bytes can be read, and not written.
-
-    Args:
-        dictionary: The device's objects.
-        refresh: Function that updates measured values in the dictionary; it is called before every
-            upload.
     """
 
     def __init__(self, dictionary: DeviceDictionary, refresh: Callable[[], None]) -> None:
@@ -313,13 +308,6 @@ class SimulatedNode:
     Attributes:
         remote_frames: Whether the device answers remote frames, that is, guard requests.
         sdo_delay_ns: Time that the device takes for an SDO answer, ns.
-
-    Args:
-        bus: Bus of the device.
-        clock: Simulated time.
-        node_id: 1 to 127.
-        eds: EDS file of its object dictionary.
-        clock_offset_us: Reading of the device's microsecond clock at simulated time 0.
     """
 
     def __init__(

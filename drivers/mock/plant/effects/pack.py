@@ -33,12 +33,7 @@ _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
 def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the requested effects, each as a path of names and a message.
-
-    Args:
-        effects: Effects and the values of their parameters.
-        any_size: Whether values may be outside their ranges.
-    """
+    """Yield the problems of the requested effects, each as a path of names and a message."""
     for name, given in effects.items():
         parameters = _EVERY.get(name)
         if parameters is None:
