@@ -61,23 +61,13 @@ class Homing:
         jammed: Whether the motor has too little torque to move the joint, as with a jammed joint.
     """
 
-    def __init__(
-        self,
-        sampler: Sampler,
-        clock: SimulatedClock,
-        values: dict[int, int],
-        counts_per_rad: float,
-        speed_unit: Callable[[], float],
-        acceleration_unit: Callable[[], float],
-    ) -> None:
+    def __init__(self, mover: Mover) -> None:
         self.shift = 0
         self.switches_deg: tuple[float, float] | None = (-20.0, 20.0)
         self.endless = self.jammed = False
-        self._sampler, self._clock, self._values = sampler, clock, values
-        self._counts_per_rad, self._speed_unit = counts_per_rad, speed_unit
-        self._acceleration_unit = acceleration_unit
-        self._gear = sampler.machine.constants.motor.gear_ratio
-        self._timer = Timer(clock, self._advance)
+        self._mover = mover
+        self._sampler, self._clock, self._values = mover.sampler, mover.clock, mover.values
+        self._timer = Timer(mover.clock, self._advance)
         self._bits = REACHED
         self._word = 0
         self._demand = self._speed = 0.0
@@ -144,8 +134,8 @@ class Homing:
             self._home = True
             self._set_zero(reading.motor_counts)
         speed = -self._values[_ZERO] if self._found else self._values[_SEARCH]
-        wanted = 0.0 if self._home else side * speed * self._speed_unit()
-        change = self._values[_ACCELERATION] * self._acceleration_unit() * _STEP_NS / NS
+        wanted = 0.0 if self._home else side * speed * self._mover.speed_unit
+        change = self._values[_ACCELERATION] * self._mover.acceleration_unit * _STEP_NS / NS
         self._speed += min(max(wanted - self._speed, -change), change)
         if self._home and self._speed == 0.0:
             self._halt(REACHED | ATTAINED)
@@ -162,7 +152,7 @@ class Homing:
         return angle <= low if side < 0 else angle >= high
 
     def _blocked(self) -> float:
-        counts = math.radians(_BLOCKED_DEG) * self._gear * self._counts_per_rad
+        counts = math.radians(_BLOCKED_DEG) * self._mover.gear * self._mover.counts_per_rad
         return min(counts, 0.5 * self._values[_WINDOW])
 
 
@@ -205,22 +195,15 @@ class Mover:
     ) -> None:
         self.demand = 0.0
         self.acknowledged = False
-        self._sampler = sampler
+        self.sampler = sampler
         self._machine: SimulatedMachine = sampler.machine
-        self._clock = clock
-        self._values = values
-        self._counts_per_rad = counts_per_rad
+        self.clock = clock
+        self.values = values
+        self.counts_per_rad = counts_per_rad
         self.speed_unit, self.acceleration_unit = speed_unit, acceleration_unit
         self._current_A = current_A
-        self.homing = Homing(
-            sampler,
-            clock,
-            values,
-            counts_per_rad,
-            lambda: self.speed_unit,
-            lambda: self.acceleration_unit,
-        )
-        self._gear = self._machine.constants.motor.gear_ratio
+        self.gear = self._machine.constants.motor.gear_ratio
+        self.homing = Homing(self)
         self._profile = Timer(clock, self._advance_profile)
         self._speed = 0.0
         self._goal = 0.0
@@ -229,12 +212,12 @@ class Mover:
     @property
     def positions(self) -> bool:
         """Whether the drive closes its position loop, so that it has a following error."""
-        return self._values[_MODE] not in (CSV, CST)
+        return self.values[_MODE] not in (CSV, CST)
 
     @property
     def flags(self) -> int:
         """Bits of the statusword that depend on the mode, while the drive operates."""
-        mode = self._values[_MODE]
+        mode = self.values[_MODE]
         if mode == HM:
             return self.homing.flags
         follows = mode in (CSP, CSV, CST) or (mode == PP and self.acknowledged)
@@ -245,11 +228,11 @@ class Mover:
         self.demand = self._goal = float(counts)
         self._speed = 0.0
         self.acknowledged = False
-        self._word = self._values[_CONTROLWORD]
-        mode = self._values[_MODE]
+        self._word = self.values[_CONTROLWORD]
+        mode = self.values[_MODE]
         self._machine.control(position=self.positions, speed=mode != CST)
         if mode == PP:
-            self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+            self._profile.start(self.clock.now_ns() + _PROFILE_NS)
         elif mode == HM:
             self.homing.begin(counts)
 
@@ -266,17 +249,17 @@ class Mover:
             CST: self._push,
             PP: self._set_point,
             HM: self._home,
-        }.get(self._values[_MODE])
+        }.get(self.values[_MODE])
         return move is not None and move(period_ns)
 
     def _clamped(self) -> float:
         """Return the target within its limits, in the motor's counts."""
-        values = self._values
+        values = self.values
         target = min(max(values[_TARGET], values[_TARGET_MIN]), values[_TARGET_MAX])
         return float(target - self.homing.shift)
 
     def _position(self, period_ns: int) -> bool:
-        values, target = self._values, self._clamped()
+        values, target = self.values, self._clamped()
         reach = values[_MAX_SPEED] * self.speed_unit * period_ns / NS
         step = target - self.demand
         if step > reach or step < -reach:
@@ -287,23 +270,23 @@ class Mover:
         return target + self.homing.shift != values[_TARGET]
 
     def _spin(self, _period_ns: int) -> bool:
-        values = self._values
+        values = self.values
         speed = min(max(values[_TARGET_SPEED], -values[_MAX_SPEED]), values[_MAX_SPEED])
-        self._machine.spin(speed * self.speed_unit / self._counts_per_rad / self._gear)
+        self._machine.spin(speed * self.speed_unit / self.counts_per_rad / self.gear)
         return speed != values[_TARGET_SPEED]
 
     def _push(self, _period_ns: int) -> bool:
-        values = self._values
+        values = self.values
         torque = values[_TARGET_TORQUE]
-        motor_rad_s = self._sampler.peek(self._clock.now_ns()).motor_velocity_rad_s
-        speed = motor_rad_s * self._counts_per_rad / self.speed_unit
+        motor_rad_s = self.sampler.peek(self.clock.now_ns()).motor_velocity_rad_s
+        speed = motor_rad_s * self.counts_per_rad / self.speed_unit
         if abs(speed) > values[_MAX_SPEED] and torque * speed > 0.0:
             torque = 0
         self._machine.feed(torque * self._current_A)
         return torque != values[_TARGET_TORQUE]
 
     def _set_point(self, _period_ns: int) -> bool:
-        word = self._values[_CONTROLWORD]
+        word = self.values[_CONTROLWORD]
         if word & ~self._word & _NEW:
             self._goal = self._clamped()
             self.acknowledged = True
@@ -311,7 +294,7 @@ class Mover:
             self.acknowledged = False
         self._word = word
         goal = self._goal + self.homing.shift
-        return goal != self._values[_TARGET] and self.acknowledged
+        return goal != self.values[_TARGET] and self.acknowledged
 
     def _home(self, _period_ns: int) -> bool:
         self.homing.obey()
@@ -319,8 +302,8 @@ class Mover:
 
     def _advance_profile(self) -> None:
         """Take one step of a profile with constant accelerations to the set-point."""
-        self._sampler.advance(self._clock.now_ns())
-        values, dt = self._values, _PROFILE_NS / NS
+        self.sampler.advance(self.clock.now_ns())
+        values, dt = self.values, _PROFILE_NS / NS
         acceleration = values[_PROFILE_ACCELERATION] * self.acceleration_unit
         deceleration = values[_PROFILE_DECELERATION] * self.acceleration_unit
         greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * self.speed_unit
@@ -337,7 +320,7 @@ class Mover:
         else:
             self.demand += self._speed * dt
         self._machine.track(self.demand, _PROFILE_NS)
-        self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+        self._profile.start(self.clock.now_ns() + _PROFILE_NS)
 
 
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
