@@ -8,9 +8,7 @@ from enum import Enum
 from typing import Final, Protocol, runtime_checkable
 
 IN_PLACE: Final = frozenset({35, 37})
-"""Homing methods without motion: the present position becomes the home position. 35 is the older
-number of method 37.
-"""
+"""Homing methods without motion; 35 is the older number of method 37."""
 _WORDS: Final[Mapping[int, str]] = {
     17: "to the limit switch on the negative side of the drive's position",
     18: "to the limit switch on the positive side of the drive's position",

@@ -42,9 +42,7 @@ FIELDS: Final[Mapping[ObjectAddress, tuple[str, str]]] = {
     QUICK_STOP_OPTION: ("quick_stop_option", "quick stop option"),
     QUICK_STOP_DECELERATION: ("quick_stop_deceleration_rad_s2", "quick stop deceleration"),
 }
-"""Object to the field of :class:`~drivers.interfaces.ServoLimits` that it stores, and to the name
-of this limit.
-"""
+"""Object to the field of :class:`ServoLimits` that it stores, and to the name of the limit."""
 OBJECTS: Final = tuple(FIELDS)
 """All objects that store limits."""
 _ENDS: Final = {POSITION_MIN: POSITION_MAX, POSITION_MAX: POSITION_MIN}
@@ -64,9 +62,7 @@ _KEYS: Final[Mapping[ObjectAddress, tuple[str, ...]]] = {
     PROFILE_ACCELERATION: ("servo.profile_acceleration_deg_s2", *_RAMPS),
     PROFILE_DECELERATION: ("servo.profile_acceleration_deg_s2", *_RAMPS),
 }
-"""Object to the keys of the bench file from which its value is computed: first the limit, then its
-units. With a negative sign of the drive, the ends of the angle are exchanged.
-"""
+"""Object to the keys of the bench file of its value: first the limit, then its units."""
 _UNITS: Final = {
     "deg": ("deg", math.degrees(1.0)),
     "deg_s": ("deg/s", math.degrees(1.0)),

@@ -21,9 +21,7 @@ from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
 MAX_COLLECTED: Final = 1024
-"""Greatest number of frames that one call returns, so that a device that sends without pause cannot
-block the control loop.
-"""
+"""Greatest number of frames of one call: no device can block the control loop by sending."""
 
 SEND_LIMIT_S: Final = 0.1
 """Time-out within which an interface must accept a frame, s."""
@@ -168,9 +166,7 @@ def _limit_sockets(bus: can.BusABC) -> None:
 
 
 ANSWER_SHARE: Final = 0.8
-"""Share of a control cycle within which process data must arrive; the rest of the cycle is for
-heartbeats, SDO and the computations of the host.
-"""
+"""Share of a control cycle for process data; the rest is for heartbeats, SDO and the host."""
 
 
 def frame_bits(length: int) -> int:

@@ -44,9 +44,7 @@ _FRAME: Final = re.compile(
 _FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED_FLAG | REMOTE_FLAG}
 _STAMP: Final = 4
 _ANSWERS: Final = frozenset({b"", b"z", b"Z"})
-"""Answers of an adapter to an accepted command; before a BEL character, the empty answer means that
-the command is refused.
-"""
+"""Answers to an accepted command; before a BEL, the empty answer is a refusal."""
 MAX_LINE: Final = 64
 """Greatest number of characters of a line; the longest frame has 30 characters."""
 

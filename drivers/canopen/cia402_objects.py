@@ -22,9 +22,7 @@ from drivers.units import ServoScales, Unwrapper
 
 SUPPLY_EVERY: Final = 10
 FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (8, SUPPLY_EVERY))
-"""Data bytes of each PDO and its period in cycles, for a drive with all objects and a 16-bit
-voltage object.
-"""
+"""Data bytes of each PDO and its period in cycles, for a drive with all objects."""
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
 """Data bytes and periods of the PDOs if the torque offset is mapped."""
 ABORT_IS_FAULT: Final = 1
@@ -47,9 +45,7 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
     MODE_DISPLAY: "it shows whether the selected mode of operation is active",
     POSITION: "limits are checked with the position",
 }
-"""Objects that every drive must have, each with its purpose; a mode of operation needs further
-objects.
-"""
+"""Objects that every drive must have, each with its purpose; a mode needs further ones."""
 
 
 def stops_alone(has: Callable[[int, int], bool]) -> bool:
@@ -162,16 +158,12 @@ def _add(
 
 
 NEEDED_IN: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
-"""States in which the mode of operation must be active before the next transition toward power.
-Some drives activate a mode only in the state SWITCHED ON.
-"""
+"""States in which the mode must be active; some drives activate it only in SWITCHED ON."""
 
 
 _US: Final = 1e-6
 _SPAN: Final = 8
-"""Number of exchanges over which a speed is computed from positions; over one exchange the
-resolution of one count per cycle would be too coarse.
-"""
+"""Number of exchanges over which a speed is computed from positions; one is too coarse."""
 _NOT_SENT: Final = -1
 """Index of the NaN that is appended to the values, for objects that are not sent."""
 

@@ -25,9 +25,7 @@ GAIN_CYCLES: Final = 0.06
 command computed from it acts, so that the delay reduces the phase margin by 0.12 rad (7 deg).
 """
 SPEED_CYCLES: Final = 0.15
-"""Product of speed-loop bandwidth and cycle time for a derived gain; the delay reduces the phase
-margin by 0.3 rad (17 deg).
-"""
+"""Product of speed-loop bandwidth and cycle time; the delay takes 0.3 rad (17 deg) of phase."""
 RATIO: Final = 0.4
 """Greatest ratio of a derived position gain to the bandwidth of the speed loop."""
 
@@ -152,15 +150,11 @@ TARGET_SPEED: Final = (0x60FF, 0)
 TARGET_TORQUE: Final = (0x6071, 0)
 TORQUE_OFFSET: Final = (0x60B2, 0)
 STALE_CYCLES: Final = 3
-"""Number of successive exchanges without a complete answer after which the commanded speed or
-torque is 0.
-"""
+"""Number of exchanges without a complete answer after which the command is 0."""
 SPEED_OVER: Final = 2
 """Number of exchanges over which the position loop computes the speed from positions."""
 COARSE: Final = 0.05
-"""Torque that one count of the computed speed may cause in the position loop, as a share of the
-torque limit; above this share the computed speed is too coarse.
-"""
+"""Share of the torque limit from which one count of the computed speed is too coarse."""
 _INT16: Final = range(-(1 << 15), 1 << 15)
 _INT32: Final = range(-(1 << 31), 1 << 31)
 

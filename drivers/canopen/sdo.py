@@ -27,9 +27,7 @@ _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
 """Object address in an abort message of a server that does not state the object."""
 _LATE_ANSWERS = 64
-"""Number of answers to other requests that are skipped before the server counts as not
-answering.
-"""
+"""Number of answers to other requests that are skipped."""
 _STEP_S = 0.01
 """Longest wait for a response before a sign of the control loop may be due, s."""
 _INITIATE = (1, 2)
@@ -187,9 +185,7 @@ def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable:
 
 
 AXIS_OBJECTS: Final = 0x800
-"""Number of indices of one axis (CiA 402-2): axis 1 has the objects from 6000h, axis 2 those from
-6800h.
-"""
+"""Number of indices of one axis (CiA 402-2): axis 1 from 6000h, axis 2 from 6800h."""
 _FIRST: Final = range(0x6000, 0x6000 + AXIS_OBJECTS)
 _LISTS: Final = frozenset({0x60E3})
 """Objects without members of their own whose subindex 0 is used: the number of homing methods."""

@@ -35,9 +35,7 @@ ENCODER_FRAMES: Final = ((8, 1),)
 """Data bytes of the PDO of an encoder and its period in cycles."""
 _US: Final = 1e-6
 _RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
-"""Objects with the steps per turn: the configured number (encoders of class 2), and the number of
-the disc (class 1).
-"""
+"""Objects with the steps per turn: as configured (class 2), or of the disc (class 1)."""
 _RANGE: Final = (0x6002, 0)
 _TURNS: Final = (0x6502, 0)
 _ALARMS: Final = (0x6503, 0)
@@ -45,9 +43,7 @@ _VALUE: Final = (0x6004, 0)
 _TIME: Final = (0x1013, 0)
 _WHOLE: Final = 1 << 32
 _WHOLE_WORDS: Final = (0, _WHOLE - 1)
-"""Values of 6002h that stand for a range of 2^32 steps, because this number does not fit into the
-object.
-"""
+"""Values of 6002h for a range of 2^32 steps, which does not fit into the object."""
 
 
 class Cia406Encoder(Encoder):

@@ -26,9 +26,7 @@ SEGMENT_BYTES: Final = 255
 
 WRITE_BYTES: Final = 30
 READ_BYTES: Final = 32
-"""Greatest number of bytes on the line for one ReadObject or WriteObject with its answer, if every
-byte that can be 90h is 90h.
-"""
+"""Greatest number of bytes of one WriteObject or ReadObject with its answer, all 90h doubled."""
 _BITS_PER_BYTE: Final = 10
 
 

@@ -83,9 +83,7 @@ class Guard(Protocol):
 
 CYCLE_WRITES: Final = 1
 CYCLE_READS: Final = 4
-"""Number of objects that are read in a control cycle: state, position, current, and one of all
-other objects in turn.
-"""
+"""Number of objects read in a cycle: state, position, current, and one other in turn."""
 
 FASTEST_1_S: Final = 1e9
 """Change of the position, counts/s, that no motor exceeds: 20 bits per turn at 950 turns/s."""
@@ -501,9 +499,7 @@ _LINE: Final = 0
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
 _LONGEST_WAIT_NS: Final = 50_000_000
-"""Greatest duration of one wait for bytes, ns; between waits the guard is told that the program is
-alive.
-"""
+"""Greatest duration of one wait for bytes, ns; the guard is fed between waits."""
 
 _SUBINDICES: Final = (1, 2, 3, 4)
 

@@ -37,9 +37,7 @@ _START: Final = 1 << 4
 _STEP_NS: Final = 1_000_000
 _TOO_LITTLE_A: Final = 0.2
 _BLOCKED_DEG: Final = 1.0
-"""Lag of the joint behind the target from which the joint counts as blocked, deg; half of the
-following-error limit if this is less.
-"""
+"""Lag from which the joint counts as blocked, deg; at most half of the error limit."""
 
 
 def check_method(_subindex: int, value: int) -> None:
@@ -360,9 +358,7 @@ _LONGEST_PERIOD: Final = 20
 _WHOLE: Final = 1e-6
 """Tolerance, in units, for a value that should be a whole number of units."""
 _AT_LIMIT: Final = 0.98
-"""Ratio of the mean current to its limit from which the current counts as limited; less than 1,
-because the measured mean contains noise.
-"""
+"""Ratio of mean current to limit from which the current counts as limited; it has noise."""
 
 
 @dataclass(frozen=True)

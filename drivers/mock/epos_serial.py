@@ -29,9 +29,7 @@ WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _TARGET: Final = 0x607A
 _MEANS: Final = (0x6077, 0x6078)
-"""Torque and current, which are means since the last read; a maker's own object of the current is
-one too.
-"""
+"""Torque and current, which are means since the last read."""
 _VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4

@@ -25,9 +25,7 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.traits import HM, PP, Shown, Traits
 
 _OWN: Final = frozenset({0x2100, 0x2101, 0x60E3})
-"""Objects that no drive of a make has by default: objects of the simulated drive only, and the list
-of homing methods, which few drives have.
-"""
+"""Objects that no drive of a make has unless stated."""
 MAKES: Final[Mapping[str, Traits]] = {
     "EPOS4": Traits(
         0xFB,

@@ -15,9 +15,7 @@ from drivers.interfaces import RawFrame
 
 Handler = Callable[[bytes], None]
 FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
-"""Function of (time in ns, identifier, data, whether the host sent the frame) that returns the
-frame to deliver, or None to lose the frame.
-"""
+"""(time in ns, identifier, data, whether the host sent it) to the frame to deliver, or None."""
 
 
 _NEVER = 1 << 62

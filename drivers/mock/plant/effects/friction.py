@@ -196,13 +196,9 @@ def load_factor(theta: float, time: float, e: Vector) -> float:
 
 
 _RENEWAL_RAD = 1e-3
-"""Assumed sliding distance after which the increase of static friction during a rest is lost,
-rad.
-"""
+"""Assumed sliding distance after which a rest no longer counts, rad."""
 _SMOOTHED_S = 2.5e-3
-"""Assumed time constant with which the drag of ``x_acceleration_drag`` follows the acceleration,
-s.
-"""
+"""Assumed time constant of the acceleration of ``x_acceleration_drag``, s."""
 
 
 @inlined

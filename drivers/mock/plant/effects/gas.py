@@ -50,9 +50,7 @@ GAS_CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     },
     "leakage": {"area_m2": Parameter(LEAK, 0.0, 2e-4)},
 }
-"""Slot and range of each parameter of each effect; ``rate_m_s`` is the growth rate of the thickness
-of the layer on all rims of the throat.
-"""
+"""Parameters of each effect; ``rate_m_s`` is the growth of the layer on all rims."""
 
 GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
     "x_propellant_bands": {

@@ -29,9 +29,7 @@ from drivers.mock.plant.parts.friction import INERTIA
 from drivers.mock.plant.parts.loops import current_command, voltage_command
 
 HARD_N_M_RAD = 1e6
-"""Default stiffness of teeth and shaft; a torque of 20 N m twists the shaft by 20 microradian, one
-count of the encoder.
-"""
+"""Default stiffness; 20 N m twist the shaft by 20 microradian, a count of the encoder."""
 DAMPING_RATIO = 0.08
 """Assumed damping ratio of the oscillation of rotor against joint on the spring of the shaft."""
 

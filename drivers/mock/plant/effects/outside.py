@@ -85,9 +85,7 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 """Slot and range of each parameter of each effect."""
 
 _ROOT_FLOOR = 1e-4
-"""Speed, rad/s, below which a drag proportional to the square root of the speed is replaced by a
-linear drag, so that its slope is finite.
-"""
+"""Speed, rad/s, below which the drag is linear, so that its slope is finite."""
 
 
 @inlined
