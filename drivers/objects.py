@@ -51,11 +51,6 @@ def problem_of(
         yield error
 
 
-def watchable(has: Callable[[int, int], bool]) -> bool:
-    """Return whether a device with these objects can monitor its master."""
-    return any(all(has(*address) for address in needed) for needed in WATCHES)
-
-
 class ObjectAccess(Protocol):
     """Reads and writes single objects of one device, as integers in the device's own units."""
 

@@ -17,7 +17,7 @@ from drivers.canopen import cia402
 from drivers.canopen.motion import OUTPUT_PDO, Motion, Observed
 from drivers.clock import NS
 from drivers.interfaces import ServoSample, ServoState
-from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel, watchable
+from drivers.objects import WATCHES, ObjectAddress, PdoLayout, ProcessChannel
 from drivers.units import ServoScales, Unwrapper
 
 SUPPLY_EVERY: Final = 10
@@ -50,7 +50,7 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
 
 def stops_alone(has: Callable[[int, int], bool]) -> bool:
     """Return whether such a drive monitors its master and takes the power off without it."""
-    return has(*ON_ABORT) and watchable(has)
+    return has(*ON_ABORT) and any(all(has(*at) for at in needed) for needed in WATCHES)
 
 
 def settings(channel: ProcessChannel, cycle_s: float) -> list[tuple[ObjectAddress, int]]:

@@ -504,10 +504,6 @@ _LONGEST_WAIT_NS: Final = 50_000_000
 _SUBINDICES: Final = (1, 2, 3, 4)
 
 
-def _nothing() -> None:
-    """Do nothing: there is no other line."""
-
-
 class EposSerialLink(Link):
     """A serial line with this program as its only master.
 
@@ -549,7 +545,7 @@ class EposSerialLink(Link):
         self.guard = guard
         self.cycle = 0
         self.lost = 0
-        self._at_instant: Callable[[], None] = _nothing
+        self._at_instant: Callable[[], None] = lambda: None
         self._name = name
         self._connect = connect
         self._answer_wait_ns = round(answer_s * NS)

@@ -304,7 +304,7 @@ def freeze(encoder: Sensor) -> None:
 
 def reverse(encoder: Sensor) -> None:
     """Reverse the sign of the counts, as with two wires swapped."""
-    encoder.distort = _negated
+    encoder.distort = lambda counts: -counts
 
 
 def on_motor_shaft(encoder: Sensor, machine: SimulatedMachine) -> None:
@@ -318,10 +318,6 @@ def refuse_mode(drive: SimulatedDrive) -> None:
     drive.objects.values[_MODE_DISPLAY] = 0
     ignored: Callable[[int, int], None] = lambda _subindex, _value: None  # noqa: E731
     drive.objects.written[0x6060] = ignored
-
-
-def _negated(counts: int) -> int:
-    return -counts
 
 
 _PRODUCT: Final = key(0x1018, 2)
@@ -371,10 +367,6 @@ def _motor(**factors: float) -> Callable[[Machine], Machine]:
     return change
 
 
-def _never_lost(_: int) -> None:
-    """Do nothing when the master is lost."""
-
-
 MISTAKES: Final[Mapping[str, Mistake]] = {
     "another_device": Mistake(
         "the drive on the node is of another product than its EDS file",
@@ -399,7 +391,7 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
     ),
     "watchdog_dead": Mistake(
         "the drive goes on when the program is silent",
-        lambda bench, _: setattr(bench.drive, "connection_lost", _never_lost),
+        lambda bench, _: setattr(bench.drive, "connection_lost", lambda _: None),
     ),
     "stop_ignored": Mistake(
         "the drive ignores the quick stop",
