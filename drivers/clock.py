@@ -43,9 +43,7 @@ class RealClock:
 
 
 def _boot_ns() -> int:
-    """Return the time since boot, ns, which includes the time in which the computer slept; the
-    monotonic time on a system without this clock.
-    """
+    """Return the time since boot with sleep, ns; monotonic time on a system without this clock."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic_ns() if clock is None else time.clock_gettime_ns(clock)
 
@@ -53,10 +51,6 @@ def _boot_ns() -> int:
 class Suspension:
     """Detects that the computer slept: the monotonic clock does not count this time, so that no
     lateness shows it.
-
-    Args:
-        boot_ns: Time that counts sleep, ns.
-        awake_ns: Time that does not count sleep, ns.
     """
 
     def __init__(
@@ -68,9 +62,7 @@ class Suspension:
         self._most_ns = self._asleep_ns()
 
     def passed_ns(self) -> int:
-        """Return how long the computer has slept since the last call, ns; 0 if it did not, or for
-        less than :data:`SHORTEST_SLEEP_NS`.
-        """
+        """Return the sleep since the last call, ns; 0 below :data:`SHORTEST_SLEEP_NS`."""
         slept_ns = self._asleep_ns() - self._most_ns
         if slept_ns <= 0:
             return 0
@@ -103,9 +95,7 @@ class SimulatedClock:
         return self._now
 
     def call_at(self, when_ns: int, action: Callable[[], None]) -> None:
-        """Run ``action`` when the simulated time reaches ``when_ns``, but not before the present
-        time.
-        """
+        """Run ``action`` when the simulated time reaches ``when_ns``, at the earliest now."""
         self._order += 1
         heapq.heappush(
             self._events, (when_ns if when_ns > self._now else self._now, self._order, action)
@@ -124,9 +114,7 @@ class SimulatedClock:
             self._now = deadline_ns
 
     def fire_next(self, horizon_ns: int) -> None:
-        """Execute the next event; the event may itself advance the time up to ``horizon_ns``. There
-        must be an event.
-        """
+        """Execute the next event, which may advance the time up to ``horizon_ns``."""
         self._now, _, action = heapq.heappop(self._events)
         self._horizon = horizon_ns
         action()

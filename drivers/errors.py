@@ -18,14 +18,7 @@ class LinkError(DeviceError):
 
 
 class ObjectAccessError(DeviceError):
-    """A device refused an object (SDO abort, serial error code).
-
-    Args:
-        index: Object index.
-        subindex: Object subindex.
-        code: Abort code that the device sent.
-        message: Reason and remedy.
-    """
+    """A device refused an object (SDO abort, serial error code)."""
 
     def __init__(self, index: int, subindex: int, code: int, message: str) -> None:
         super().__init__(f"object {index:04X}h:{subindex:02X}h: {message} (abort code {code:08X}h)")
@@ -57,13 +50,7 @@ class ConfigurationError(DeviceError):
 
 
 class RangeError(ConfigurationError):
-    """A value does not fit into an object of the device.
-
-    Args:
-        low: Least value of the object.
-        high: Greatest value of the object.
-        message: Object, value and range.
-    """
+    """A value does not fit into an object of the device."""
 
     def __init__(self, low: int, high: int, message: str) -> None:
         super().__init__(message)

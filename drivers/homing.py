@@ -8,9 +8,7 @@ from enum import Enum
 from typing import Final, Protocol, runtime_checkable
 
 IN_PLACE: Final = frozenset({35, 37})
-"""Homing methods without motion: the present position becomes the home position. 35 is the older
-number of method 37.
-"""
+"""Homing methods without motion; 35 is the older number of method 37."""
 _WORDS: Final[Mapping[int, str]] = {
     17: "to the limit switch on the negative side of the drive's position",
     18: "to the limit switch on the positive side of the drive's position",
@@ -67,9 +65,7 @@ class HomingOffer:
         return f"the drive can set its zero by homing, {shown}{more}"
 
     def problem(self, method: int) -> str:
-        """Return the reason why a homing method cannot be used, or an empty text if it can be
-        used.
-        """
+        """Return why a homing method cannot be used; empty if it can."""
         return "" if method in self.methods else f"method {method} is not offered; {self.words}"
 
 
@@ -99,9 +95,6 @@ class Homes(Protocol):
     def homing_offer(self) -> HomingOffer:
         """Return whether the drive can home, by its EDS and by reading objects, without writing
         anything.
-
-        Raises:
-            LinkError: The drive cannot be reached.
         """
         ...
 

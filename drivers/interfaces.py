@@ -265,7 +265,7 @@ class Link(ABC):
 
 
 class Device(ABC):
-    """What every device of a bench can do."""
+    """What every device of a bench can do; LinkError if the device cannot be reached."""
 
     @abstractmethod
     def identity(self) -> Identity:
@@ -344,19 +344,11 @@ class Servo(SpeedRemedies, Device):
         """
 
     def readings(self) -> ServoReadings:
-        """Read the drive's values by read requests alone, without preparing it.
-
-        Raises:
-            LinkError: The drive cannot be reached.
-        """
+        """Read the drive's values by read requests alone, without preparing it."""
         return ServoReadings()
 
     def glance(self) -> ServoReadings:
-        """Read only the angle of the motor and the current, by read requests; other values are NaN.
-
-        Raises:
-            LinkError: The drive cannot be reached.
-        """
+        """Read only the angle of the motor and the current, by read requests; else NaN."""
         return self.readings()
 
     def measuring(self) -> Measuring:
@@ -364,19 +356,12 @@ class Servo(SpeedRemedies, Device):
         return Measuring()
 
     def motion(self) -> ServoMotion:
-        """Read angle and speed by as few requests as possible, without preparing the drive.
-
-        Raises:
-            LinkError: The drive cannot be reached.
-        """
+        """Read angle and speed by as few requests as possible, without preparing the drive."""
         return ServoMotion(velocity_rad_s=self.readings().velocity_rad_s)
 
     def promised_deceleration(self) -> float:
         """Return the deceleration of the quick stop at the joint, rad/s^2, as last written, else as
         read from the drive; NaN if unknown.
-
-        Raises:
-            LinkError: The drive cannot be reached.
         """
         return math.nan
 
@@ -441,11 +426,7 @@ class Encoder(Device):
     """A joint encoder."""
 
     def reading(self) -> float:
-        """Read the joint angle, rad, by read requests alone; NaN if there is no angle.
-
-        Raises:
-            LinkError: The encoder cannot be reached.
-        """
+        """Read the joint angle, rad, by read requests alone; NaN if there is no angle."""
         return math.nan
 
     def step_rad(self) -> float:
@@ -461,11 +442,7 @@ class PressureTransmitter(Device):
     """A pressure transmitter on the chamber of the gas generator."""
 
     def reading(self) -> float:
-        """Read the pressure, Pa, by read requests alone; NaN if there is no pressure.
-
-        Raises:
-            LinkError: The transmitter cannot be reached.
-        """
+        """Read the pressure, Pa, by read requests alone; NaN if there is no pressure."""
         return math.nan
 
     @abstractmethod

@@ -51,11 +51,6 @@ def problem_of(
         yield error
 
 
-def watchable(has: Callable[[int, int], bool]) -> bool:
-    """Return whether a device with these objects can monitor its master."""
-    return any(all(has(*address) for address in needed) for needed in WATCHES)
-
-
 class ObjectAccess(Protocol):
     """Reads and writes single objects of one device, as integers in the device's own units."""
 
@@ -154,9 +149,7 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
-        """Return whether these objects fit into one PDO; the result is True for unknown objects,
-        which :meth:`require_mappable` refuses. Nothing is sent.
-        """
+        """Return whether these objects fit into one PDO. Nothing is sent."""
         ...
 
     def stated(self, index: int, subindex: int) -> int | None:
@@ -198,9 +191,7 @@ class ProcessChannel(ObjectAccess, Protocol):
     def accessed(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], watched: bool
     ) -> Iterator[ObjectAddress]:
-        """Yield the objects that :meth:`map_process_data` and :meth:`watch` read or write. Nothing
-        is sent.
-        """
+        """Yield the objects that mapping and watch read or write. Nothing is sent."""
         ...
 
     def unguarded(self, watched: bool) -> Iterator[DeviceError]:
@@ -308,11 +299,7 @@ def read_identity(objects: ObjectAccess) -> Identity:
 
 
 def identity_problems(channel: ProcessChannel) -> Iterator[ConfigurationError]:
-    """Yield an error for each number of the identity object (1018h) that differs from the EDS.
-
-    Raises:
-        LinkError: No answer.
-    """
+    """Yield an error for each number of the identity object (1018h) that differs from the EDS."""
     for address, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
         stated = channel.stated(*address)
         found = optional(channel.read, *address) if stated else None
@@ -333,13 +320,6 @@ def access_problems(
 ) -> Iterator[DeviceError]:
     """Yield an error for each object of the process data that cannot be mapped by the EDS; if there
     is none, an error for each object of a preparation that the device refuses to read.
-
-    Args:
-        channel: The device.
-        outputs: See :meth:`ProcessChannel.map_process_data`.
-        inputs: See :meth:`ProcessChannel.map_process_data`.
-        watched: See :meth:`ProcessChannel.map_process_data`.
-        others: Further objects that a preparation reads or writes.
 
     Raises:
         LinkError: No answer.

@@ -79,11 +79,6 @@ def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
 def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
     """Open a port and return it.
 
-    Args:
-        connect: Function that opens the port.
-        name: Name of the port in the message.
-        advice: Text on what to check if the port cannot be opened.
-
     Raises:
         LinkError: The port cannot be opened.
     """
@@ -97,11 +92,6 @@ def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
 
 def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None:
     """Check that the cycle time of a device equals that of its link.
-
-    Args:
-        running_s: Cycle time of the link, s, or None if not set yet.
-        cycle_s: Cycle time of the device, s.
-        who: Name of the device in the message.
 
     Raises:
         ConfigurationError: Another device has a different cycle time.

@@ -33,11 +33,7 @@ _DRAIN_STEP_NS: Final = NS // 1000
 
 
 def _require_posix() -> None:
-    """Check, before a drive moves, that this system can flush a serial line.
-
-    Raises:
-        OSError: This system cannot flush a serial line.
-    """
+    """Check, before a drive moves, that this system can flush a serial line."""
     if termios is None or fcntl is None:
         raise OSError(
             "this system has no termios, which is needed to lock and flush serial lines; use "
@@ -46,9 +42,7 @@ def _require_posix() -> None:
 
 
 class BytePort(Protocol):
-    """An open serial line. The methods of a port raise nothing but OSError, also after
-    :meth:`close`.
-    """
+    """An open serial line; its methods raise nothing but OSError, also after :meth:`close`."""
 
     def write(self, data: bytes) -> None:
         """Send bytes.
@@ -68,11 +62,7 @@ class BytePort(Protocol):
         ...
 
     def discard(self) -> None:
-        """Drop what has come in.
-
-        Raises:
-            OSError: The line is gone.
-        """
+        """Drop what has come in."""
         ...
 
     def close(self) -> None:
@@ -142,11 +132,7 @@ class InheritedPort:
         termios.tcflush(self.fileno(), termios.TCIFLUSH)
 
     def fileno(self) -> int:
-        """Return the file descriptor of the port.
-
-        Raises:
-            OSError: The port is closed.
-        """
+        """Return the file descriptor of the port."""
         if self._descriptor < 0:
             raise OSError("the port is closed")
         return self._descriptor

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 from drivers.errors import (
     ConfigurationError,
@@ -42,11 +42,10 @@ FIELDS: Final[Mapping[ObjectAddress, tuple[str, str]]] = {
     QUICK_STOP_OPTION: ("quick_stop_option", "quick stop option"),
     QUICK_STOP_DECELERATION: ("quick_stop_deceleration_rad_s2", "quick stop deceleration"),
 }
-"""Object to the field of :class:`~drivers.interfaces.ServoLimits` that it stores, and to the name
-of this limit.
-"""
+"""Object to the field of :class:`ServoLimits` that it stores, and to the name of the limit."""
 OBJECTS: Final = tuple(FIELDS)
 """All objects that store limits."""
+_ENDS: Final = {POSITION_MIN: POSITION_MAX, POSITION_MAX: POSITION_MIN}
 _COUNTS: Final = ("machine.gear_ratio", "servo.counts_per_motor_turn")
 _SPEEDS: Final = ("machine.gear_ratio", "servo.velocity_unit")
 _RAMPS: Final = ("machine.gear_ratio", "servo.acceleration_unit_rad_s2")
@@ -63,9 +62,7 @@ _KEYS: Final[Mapping[ObjectAddress, tuple[str, ...]]] = {
     PROFILE_ACCELERATION: ("servo.profile_acceleration_deg_s2", *_RAMPS),
     PROFILE_DECELERATION: ("servo.profile_acceleration_deg_s2", *_RAMPS),
 }
-"""Object to the keys of the bench file from which its value is computed: first the limit, then its
-units. With a negative sign of the drive, the ends of the angle are exchanged.
-"""
+"""Object to the keys of the bench file of its value: first the limit, then its units."""
 _UNITS: Final = {
     "deg": ("deg", math.degrees(1.0)),
     "deg_s": ("deg/s", math.degrees(1.0)),
@@ -77,33 +74,47 @@ _UNITS: Final = {
 """End of a key to its unit, and to the factor from SI."""
 
 
+def _units(scales: ServoScales) -> dict[ObjectAddress, float]:
+    """Return what one unit of each object is at the joint, in SI units."""
+    count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
+    ramp = scales.joint_acceleration_unit_rad_s2
+    return {
+        POSITION_MIN: count,
+        POSITION_MAX: count,
+        MAX_SPEED: speed,
+        MAX_TORQUE: scales.joint_torque_unit_N_m,
+        MAX_CURRENT: scales.current_unit_A,
+        FOLLOWING_WINDOW: abs(count),
+        QUICK_STOP_OPTION: 1.0,
+        QUICK_STOP_DECELERATION: ramp,
+        PROFILE_SPEED: speed,
+        PROFILE_ACCELERATION: ramp,
+        PROFILE_DECELERATION: ramp,
+    }
+
+
+def _at_joint(address: ObjectAddress, scales: ServoScales) -> ObjectAddress:
+    """Exchange the ends of the angle if the drive has a negative sign."""
+    return _ENDS.get(address, address) if scales.sign < 0 else address
+
+
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
     """Return the object values that store ``limits``, each rounded to the unit of the drive such
-    that no limit becomes wider and the quick stop no weaker. A limit of NaN, which the drive does
-    not have, is omitted.
+    that no limit becomes wider and the quick stop no weaker. A limit of NaN is omitted.
     """
-    count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
-    lower, upper = (limits.angle_min_rad, limits.angle_max_rad)[:: scales.sign]
-    window = limits.following_error_rad
-    values = {
-        POSITION_MIN: (lower - scales.offset_rad) / count,
-        POSITION_MAX: (upper - scales.offset_rad) / count,
-        MAX_SPEED: limits.speed_rad_s / speed,
-        MAX_TORQUE: limits.torque_N_m / scales.joint_torque_unit_N_m,
-        MAX_CURRENT: limits.current_A / scales.current_unit_A,
-        FOLLOWING_WINDOW: WINDOW_OFF if window is None else window / abs(count),
-        QUICK_STOP_OPTION: limits.quick_stop_option,
-        QUICK_STOP_DECELERATION: limits.quick_stop_deceleration_rad_s2
-        / scales.joint_acceleration_unit_rad_s2,
-    }
-    encoded = {
-        address: -_whole(-value)
-        if address in (POSITION_MIN, QUICK_STOP_DECELERATION)
-        else _whole(value)
-        for address, value in values.items()
-        if not math.isnan(value)
-    }
-    if values[QUICK_STOP_DECELERATION] > 0.0:
+    units = _units(scales)
+    encoded: dict[ObjectAddress, int] = {}
+    for address in FIELDS:
+        limit = getattr(limits, FIELDS[_at_joint(address, scales)][0])
+        if limit is None:
+            encoded[address] = WINDOW_OFF
+            continue
+        value = (limit - (scales.offset_rad if address in _ENDS else 0.0)) / units[address]
+        if math.isnan(value):
+            continue
+        upward = address in (POSITION_MIN, QUICK_STOP_DECELERATION)
+        encoded[address] = -_whole(-value) if upward else _whole(value)
+    if limits.quick_stop_deceleration_rad_s2 > 0.0:
         # A drive with 0 does not brake.
         encoded[QUICK_STOP_DECELERATION] = max(1, encoded[QUICK_STOP_DECELERATION])
     return encoded
@@ -111,38 +122,23 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
 
 def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLimits:
     """Return the limits that the object values store; a limit that the drive lacks is NaN."""
-
-    def held(address: ObjectAddress, unit: float, offset: float = 0.0) -> float:
-        return values[address] * unit + offset if address in values else math.nan
-
-    count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
-    lower, upper = (POSITION_MIN, POSITION_MAX)[:: scales.sign]
-    window = values.get(FOLLOWING_WINDOW)
-    return ServoLimits(
-        angle_min_rad=held(lower, count, scales.offset_rad),
-        angle_max_rad=held(upper, count, scales.offset_rad),
-        speed_rad_s=held(MAX_SPEED, speed),
-        torque_N_m=held(MAX_TORQUE, scales.joint_torque_unit_N_m),
-        current_A=held(MAX_CURRENT, scales.current_unit_A),
-        following_error_rad=None if window == WINDOW_OFF else held(FOLLOWING_WINDOW, abs(count)),
-        quick_stop_option=values.get(QUICK_STOP_OPTION, NO_OPTION),
-        quick_stop_deceleration_rad_s2=held(
-            QUICK_STOP_DECELERATION, scales.joint_acceleration_unit_rad_s2
-        ),
-    )
+    found: dict[str, Any] = {
+        FIELDS[_at_joint(address, scales)][0]: value_at(address, values[address], scales)
+        if address in values
+        else math.nan
+        for address in FIELDS
+    }
+    found["quick_stop_option"] = values.get(QUICK_STOP_OPTION, NO_OPTION)
+    if values.get(FOLLOWING_WINDOW) == WINDOW_OFF:
+        found["following_error_rad"] = None
+    return ServoLimits(**found)
 
 
 def steps(scales: ServoScales) -> LimitSteps:
     """Return the resolution of each limit: one unit of its object, at the joint."""
-    count, speed = abs(scales.joint_rad_per_count), scales.joint_speed_unit_rad_s
-    return LimitSteps(
-        count,
-        speed,
-        scales.joint_torque_unit_N_m,
-        scales.current_unit_A,
-        count,
-        scales.joint_acceleration_unit_rad_s2,
-    )
+    units = _units(scales)
+    objects = (POSITION_MIN, MAX_SPEED, MAX_TORQUE, MAX_CURRENT, FOLLOWING_WINDOW)
+    return LimitSteps(*(abs(units[at]) for at in (*objects, QUICK_STOP_DECELERATION)))
 
 
 def _whole(units: float) -> int:
@@ -152,18 +148,7 @@ def _whole(units: float) -> int:
 
 def value_at(address: ObjectAddress, units: int, scales: ServoScales) -> float:
     """Return the limit that a value of a limit object stands for, at the joint, in SI units."""
-    count = scales.joint_rad_per_count
-    gains = {
-        MAX_SPEED: scales.joint_speed_unit_rad_s,
-        PROFILE_SPEED: scales.joint_speed_unit_rad_s,
-        MAX_TORQUE: scales.joint_torque_unit_N_m,
-        MAX_CURRENT: scales.current_unit_A,
-        FOLLOWING_WINDOW: abs(count),
-        QUICK_STOP_OPTION: 1.0,
-    }
-    if address in (POSITION_MIN, POSITION_MAX):
-        return units * count + scales.offset_rad
-    return units * gains.get(address, scales.joint_acceleration_unit_rad_s2)
+    return units * _units(scales)[address] + (scales.offset_rad if address in _ENDS else 0.0)
 
 
 def named(
@@ -171,17 +156,10 @@ def named(
 ) -> DeviceError:
     """Return an error that names the keys of the bench file from which a refused value was
     computed.
-
-    Args:
-        address: Object of the limit.
-        value: The refused value, in units of the object.
-        scales: Units of the drive.
-        error: Error of the drive or of its EDS.
     """
     if isinstance(error, NotDescribedError):
         return error
-    turned = {POSITION_MIN: POSITION_MAX, POSITION_MAX: POSITION_MIN} if scales.sign < 0 else {}
-    key, *units = keys = _KEYS[turned.get(address, address)]
+    key, *units = keys = _KEYS[_at_joint(address, scales)]
     unit, factor = next(row for end, row in _UNITS.items() if key.endswith(f"_{end}"))
 
     def at(units: int) -> float:
@@ -228,9 +206,7 @@ def write(
 def store_limit(
     drive: ObjectAccess, scales: ServoScales, address: ObjectAddress, value: int
 ) -> None:
-    """Write one limit object and verify it by reading it back; the errors are those of
-    :func:`write`.
-    """
+    """Write one limit object and read it back; errors as of :func:`write`."""
     for error in problem_of(store, drive, address, value):
         raise named(address, value, scales, error) from error
 
@@ -238,9 +214,7 @@ def store_limit(
 def problems(
     drive: ProcessChannel, scales: ServoScales, values: Iterable[tuple[ObjectAddress, int]]
 ) -> Iterator[DeviceError]:
-    """Yield an error for each value that does not fit into its limit object, without sending
-    anything.
-    """
+    """Yield an error for each value that does not fit into its object. Nothing is sent."""
     for address, value in values:
         for error in problem_of(drive.require_fit, *address, value):
             yield named(address, value, scales, error)

@@ -15,12 +15,7 @@ FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
 
 
 class SteppedServo(Servo):
-    """A servo whose drive is energised state by state. Only :meth:`enable` leads toward power.
-
-    Args:
-        link: The link to the drive.
-        state_timeout_s: Time-out for reaching a state, s.
-    """
+    """A servo whose drive is energised state by state. Only :meth:`enable` leads toward power."""
 
     def __init__(self, link: Link, state_timeout_s: float) -> None:
         self._link = link
@@ -85,9 +80,6 @@ class SteppedServo(Servo):
     ) -> None:
         """Read the state of the drive until the expected state is reached; call ``again`` after
         each read of another state.
-
-        Raises:
-            StateError: The state was not reached in time.
         """
         deadline = self._clock.now_ns() + self._timeout_s * NS
         while not reached(state := read()):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
@@ -100,11 +100,7 @@ class ServoScales:
         )
 
     def __post_init__(self) -> None:
-        """Refuse invalid scales.
-
-        Raises:
-            ConfigurationError: A scale is not positive, or the sign is not 1 or -1.
-        """
+        """Refuse invalid scales."""
         for name in ("counts_per_turn", "gear_ratio", "rated_current_A", "rated_torque_N_m"):
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
@@ -201,33 +197,29 @@ class ServoScales:
         Raises:
             LinkError: No answer.
         """
-        for what, address, object_unit, bench, unit in (
-            (
-                "rated current",
-                self.rated_current_object,
-                self.rated_current_object_unit_A,
-                self.rated_current_A,
-                "A",
-            ),
-            (
-                "rated torque",
-                self.rated_torque_object,
-                self.rated_torque_object_unit_N_m,
-                self.rated_torque_N_m,
-                "N m",
-            ),
+        current, torque = self.rated_current_object, self.rated_torque_object
+        current_A, torque_N_m = self.rated_current_object_unit_A, self.rated_torque_object_unit_N_m
+        for what, address, resolution, bench, unit in (
+            ("rated current", current, current_A, self.rated_current_A, "A"),
+            ("rated torque", torque, torque_N_m, self.rated_torque_N_m, "N m"),
+            ("encoder resolution", (0x608F, 0), 0.0, self.counts_per_turn, "counts per motor turn"),
         ):
-            name = f"{what}, {address[0]:04X}h"
-            yield from _compare(
-                name, partial(_scaled, drive, address, object_unit), bench, unit, object_unit
-            )
-        what, unit = "encoder resolution, 608Fh", "counts per motor turn"
-        yield from _compare(what, lambda: _resolution(drive), self.counts_per_turn, unit)
-
-
-def _scaled(drive: ObjectAccess, address: ObjectAddress, unit: float) -> float | None:
-    value = optional(drive.read, *address)
-    return None if value is None else value * unit
+            try:
+                if resolution:
+                    value = optional(drive.read, *address)
+                    device = None if value is None else value * resolution
+                else:
+                    device = _resolution(drive)
+            except (ConfigurationError, ObjectAccessError) as error:
+                yield error
+                continue
+            # The margin ensures that a difference of one unit is not increased by a rounding error.
+            allowed = max(_TOLERANCE * abs(bench), resolution * (1.0 + 1e-6))
+            if device is not None and abs(device - bench) > allowed:
+                yield ConfigurationError(
+                    f"{what}, {address[0]:04X}h: {device:g} {unit} in the drive, but {bench:g} "
+                    f"{unit} in the bench file; if this is the right drive, correct the bench file"
+                )
 
 
 def _resolution(drive: ObjectAccess) -> float | None:
@@ -235,24 +227,6 @@ def _resolution(drive: ObjectAccess) -> float | None:
     if increments is None or turns is None:
         return None
     return increments / turns if turns else math.inf
-
-
-def _compare(
-    what: str, read: Callable[[], float | None], bench: float, unit: str, resolution: float = 0.0
-) -> Iterator[DeviceError]:
-    try:
-        device = read()
-    except (ConfigurationError, ObjectAccessError) as error:
-        yield error
-        return
-    if device is None:
-        return
-    # The margin ensures that a difference of one unit is not increased by a rounding error.
-    if abs(device - bench) > max(_TOLERANCE * abs(bench), resolution * (1.0 + 1e-6)):
-        yield ConfigurationError(
-            f"{what}: {device:g} {unit} in the drive, but {bench:g} {unit} in the bench file; if "
-            "this is the right drive, correct the bench file"
-        )
 
 
 @dataclass(frozen=True)
@@ -273,11 +247,7 @@ class EncoderScales:
     middle_rad: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse invalid scales.
-
-        Raises:
-            ConfigurationError: The resolution is not positive, or the sign is not 1 or -1.
-        """
+        """Refuse invalid scales."""
         if self.counts_per_turn <= 0:
             raise ConfigurationError(
                 f"counts_per_turn is {self.counts_per_turn}, but must be positive: correct the "

@@ -25,7 +25,7 @@ _FRAMES_KEPT: Final = 1 << 14
 
 
 class Amt21Line:
-    """The RS-485 line of one encoder.
+    """The RS-485 line of one encoder; LinkError if the line or the encoder is gone.
 
     Args:
         clock: Real or simulated clock, as the port.
@@ -58,11 +58,7 @@ class Amt21Line:
         self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
 
     def open(self) -> None:
-        """Open the line.
-
-        Raises:
-            LinkError: It cannot be opened.
-        """
+        """Open the line."""
         if self._port is None:
             advice = "check the name of the port and your permission to use it"
             self._port = opened(self._connect, self.name, advice)
@@ -74,11 +70,7 @@ class Amt21Line:
             close_all(port.close)
 
     def find_echo(self) -> None:
-        """Detect whether the adapter returns the bytes that it sends (echo).
-
-        Raises:
-            LinkError: No encoder answers.
-        """
+        """Detect whether the adapter returns the bytes that it sends (echo)."""
         self._echo = b""
         self.answer_s = _FIRST_ANSWER_S
         sent = bytes([self.address])
@@ -96,11 +88,7 @@ class Amt21Line:
         )
 
     def ask(self) -> None:
-        """Send a request; the encoder latches its position when it receives the request.
-
-        Raises:
-            LinkError: The line is gone.
-        """
+        """Send a request; the encoder latches its position when it receives the request."""
         port = self._opened()
         request = bytes([self.address])
         try:
@@ -117,9 +105,6 @@ class Amt21Line:
 
         Args:
             since_ns: Start of the time for the answer; None for the time of the request.
-
-        Raises:
-            LinkError: The line is gone.
         """
         heard = self._read(len(self._echo) + _ANSWER_BYTES, since_ns)
         self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
@@ -159,14 +144,6 @@ class Amt21Line:
 
 
 COUNTS_PER_TURN: Final = 1 << 14
-TURNS: Final = 1
-EXTENDED: Final = 2
-RESET: Final = 0x75
-SET_ZERO: Final = 0x5E
-"""Values that are added to the address in a request, and commands that follow a request with
-``address + EXTENDED``.
-"""
-
 _ODD: Final = 0x2AAA
 _EVEN: Final = 0x1555
 _VALUE: Final = 0x3FFF
@@ -175,9 +152,7 @@ _STILL_COUNTS: Final = 2
 
 
 def encode(value: int) -> bytes:
-    """Return the answer that contains a 14-bit value; bit 15 is the check bit of the odd bits, bit
-    14 that of the even bits.
-    """
+    """Return the answer with a 14-bit value; bit 15 checks the odd bits, bit 14 the even bits."""
     value &= _VALUE
     odd = 1 - ((value & _ODD).bit_count() & 1)
     even = 1 - ((value & _EVEN).bit_count() & 1)
@@ -195,10 +170,6 @@ def decode(answer: bytes) -> int | None:
 class PlausibilityGate:
     """Tracks positions modulo a turn, and rejects positions that the joint cannot have reached
     since the last accepted position.
-
-    Args:
-        speed_counts_s: Greatest speed, counts/s.
-        acceleration_counts_s2: Greatest acceleration, counts/s^2.
     """
 
     SLACK_COUNTS: Final = 2.0
@@ -306,9 +277,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def identity(self) -> Identity:
-        """Return the identity from the bench file, because the encoder cannot be asked for its
-        identity.
-        """
+        """Return the identity from the bench file: the encoder has none."""
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
@@ -325,19 +294,13 @@ class Amt21Encoder(Encoder):
         yield from problem_of(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
-        """Find the encoder, and start from a position at rest on which several of its answers
-        agree.
-        """
+        """Find the encoder; start from a position at rest on which several answers agree."""
         self._gate.start(self._trusted(), cycle_s, near=self._scales.middle)
         self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
 
     def ask(self) -> None:
-        """Request the position for this cycle.
-
-        Raises:
-            LinkError: The line is gone.
-        """
+        """Request the position for this cycle."""
         self._fresh = False
         self.line.ask()
         self._asked_ns = self.line.asked_ns
@@ -347,9 +310,6 @@ class Amt21Encoder(Encoder):
 
         Args:
             since_ns: Start of the time for the answer; None for the time of the request.
-
-        Raises:
-            LinkError: The line is gone.
         """
         self.line.collect(since_ns)
         value = decode(self.line.answer)
@@ -368,9 +328,7 @@ class Amt21Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def _trusted(self) -> int:
-        """Return a position at rest on which several answers agree; the errors are those of
-        :meth:`prepare`.
-        """
+        """Return a position at rest on which several answers agree."""
         line = self.line
         line.find_echo()
         values = [self._ask() for _ in range(_PROBES)]

@@ -21,9 +21,7 @@ from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
 MAX_COLLECTED: Final = 1024
-"""Greatest number of frames that one call returns, so that a device that sends without pause cannot
-block the control loop.
-"""
+"""Greatest number of frames of one call: no device can block the control loop by sending."""
 
 SEND_LIMIT_S: Final = 0.1
 """Time-out within which an interface must accept a frame, s."""
@@ -96,10 +94,6 @@ class PythonCanPort:
     A garbled message from a serial or socket interface raises an error, because python-can does
     not report how many bytes of the message were read; the port stays usable. CAN FD frames are
     ignored.
-
-    Args:
-        bus: The opened interface; closed by :meth:`shutdown`.
-        clock: Clock for the time stamps of frames.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:
@@ -163,9 +157,7 @@ def _identifier(message: can.Message) -> int:
 
 
 def _limit_sockets(bus: can.BusABC) -> None:
-    """Set a time-out of the operating system for blocking calls, because some socket interfaces of
-    python-can ignore the time-out of a send.
-    """
+    """Limit blocking calls: some socket interfaces of python-can ignore the time-out of a send."""
     limit = struct.pack("ll", 0, round(SEND_LIMIT_S * 1e6))
     for part in getattr(bus, "__dict__", {}).values():
         if isinstance(part, socket.socket):
@@ -174,9 +166,7 @@ def _limit_sockets(bus: can.BusABC) -> None:
 
 
 ANSWER_SHARE: Final = 0.8
-"""Share of a control cycle within which process data must arrive; the rest of the cycle is for
-heartbeats, SDO and the computations of the host.
-"""
+"""Share of a control cycle for process data; the rest is for heartbeats, SDO and the host."""
 
 
 def frame_bits(length: int) -> int:

@@ -44,17 +44,13 @@ _FRAME: Final = re.compile(
 _FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED_FLAG | REMOTE_FLAG}
 _STAMP: Final = 4
 _ANSWERS: Final = frozenset({b"", b"z", b"Z"})
-"""Answers of an adapter to an accepted command; before a BEL character, the empty answer means that
-the command is refused.
-"""
+"""Answers to an accepted command; before a BEL, the empty answer is a refusal."""
 MAX_LINE: Final = 64
 """Greatest number of characters of a line; the longest frame has 30 characters."""
 
 
 def encode(identifier: int, data: bytes) -> bytes:
-    """Return the line that sends a frame; the flags of the identifier choose its format. Of
-    ``data``, a remote frame contains only the length.
-    """
+    """Return the line that sends a frame; of ``data``, a remote frame has only the length."""
     kind, digits = ("T", 8) if identifier & EXTENDED_FLAG else ("t", 3)
     if identifier & REMOTE_FLAG:
         kind = "R" if kind == "T" else "r"
@@ -79,9 +75,7 @@ class LineDecoder:
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Return the frames that ``data`` completes, oldest first: identifier with flags, and
-        data.
-        """
+        """Return the frames that ``data`` completes: identifier with flags, and data."""
         frames = []
         *ends, rest = _END.split(data)
         for end in ends:
@@ -95,9 +89,7 @@ class LineDecoder:
         return frames
 
     def _line(self, end: bytes) -> bytes:
-        """Return the line that ends with ``end``; a line that is too long is shortened to a length
-        at which it is still rejected.
-        """
+        """Return the line that ends with ``end``, cut to a length at which it is rejected."""
         self._keep(end)
         line = bytes(self._rest)
         self._rest.clear()

@@ -17,14 +17,12 @@ from drivers.canopen import cia402
 from drivers.canopen.motion import OUTPUT_PDO, Motion, Observed
 from drivers.clock import NS
 from drivers.interfaces import ServoSample, ServoState
-from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel, watchable
+from drivers.objects import WATCHES, ObjectAddress, PdoLayout, ProcessChannel
 from drivers.units import ServoScales, Unwrapper
 
 SUPPLY_EVERY: Final = 10
 FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (8, SUPPLY_EVERY))
-"""Data bytes of each PDO and its period in cycles, for a drive with all objects and a 16-bit
-voltage object.
-"""
+"""Data bytes of each PDO and its period in cycles, for a drive with all objects."""
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
 """Data bytes and periods of the PDOs if the torque offset is mapped."""
 ABORT_IS_FAULT: Final = 1
@@ -47,22 +45,16 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
     MODE_DISPLAY: "it shows whether the selected mode of operation is active",
     POSITION: "limits are checked with the position",
 }
-"""Objects that every drive must have, each with its purpose; a mode of operation needs further
-objects.
-"""
+"""Objects that every drive must have, each with its purpose; a mode needs further ones."""
 
 
 def stops_alone(has: Callable[[int, int], bool]) -> bool:
-    """Return whether a drive with these objects takes the power off by itself when it loses its
-    master: it can monitor its master, and its reaction can be set.
-    """
-    return has(*ON_ABORT) and watchable(has)
+    """Return whether such a drive monitors its master and takes the power off without it."""
+    return has(*ON_ABORT) and any(all(has(*at) for at in needed) for needed in WATCHES)
 
 
 def settings(channel: ProcessChannel, cycle_s: float) -> list[tuple[ObjectAddress, int]]:
-    """Return the objects that a preparation sets, with their values, as far as the EDS contains
-    them.
-    """
+    """Return the objects of the EDS that a preparation sets, with their values."""
     wanted = ((CYCLE, round(cycle_s * 1e3)), (CYCLE_EXPONENT, -3), (ON_ABORT, ABORT_IS_FAULT))
     return [(address, value) for address, value in wanted if channel.describes(*address)]
 
@@ -129,9 +121,7 @@ def outputs(motion: Motion) -> list[PdoLayout]:
 
 
 def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
-    """Return the inputs of a control cycle. An object that does not fit into one PDO with others of
-    its kind is put into the next PDO.
-    """
+    """Return the inputs of a control cycle; what does not fit goes into the next PDO."""
     motion = (cia402.STATUSWORD, POSITION, sent.current)
     layouts: list[PdoLayout] = []
     over: list[ObjectAddress] = []
@@ -151,9 +141,7 @@ def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
 def _beside(
     layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
 ) -> list[PdoLayout]:
-    """Return the layouts, with the torque added to the last layout in which it fits. The torque is
-    only compared with the current; if it fits into no layout, it is omitted.
-    """
+    """Return the layouts with the torque in the last one with room; without room it is omitted."""
     for at in reversed(range(1, len(layouts))):
         if channel.fit_together([*layouts[at].objects, torque]):
             more = replace(layouts[at], objects=(*layouts[at].objects, torque))
@@ -170,29 +158,18 @@ def _add(
 
 
 NEEDED_IN: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
-"""States in which the mode of operation must be active before the next transition toward power.
-Some drives activate a mode only in the state SWITCHED ON.
-"""
+"""States in which the mode must be active; some drives activate it only in SWITCHED ON."""
 
 
 _US: Final = 1e-6
 _SPAN: Final = 8
-"""Number of exchanges over which a speed is computed from positions; over one exchange the
-resolution of one count per cycle would be too coarse.
-"""
+"""Number of exchanges over which a speed is computed from positions; one is too coarse."""
 _NOT_SENT: Final = -1
 """Index of the NaN that is appended to the values, for objects that are not sent."""
 
 
 class CyclicValues:
-    """Converts the values of the last exchange.
-
-    Args:
-        channel: The drive.
-        scales: Units of the drive.
-        sent: The objects that the drive sends.
-        layouts: PDOs of these objects; the first two objects are state and position.
-    """
+    """Converts the values of the last exchange."""
 
     def __init__(
         self,
@@ -275,9 +252,7 @@ class CyclicValues:
         )
 
     def _change(self, position: int) -> float:
-        """Return the joint speed, rad/s, from the change of the position over the last exchanges in
-        which new values arrived.
-        """
+        """Return the joint speed, rad/s, from the positions of the last exchanges."""
         cycle, passed = self._channel.cycle, self._passed
         if self._channel.fresh and (not passed or passed[-1][0] != cycle):
             passed.append((cycle, position))

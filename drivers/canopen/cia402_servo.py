@@ -93,9 +93,7 @@ class Homing(Motion):
         self.started = False
 
     def reset(self) -> None:
-        """Clear the state of the motion, including the start of a homing, because switching the
-        drive on must never start a homing.
-        """
+        """Clear the start of a homing, too: switching the drive on must never start one."""
         super().reset()
         self.started = False
 
@@ -106,9 +104,7 @@ class Homing(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put the controlword into the PDO of the next exchange. The homing starts only if the
-        drive is energised. The commands of other modes are 0.
-        """
+        """Stage the controlword; a homing starts only if the drive is energised."""
         if word == cia402.ENABLE_OPERATION and self.started:
             word |= _START
         values = (counts if address == TARGET_POSITION else 0 for address in self.outputs)
@@ -191,9 +187,7 @@ class Cia402Servo(SpeedUnit, Homes, SteppedServo):
         yield from identity_problems(self._channel)
 
     def state(self) -> ServoState:
-        """Read the drive's state from the device (6041h), and end the heartbeat time-out of a drive
-        that has switched off by itself.
-        """
+        """Read the state (6041h); end the heartbeat time-out of a drive that is off."""
         limit_s = _UNANSWERED_SHARE * self._watch_s
         feeds = self._feeds()
         if feeds:
@@ -239,9 +233,7 @@ class Cia402Servo(SpeedUnit, Homes, SteppedServo):
         )
 
     def _replaced(self, cycle_s: float) -> Iterator[str]:
-        """Yield texts on the values that are not monitored, and on the value that replaces each
-        missing object.
-        """
+        """Yield texts on what is not monitored, and on what replaces a missing object."""
         scales, sent, has = self._scales, self._sent, self._channel.describes
 
         def place(address: ObjectAddress | None) -> str:
@@ -378,9 +370,7 @@ class Cia402Servo(SpeedUnit, Homes, SteppedServo):
         return DriveFault(code, f"{label} is in fault: {explain(code)}")
 
     def description_problems(self) -> Iterator[DeviceError]:
-        """Yield an error for each object that this profile needs and the EDS lacks, without sending
-        anything.
-        """
+        """Yield an error for each needed object that the EDS lacks. Nothing is sent."""
         channel, motion = self._channel, self._motion
         yield from problem_of(channel.require_fit, *VENDOR, 0)
         lacking = [
@@ -450,9 +440,7 @@ class Cia402Servo(SpeedUnit, Homes, SteppedServo):
         return optional(self._channel.read, *objects.MODES)
 
     def _unit_problems(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield those errors of units, vendor and cycle time that the mapping of process data does
-        not detect.
-        """
+        """Yield the errors of units, vendor and cycle time."""
         channel, scales = self._channel, self._scales
         if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
             yield ConfigurationError(
@@ -598,9 +586,7 @@ class Cia402Servo(SpeedUnit, Homes, SteppedServo):
         send(*cia402.CONTROLWORD, self._word)
 
     def _arm(self) -> None:
-        """Make the drive monitor the control loop; a drive that counts as a drive without a
-        watchdog may refuse this.
-        """
+        """Start the watch; a drive that counts as one without a watchdog may refuse it."""
         self._armed = True
         for refused in problem_of(self._channel.watch, self._watch_s):
             if self.watch_s is not None:

@@ -162,9 +162,7 @@ def devices() -> Mapping[str, DeviceData]:
 
 
 def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
-    """Return vendor and product code in the EDS of a device; None for a number that the EDS does
-    not state.
-    """
+    """Return vendor and product code in an EDS; None for a number that it does not state."""
     found = (dictionary.get_variable(*address) for address in (VENDOR, PRODUCT))
     vendor, product = (
         item.default if item is not None and isinstance(item.default, int) else None

@@ -307,13 +307,7 @@ def addresses(dictionary: ObjectDictionary) -> frozenset[Address]:
 
 
 class _Reader:
-    """Converts the sections of a file into objects.
-
-    Args:
-        eds: The file, for messages.
-        node_id: Node identifier.
-        found: Sections of the file, from :func:`~drivers.canopen.eds_file.sections`.
-    """
+    """Converts the sections of a file into objects."""
 
     def __init__(self, eds: Path, node_id: int, found: Mapping[str, Section]) -> None:
         self._eds = eds
@@ -406,9 +400,7 @@ class _Reader:
         return variable
 
     def _data_type(self, section: Section) -> int:
-        """Return the data type of an object; raise ValueError with file and line if it is missing
-        or invalid.
-        """
+        """Return the data type; raise ValueError with file and line if it is invalid."""
         if "datatype" not in section.values:
             raise ValueError(
                 f"{self._eds}:{section.line}: section [{section.name}] has no DataType"

@@ -102,9 +102,7 @@ class Guarding:
             self.unanswered_ns = now_ns
 
     def accepts(self, answer: int) -> bool:
-        """Register an answer, unless its toggle bit is that of the last answer: CiA 301 handles
-        such an answer as one that was not received.
-        """
+        """Register an answer, unless it repeats the last toggle bit (CiA 301: not received)."""
         toggle = answer >> 7
         if toggle == self.toggle:
             return False
@@ -320,9 +318,7 @@ class CanopenNode:
         self._then[identifier] = packing.pack(*then)
 
     def sent(self) -> None:
-        """Register that the outputs were sent: values for one exchange are replaced by the
-        following values.
-        """
+        """Replace the outputs for one exchange, which was made, by those that follow."""
         if self._then:
             self.outputs.update(self._then)
             self._then.clear()
@@ -404,9 +400,7 @@ class CanopenNode:
         return self._axis.at(self._dictionary, index, subindex)
 
     def _guarded(self, watched: bool) -> bool:
-        """Return whether the device is guarded; otherwise it sends heartbeats. A device does not do
-        both.
-        """
+        """Return whether the device is guarded; otherwise it sends heartbeats."""
         by_heartbeat = self.describes(*_PRODUCER) and (not watched or self.describes(*CONSUMER))
         return not by_heartbeat and self.describes(*GUARD_TIME) and self.describes(*LIFE_FACTOR)
 
@@ -438,11 +432,7 @@ class CanopenNode:
                 self.write(*address, 0)
 
     def _produce_heartbeat(self) -> None:
-        """Set the period of the device's heartbeat, and read the period that the device stores.
-
-        Raises:
-            ConfigurationError: The device sends no heartbeat.
-        """
+        """Set the period of the device's heartbeat, and read the period that the device stores."""
         wanted_ms = round(HEARTBEAT_S * 1e3)
         self.write(*_PRODUCER, wanted_ms)
         period_ms = self.read(*_PRODUCER)
@@ -669,11 +659,6 @@ class CanopenLink(Link):
     def add_node(self, node_id: int, eds: Path, axis: Axis = ONE_AXIS) -> CanopenNode:
         """Declare a device on the bus.
 
-        Args:
-            node_id: Node identifier.
-            eds: Its EDS file.
-            axis: The axis that is used of a device with several axes.
-
         Raises:
             ConfigurationError: The node identifier is out of range or in use, or the EDS cannot be
                 read.
@@ -695,11 +680,7 @@ class CanopenLink(Link):
             close_all(port.shutdown)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, which must be the same for all devices.
-
-        Raises:
-            ConfigurationError: Another device has a different cycle time.
-        """
+        """Set the cycle time, which must be the same for all devices."""
         require_one_cycle(self._cycle_s, cycle_s, who)
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
@@ -747,11 +728,7 @@ class CanopenLink(Link):
         return frames
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame.
-
-        Raises:
-            LinkError: The bus refuses the frame.
-        """
+        """Send one frame."""
         port = self._port or self._opened()
         try:
             port.transmit(identifier, data)
@@ -791,11 +768,7 @@ class CanopenLink(Link):
         ]
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()`` is true; return False after ``timeout_s``.
-
-        Raises:
-            LinkError: The bus failed.
-        """
+        """Dispatch frames until ``ready()`` is true; return False after ``timeout_s``."""
         deadline = self.clock.now_ns() + round(timeout_s * NS)
         while not ready():
             left = deadline - self.clock.now_ns()
@@ -817,9 +790,7 @@ class CanopenLink(Link):
         return self._port
 
     def _check_gone(self, error: Exception) -> None:
-        """Close a dead port, so that the next frame opens it again: an adapter that is plugged in
-        again carries the stop of a drive.
-        """
+        """Close a dead port: the next frame opens it again, and carries the stop of a drive."""
         if is_gone(error) and self._port is not None:
             CanopenLink.close(self)
             self._lost = True

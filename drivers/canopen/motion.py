@@ -25,9 +25,7 @@ GAIN_CYCLES: Final = 0.06
 command computed from it acts, so that the delay reduces the phase margin by 0.12 rad (7 deg).
 """
 SPEED_CYCLES: Final = 0.15
-"""Product of speed-loop bandwidth and cycle time for a derived gain; the delay reduces the phase
-margin by 0.3 rad (17 deg).
-"""
+"""Product of speed-loop bandwidth and cycle time; the delay takes 0.3 rad (17 deg) of phase."""
 RATIO: Final = 0.4
 """Greatest ratio of a derived position gain to the bandwidth of the speed loop."""
 
@@ -49,9 +47,7 @@ class LoopGains:
 
 
 class LoopState(NamedTuple):
-    """State of the loop: the last target, rad (NaN without a target), and the integral of the speed
-    controller, N m.
-    """
+    """Last target, rad (NaN without a target), and integral of the speed controller, N m."""
 
     target_rad: float = math.nan
     integral_N_m: float = 0.0
@@ -134,9 +130,7 @@ def step(
 
 
 def _stopping(distance_rad: float, limits: ServoLimits) -> float:
-    """Return the greatest speed toward an end of the angle range at this distance from it,
-    rad/s.
-    """
+    """Return the greatest speed toward an end of the angle range at this distance, rad/s."""
     if distance_rad <= 0.0:
         return 0.0
     return min(
@@ -156,23 +150,17 @@ TARGET_SPEED: Final = (0x60FF, 0)
 TARGET_TORQUE: Final = (0x6071, 0)
 TORQUE_OFFSET: Final = (0x60B2, 0)
 STALE_CYCLES: Final = 3
-"""Number of successive exchanges without a complete answer after which the commanded speed or
-torque is 0.
-"""
+"""Number of exchanges without a complete answer after which the command is 0."""
 SPEED_OVER: Final = 2
 """Number of exchanges over which the position loop computes the speed from positions."""
 COARSE: Final = 0.05
-"""Torque that one count of the computed speed may cause in the position loop, as a share of the
-torque limit; above this share the computed speed is too coarse.
-"""
+"""Share of the torque limit from which one count of the computed speed is too coarse."""
 _INT16: Final = range(-(1 << 15), 1 << 15)
 _INT32: Final = range(-(1 << 31), 1 << 31)
 
 
 class Observed(NamedTuple):
-    """State of the drive at the last exchange: statusword, joint angle and speed, and whether the
-    answer was complete.
-    """
+    """State of the drive at the last exchange; ``fresh`` if the answer was complete."""
 
     statusword: int
     angle_rad: float
@@ -225,9 +213,7 @@ class Motion(ABC):
         yield from ()
 
     def take_limits(self, limits: ServoLimits) -> None:
-        """Store the limits that this program enforces; a limit of NaN does not change the stored
-        limit.
-        """
+        """Store the limits that this program enforces; NaN does not change a stored limit."""
         del limits  # the drive enforces the limits
 
     def begin(self, cycle_s: float) -> None:
@@ -246,22 +232,11 @@ class Motion(ABC):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put the command into the PDO of the next exchange.
-
-        Args:
-            channel: The drive.
-            word: Controlword.
-            counts: Position to follow.
-            observe: Function that returns the state of the drive at the last exchange.
-        """
+        """Put the command into the PDO of the next exchange."""
 
 
 class CyclicPosition(Motion):
-    """Cyclic synchronous position: the drive has the position loop.
-
-    Args:
-        torque_offset: Whether the torque offset 60B2h is sent.
-    """
+    """Cyclic synchronous position: the drive has the position loop."""
 
     mode = 8
     words = "cyclic synchronous position"
@@ -289,12 +264,6 @@ class _HostLoop(Motion):
 
     A command is sent in one exchange: if no new command follows, or after several exchanges with
     incomplete samples, the next exchange sends the command 0.
-
-    Args:
-        scales: Units of the drive.
-        gains: Gains that the bench file states, 0 for each gain that is derived from the cycle
-            time.
-        inertia_kg_m2: Inertia at the joint, for a torque command.
     """
 
     needs_watch = True
@@ -346,9 +315,7 @@ class _HostLoop(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Put the controlword and the command of the position loop into the PDO of the next
-        exchange; the command is 0 unless the controlword commands operation.
-        """
+        """Stage the command of the position loop; it is 0 unless operation is commanded."""
         value = 0
         if word == cia402.ENABLE_OPERATION:
             value = self._value(channel.cycle, self._scales.joint_angle_rad(counts), observe())
@@ -394,9 +361,7 @@ class _HostLoop(Motion):
 
 
 class CyclicSpeed(_HostLoop):
-    """Cyclic synchronous velocity: the drive closes the speed loop, and this program the position
-    loop.
-    """
+    """Cyclic synchronous velocity: this program closes the position loop only."""
 
     mode = 9
     words = "cyclic synchronous velocity"
@@ -438,10 +403,6 @@ class ProfilePosition(Motion):
     """Profile position: each new set-point immediately replaces the previous set-point (bits 4 and
     5 of the controlword, bit 12 of the statusword). The profile of the drive ends at the last
     set-point.
-
-    Args:
-        scales: Units of the drive.
-        acceleration_rad_s2: Acceleration and deceleration of the profile, at the joint.
     """
 
     mode = 1
@@ -528,9 +489,7 @@ _WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per se
 
 
 def decode(word: int) -> float | None:
-    """Return the motor speed of one unit, rad/s, as object 60A9h states it, or None for units
-    without SI meaning, such as counts.
-    """
+    """Return the motor speed of one unit of 60A9h, rad/s, or None if it has no SI meaning."""
     numerator = _NUMERATORS.get(word >> 16 & 0xFF)
     denominator = _DENOMINATORS.get(word >> 8 & 0xFF)
     if numerator is None or denominator is None:
@@ -540,9 +499,7 @@ def decode(word: int) -> float | None:
 
 
 def decode_acceleration(word: int) -> float | None:
-    """Return the motor acceleration of one unit, rad/s^2, as object 60AAh states it, or None for
-    units without SI meaning.
-    """
+    """Return the motor acceleration of one unit of 60AAh, rad/s^2, or None without SI meaning."""
     if word >> 8 & 0xFF == _SQUARE_SECOND:
         return decode(word & ~0xFF00 | 0x0300)
     if word >> 16 & 0xFF == _RPM_CODE:
@@ -583,11 +540,7 @@ def stated_unit_problems(
 
 
 class SpeedUnit(SpeedRemedies):
-    """The unit of the drive's speed (606Ch) beside those that drives have.
-
-    Args:
-        scales: Units of the drive, from the bench file.
-    """
+    """The unit of the drive's speed (606Ch) beside those that drives have."""
 
     def __init__(self, scales: ServoScales) -> None:
         self._scales = scales
@@ -628,9 +581,7 @@ class SpeedUnit(SpeedRemedies):
         return 10.0 ** (round(math.log10(factor)) or math.copysign(1.0, math.log10(factor)))
 
     def words(self, found: float, exact: bool = False) -> str:
-        """Return a text that states the setting for a unit of ``found``, rad/s; ``exact`` is false
-        for a unit that is computed from a motion.
-        """
+        """Return the setting for a unit, rad/s; ``exact`` is false if a motion gave the unit."""
         name, unit = self._recognised(found, exact)
         if name is not None and name in self._named:
             return f"the unit of 606Ch is {_WORDS[name]}: set servo.velocity_unit: {name}"
@@ -687,9 +638,7 @@ class SpeedUnit(SpeedRemedies):
 
 
 def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[str, float] | None:
-    """Return name and value of the nearest of the known units, or None if no known unit is within a
-    factor of ``spread``.
-    """
+    """Return name and value of the nearest known unit within a factor of ``spread``, or None."""
     if not known:
         return None
     name = min(known, key=lambda name: _apart(unit, known[name]))

@@ -221,9 +221,7 @@ def _map(
 
 
 def _switch_off(device: ProcessChannel, index: int, cob_id: int) -> bool:
-    """Disable a PDO before it is changed; return False if the COB-ID is read-only and the PDO is
-    enabled.
-    """
+    """Disable a PDO; return False if the COB-ID is read-only and the PDO stays enabled."""
     if cob_id & _OFF:
         return True
     try:

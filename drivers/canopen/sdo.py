@@ -27,9 +27,7 @@ _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
 """Object address in an abort message of a server that does not state the object."""
 _LATE_ANSWERS = 64
-"""Number of answers to other requests that are skipped before the server counts as not
-answering.
-"""
+"""Number of answers to other requests that are skipped."""
 _STEP_S = 0.01
 """Longest wait for a response before a sign of the control loop may be due, s."""
 _INITIATE = (1, 2)
@@ -47,9 +45,7 @@ class Wire(Protocol):
         ...
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()`` is true; return False after
-        ``timeout_s``.
-        """
+        """Dispatch frames until ``ready()`` is true; return False after ``timeout_s``."""
         ...
 
     def keep_alive(self) -> None:
@@ -105,9 +101,7 @@ class PumpedSdoClient(SdoClient):
         )
 
     def _wait(self, wait_s: float) -> bool:
-        """Wait for a response; the signs of the control loop are sent meanwhile if the link keeps
-        the devices alive.
-        """
+        """Wait for a response; meanwhile send the signs of the control loop that are due."""
         wire = self._wire
         wire.keep_alive()
         while wire.alive_until_ns and wait_s > _STEP_S:
@@ -141,13 +135,7 @@ def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
 
 
 def unfit(label: str, item: Any, value: int) -> ConfigurationError:
-    """Return the error for a value that cannot be packed into an object.
-
-    Args:
-        label: Name of the device.
-        item: The object, as :func:`variable` returns it.
-        value: The value.
-    """
+    """Return the error for a value that cannot be packed into an object."""
     what = (
         f"{label}: the value {value} does not fit into object "
         f"{item.index:04X}h:{item.subindex:02X}h ({item.name})"
@@ -197,9 +185,7 @@ def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable:
 
 
 AXIS_OBJECTS: Final = 0x800
-"""Number of indices of one axis (CiA 402-2): axis 1 has the objects from 6000h, axis 2 those from
-6800h.
-"""
+"""Number of indices of one axis (CiA 402-2): axis 1 from 6000h, axis 2 from 6800h."""
 _FIRST: Final = range(0x6000, 0x6000 + AXIS_OBJECTS)
 _LISTS: Final = frozenset({0x60E3})
 """Objects without members of their own whose subindex 0 is used: the number of homing methods."""
@@ -231,9 +217,7 @@ class Axis:
         return index, subindex
 
     def share(self, dictionary: ObjectDictionary, index: int, subindex: int) -> int | None:
-        """Return the number, from 0, of the 16 bits that belong to this axis in an object of this
-        axis, or None if the whole object belongs to it.
-        """
+        """Return which 16 bits of an object belong to this axis, from 0; None for all its bits."""
         if not self.sub_index or (index, subindex) != STATUSWORD:
             return None
         item = dictionary.get_variable(index, subindex)

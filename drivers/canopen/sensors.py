@@ -35,9 +35,7 @@ ENCODER_FRAMES: Final = ((8, 1),)
 """Data bytes of the PDO of an encoder and its period in cycles."""
 _US: Final = 1e-6
 _RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
-"""Objects with the steps per turn: the configured number (encoders of class 2), and the number of
-the disc (class 1).
-"""
+"""Objects with the steps per turn: as configured (class 2), or of the disc (class 1)."""
 _RANGE: Final = (0x6002, 0)
 _TURNS: Final = (0x6502, 0)
 _ALARMS: Final = (0x6503, 0)
@@ -45,18 +43,11 @@ _VALUE: Final = (0x6004, 0)
 _TIME: Final = (0x1013, 0)
 _WHOLE: Final = 1 << 32
 _WHOLE_WORDS: Final = (0, _WHOLE - 1)
-"""Values of 6002h that stand for a range of 2^32 steps, because this number does not fit into the
-object.
-"""
+"""Values of 6002h for a range of 2^32 steps, which does not fit into the object."""
 
 
 class Cia406Encoder(Encoder):
-    """An absolute encoder that answers every SYNC with its position and its time stamp.
-
-    Args:
-        channel: The device.
-        scales: Resolution, direction and zero of the encoder, from the bench file.
-    """
+    """An absolute encoder that answers every SYNC with its position and its time stamp."""
 
     def __init__(self, channel: ProcessChannel, scales: EncoderScales) -> None:
         self._channel = channel
@@ -79,9 +70,7 @@ class Cia406Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def description_problems(self) -> Iterator[DeviceError]:
-        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
-        sent.
-        """
+        """Yield an error for each needed object that the EDS lacks. Nothing is sent."""
         yield from problem_of(self._channel.require_fit, *VENDOR, 0)
         yield from problem_of(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
@@ -200,10 +189,6 @@ _PRESSURE_INPUTS: Final = (PdoLayout(_PRESSURE, (_PROCESS_VALUE, _STATUS), slack
 class Cia404Transmitter(PressureTransmitter):
     """A transmitter that answers every SYNC with process value (9130h) and status (6150h) of its
     first input.
-
-    Args:
-        channel: The device.
-        unit_Pa: Unit of the process value from the bench file, Pa.
     """
 
     def __init__(self, channel: ProcessChannel, unit_Pa: float) -> None:
@@ -221,9 +206,7 @@ class Cia404Transmitter(PressureTransmitter):
         return math.nan if status else value * self._unit_Pa
 
     def description_problems(self) -> Iterator[DeviceError]:
-        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
-        sent.
-        """
+        """Yield an error for each needed object that the EDS lacks. Nothing is sent."""
         for address in (VENDOR, _UNIT, _DIGITS):
             yield from problem_of(self._channel.require_fit, *address, 0)
         yield from problem_of(self._channel.require_mappable, (), _PRESSURE_INPUTS)

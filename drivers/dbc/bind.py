@@ -124,9 +124,7 @@ class _Binder:
                 yield (*place, name), *found, value
 
     def _order(self, place: Place, values: Sequence[_Value], cyclic: Iterable[str]) -> Order:
-        """Return the frames of an order with its values, and whether the order replaces the target
-        of the program.
-        """
+        """Return the frames of an order, and whether it replaces the program's target."""
         report = self._names.report
         frames = {name: bytes(self._layouts[name].size) for name in cyclic}
         covered = self._fill(place, values, frames)
@@ -166,9 +164,7 @@ class _Binder:
     def _fill(
         self, place: Place, values: Sequence[_Value], frames: dict[str, bytes]
     ) -> Mapping[str, int]:
-        """Put values into frames, with the selectors of their pages; return the bits of each
-        message that were set, read as one big-endian number.
-        """
+        """Put values and page selectors into frames; return the set bits of each message."""
         names, covered, paged = self._names, dict.fromkeys(frames, 0), dict[str, Signal]()
         for at, layout, signal, value in values:
             self._require_free(at, layout, signal)
@@ -211,9 +207,7 @@ class _Binder:
                 )
 
     def _check_offset(self, target: BoundQuantity | None, offset: BoundQuantity | None) -> None:
-        """Report a torque offset whose signal cannot be zero, overlaps the target, or is on another
-        page.
-        """
+        """Report a torque offset that cannot be zero or cannot be sent with the target."""
         if offset is None:
             return
         try:
@@ -431,13 +425,7 @@ class _Binder:
 
 
 def _other_page(signal: Signal, frame: bytes, set_bits: int) -> bool:
-    """Return whether an order has selected a page of its message that does not contain a signal.
-
-    Args:
-        signal: The signal.
-        frame: Frame of the message so far.
-        set_bits: Its bits that have been set.
-    """
+    """Return whether an order has selected a page of its message that does not contain a signal."""
     selector = signal.selector
     if selector is None or not set_bits & selector.covers:
         return False

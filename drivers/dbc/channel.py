@@ -85,9 +85,7 @@ class Slot:
 
 
 class _Output:
-    """One message of the host with the current order, the target (if the message contains one),
-    life counter and checksum.
-    """
+    """A message of the host: order, target if it has one, life counter and checksum."""
 
     def __init__(self, message: BoundMessage) -> None:
         self.message = message
@@ -108,10 +106,6 @@ class _Output:
 
 class DbcChannel:
     """State of one drive for its link.
-
-    Args:
-        wiring: Messages of the drive.
-        label: Name of the drive in messages.
 
     Attributes:
         slots: Slots of the messages of the drive, by CAN identifier.
@@ -212,9 +206,7 @@ class DbcChannel:
         self._fill()
 
     def aim(self, bits: int) -> None:
-        """Put a target, as raw bits, into every frame from the next exchange on, except the frames
-        of an order that sets the target itself.
-        """
+        """Put a target, as raw bits, into every frame of an order without own target."""
         self._target_bits = bits
         self._fill()
 
@@ -267,9 +259,7 @@ class DbcChannel:
                 del self._pending[0]
 
     def requests(self, *, all_now: bool = False) -> Iterator[int]:
-        """Yield the identifier of each remote frame that is due in this cycle, or of all remote
-        frames.
-        """
+        """Yield the identifiers of the remote frames that are due, or of all."""
         for slot in self._requests:
             identifier = slot.message.identifier
             if all_now or self.cycle % self._request_every.get(identifier, 1) == 0:
@@ -293,9 +283,7 @@ class DbcChannel:
         }
 
     def pin(self, limits: dict[str, float]) -> None:
-        """Set the limits that the drive is expected to report; if ``limits`` is empty, no limit
-        is checked.
-        """
+        """Set the limits that the drive must report from now on; empty for no check."""
         self._pinned = limits
 
     def begin(self, now_ns: int) -> None:
@@ -316,9 +304,7 @@ class DbcChannel:
 
     @property
     def fresh(self) -> bool:
-        """Whether all messages of a sample, including periodic messages, were received without
-        error and in time.
-        """
+        """Whether all messages of a sample were received without error and in time."""
         begun = self._begun_ns
         return self.answered and all(
             [
@@ -346,9 +332,7 @@ class DbcChannel:
 
     @property
     def fault_code(self) -> int:
-        """Fault code in the last valid frame; 0 before the first frame, or if the drive reports no
-        fault code.
-        """
+        """Fault code in the last valid frame; 0 if there is none."""
         if self._fault is None:
             return 0
         slot, read = self._fault

@@ -141,9 +141,7 @@ class Signal:
 
 
 def motorola_shift(start: int, width: int, size: int) -> int:
-    """Return the position of the least significant bit of a big-endian signal; a DBC states the
-    number ``start`` of its most significant bit.
-    """
+    """Return the lowest bit of a big-endian signal from the highest, ``start`` in a DBC."""
     from_left = start // 8 * 8 + 7 - start % 8
     return 8 * size - from_left - width
 

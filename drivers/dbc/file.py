@@ -81,9 +81,7 @@ def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
 
 @lru_cache(maxsize=4)
 def _loaded(data: bytes) -> tuple[Database, dict[int, str]]:
-    """Return a database with the faults of its messages; the result is cached, because a run reads
-    the file several times.
-    """
+    """Return a database and the faults of its messages; cached, since a run reads it repeatedly."""
     database = _load(data)
     faults = {at: _fault(message) for at, message in enumerate(database.messages)}
     return database, {at: words for at, words in faults.items() if words}
@@ -127,9 +125,7 @@ def _content(path: Path) -> bytes:
 
 @lru_cache(maxsize=4)
 def _layouts(data: bytes) -> Mapping[str, Layout]:
-    """Return the layouts of a file by message name; the result is cached, because a run reads the
-    file several times.
-    """
+    """Return the layouts of a file by message name; cached, since a run reads it repeatedly."""
     database, faults = _loaded(data)
     counts = Counter(message.name for message in database.messages)
     layouts = {
@@ -164,11 +160,6 @@ def _load(data: bytes) -> Database:
     no encoding can decode are replaced. The encodings of East Asia are needed because in them the
     second byte of a character may be a backslash, which another encoding would read as an escape of
     the following quotation mark.
-
-    Raises:
-        DbcError: The syntax is wrong in every encoding; the error is that of the first encoding
-            that can decode the file.
-        _NotTextError: The file contains a zero byte.
     """
     encodings = next((names for mark, names in _MARKS if data.startswith(mark)), _ENCODINGS)
     if encodings is _ENCODINGS and (zero := data.find(0)) >= 0:
@@ -202,9 +193,7 @@ def _load(data: bytes) -> Database:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Hide the warnings of ``cantools`` from the terminal, because a fault of a message is reported
-    as the reason why the message cannot be used.
-    """
+    """Hide the warnings of ``cantools``: a fault of a message is reported where it is used."""
     log, handler = logging.getLogger("cantools"), logging.NullHandler()
     log.addHandler(handler)
     try:
@@ -231,9 +220,7 @@ def _layout(message: Message, fault: str) -> Layout:
 
 
 def _period_s(cycle_time_ms: object) -> float | None:
-    """Return a cycle time, s, or None if the attribute is not a number, which ``cantools`` does not
-    check.
-    """
+    """Return a cycle time, s, or None if the attribute is no positive number."""
     if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:
         return None
     return cycle_time_ms / 1e3
@@ -314,9 +301,7 @@ class Names:
         self.problems.append((place, text))
 
     def layout(self, place: Place, message: str) -> Layout | None:
-        """Return a message. If the message is unknown or cannot be used, a problem is reported and
-        the result is None.
-        """
+        """Return a message, or report why it cannot be used and return None."""
         layout = self.layouts.get(message)
         if layout is None:
             self.report(
@@ -328,9 +313,7 @@ class Names:
         return layout
 
     def signal(self, place: Place, name: str) -> tuple[Layout, Signal] | None:
-        """Return the message and signal of ``Message.Signal``; if the name is unknown, a problem is
-        reported and the result is None.
-        """
+        """Return message and signal of ``Message.Signal``, or report and return None."""
         message, dot, signal = name.partition(".")
         if not dot:
             self.report(place, f"{name!r} must have the form Message.Signal")
@@ -340,9 +323,7 @@ class Names:
         return None if layout is None or found is None else (layout, found)
 
     def part(self, place: Place, layout: Layout, name: str) -> Signal | None:
-        """Return a signal of a message. If the message has no signal of this name, a problem is
-        reported and the result is None.
-        """
+        """Return a signal of a message, or report that there is none and return None."""
         signal = layout.signals.get(name)
         if signal is None:
             near = nearest(name, layout.signals)
@@ -358,9 +339,7 @@ class Names:
         return not signal.real
 
     def raw(self, place: Place, signal: Signal, value: str | int | float) -> int | None:
-        """Return the raw value of a label or number; report a value that does not fit into the
-        signal.
-        """
+        """Return the raw value of a label or number, or report that it does not fit."""
         if isinstance(value, str):
             raw = next((raw for raw, label in signal.labels.items() if label == value), None)
             if raw is None:
@@ -391,9 +370,7 @@ class Names:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a text with the known names that are most similar to an unknown name, or with all
-    known names.
-    """
+    """Return a text with the known names that are most similar to a name, or with all."""
     names = sorted(known)
     close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(
         name, names, n=3

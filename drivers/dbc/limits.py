@@ -64,16 +64,12 @@ class DbcDrive:
 
 
 def taken(wiring: Wiring) -> frozenset[str]:
-    """Return the fields of the limits that can be written over the bus and that the drive
-    reports.
-    """
+    """Return the fields of the limits that can be written and that the drive reports."""
     return frozenset(field for name in wiring.reported for field in FIELDS[name])
 
 
 def places(wiring: Wiring) -> dict[str, str]:
-    """Return where the value of each limit is found: its signal, or its key under
-    ``servo.held``.
-    """
+    """Return where the value of each limit is: its signal, or its key under ``servo.held``."""
     found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
     for name, limit in wiring.limits.items():
         quantity = limit.held or limit.set
@@ -84,9 +80,7 @@ def places(wiring: Wiring) -> dict[str, str]:
 
 
 def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
-    """Return limits in the quantities of the map: angles, speed and following error at the motor,
-    and the torque limit as a current.
-    """
+    """Return limits in the quantities of the map, at the motor; the torque as a current."""
     gear, window = drive.gear_ratio, limits.following_error_rad
     return {
         "angle_min": (limits.angle_min_rad - drive.offset_rad) * gear,
@@ -98,9 +92,7 @@ def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
 
 
 def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
-    """Return the limits of the drive at the joint: the reported value, or the value in the bench
-    file for a limit that the drive does not report.
-    """
+    """Return the limits at the joint: those reported, else those of the bench file."""
     gear, found = drive.gear_ratio, dict[str, Any]()
     for name, value in told.items():
         if name == "current":
@@ -112,9 +104,7 @@ def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
 
 
 def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
-    """Return the resolution at the joint of each signal that reports a limit; zero for limits that
-    the drive does not report, and for floating-point signals.
-    """
+    """Return the resolution of each reported limit at the joint; zero for none, or a float."""
     gear, reported = drive.gear_ratio, wiring.reported
 
     def unit(name: str) -> float:

@@ -108,20 +108,12 @@ class DbcLink(CanopenLink):
         return all([channel.answered for channel in self._channels])
 
     def command(self, channel: DbcChannel) -> None:
-        """Send a drive its order immediately, outside the control cycle.
-
-        Raises:
-            LinkError: The bus refuses the frame.
-        """
+        """Send a drive its order immediately, outside the control cycle."""
         for identifier, data in channel.frames(all_now=True):
             self.send(identifier, data)
 
     def drain(self, channel: DbcChannel) -> None:
-        """Process the frames of a drive that have arrived so far.
-
-        Raises:
-            LinkError: The bus failed.
-        """
+        """Process the frames of a drive that have arrived so far."""
         for _ in range(_BACKLOG_READS):
             heard = channel.heard
             self._receive(0.0)
@@ -129,19 +121,11 @@ class DbcLink(CanopenLink):
                 break
 
     def stop(self, channel: DbcChannel) -> None:
-        """Send a drive its stop frame immediately.
-
-        Raises:
-            LinkError: The bus refuses the frame.
-        """
+        """Send a drive its stop frame immediately."""
         self.send(*channel.stop_frame())
 
     def request(self, slot: Slot) -> None:
-        """Request a message that a drive sends only in answer to a remote frame.
-
-        Raises:
-            LinkError: The bus refuses the frame.
-        """
+        """Request a message that a drive sends only in answer to a remote frame."""
         if slot.message.remote:
             self.send(slot.message.identifier | REMOTE_FLAG, b"")
 
@@ -160,9 +144,6 @@ class DbcLink(CanopenLink):
             timeout_s: Time-out, s.
             ask: Function that asks for the message, called until the message arrives; None for a
                 message that the drive sends by itself.
-
-        Raises:
-            LinkError: The bus failed.
         """
         self.drain(channel)
         count = slot.count

@@ -35,12 +35,7 @@ _BRAKING_S: Final = 0.04
 
 
 class Feedback:
-    """The quantities that a drive reports.
-
-    Args:
-        link: The link to the drive.
-        channel: The drive.
-    """
+    """The quantities that a drive reports; LinkError if it sends none."""
 
     def __init__(self, link: DbcLink, channel: DbcChannel) -> None:
         self._link = link
@@ -61,9 +56,7 @@ class Feedback:
         self._time = Unwrapper(1 if time is None else 1 << time.signal.width)
 
     def unasked(self, *names: str) -> list[float]:
-        """Return quantities from their next valid frames, or NaN for a quantity that the drive does
-        not report, or that the drive sends only in answer to a command.
-        """
+        """Return quantities from their next frames; NaN for those not sent unasked."""
         slots = {name: self._reads[name][0] for name in names if name in self._reads}
         heard = {
             key: self._await(slot)
@@ -75,11 +68,7 @@ class Feedback:
         ]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits in the next frames of the drive.
-
-        Raises:
-            LinkError: The drive sends no frames.
-        """
+        """Return the limits in the next frames of the drive."""
         reported = self._channel.wiring.reported.values()
         for message in sorted({held.message for held in reported}):
             self.await_frame(message)
@@ -99,9 +88,7 @@ class Feedback:
             self._await(slot)
 
     def state_since(self, since_ns: int, cycle_ns: int) -> ServoState | None:
-        """Return the state, or None if its last frame is not after ``since_ns``, or is older than
-        its period permits, or if no cycle is set.
-        """
+        """Return the state if its last frame is after ``since_ns`` and in time, or None."""
         channel = self._channel
         slot = channel.slot(channel.wiring.status_message)
         kept_ns = PERIODS_KEPT * max(slot.message.period_s * NS, cycle_ns)
@@ -109,9 +96,7 @@ class Feedback:
         return channel.state if cycle_ns and recent else None
 
     def value(self, name: str) -> float:
-        """Return a quantity from its last valid frame, or NaN if the drive does not report the
-        quantity.
-        """
+        """Return a quantity from its last valid frame; NaN if it is not reported."""
         if name not in self._reads:
             return math.nan
         slot, read = self._reads[name]
@@ -123,9 +108,7 @@ class Feedback:
         return self._position
 
     def device_time(self) -> float:
-        """Return the drive's time of the last sample, s; if the drive reports no time, the host's
-        time at which the position was received.
-        """
+        """Return the drive's time of the last sample, or the host's of its arrival, s."""
         quantity = self._inputs.get("time")
         if quantity is None:
             return self._reads["position"][0].time_ns / NS
@@ -136,9 +119,6 @@ class Feedback:
     def told(self, name: str, otherwise: int) -> int:
         """Return an integer from the next frame of the drive; ``otherwise`` if the drive does not
         report the value.
-
-        Raises:
-            LinkError: The drive sends no frames.
         """
         quantity = self._inputs.get(name)
         if quantity is None:
@@ -149,9 +129,6 @@ class Feedback:
     def await_frame(self, name: str, *, ask: bool = False) -> None:
         """Wait for the next valid frame of a message; with ``ask``, send the current order until it
         arrives, because a drive may send a message only as an answer.
-
-        Raises:
-            LinkError: The message is not received, or never without error.
         """
         slot = self._channel.slot(name)
         refused = slot.refused
@@ -193,14 +170,7 @@ _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
 class DbcServo(SteppedServo):
-    """A drive with its own CAN frames. Only :meth:`enable` changes its state toward power.
-
-    Args:
-        link: The link to the drive.
-        channel: The drive.
-        drive: Data of the drive from the bench file.
-        state_timeout_s: Time-out for reaching a state, s.
-    """
+    """A drive with its own CAN frames. Only :meth:`enable` changes its state toward power."""
 
     def __init__(
         self, link: DbcLink, channel: DbcChannel, drive: DbcDrive, state_timeout_s: float = 1.0
@@ -247,9 +217,7 @@ class DbcServo(SteppedServo):
         return state
 
     def sent_state(self) -> ServoState | None:
-        """Return the state in the last frames, or None if the drive is not prepared, or if these
-        are older than the last quick stop.
-        """
+        """Return the state in the last frames; None if older than the last quick stop."""
         return self._feedback.state_since(self._stopped_ns, self._cycle_ns)
 
     def _told(self) -> ServoState:
@@ -301,9 +269,7 @@ class DbcServo(SteppedServo):
         return ServoReadings(angle, current_A=effort / self._effort_per_A)
 
     def measuring(self) -> Measuring:
-        """Return the steps of the signals of position and current; the rated current is not known,
-        and the current limit of the bench file or of the last report stands in for it.
-        """
+        """Return the steps of the signals; the current limit stands in for the rating."""
         inputs, gear = self._wiring.inputs, self._drive.gear_ratio
         step_rad, effort = (
             0.0
@@ -339,9 +305,7 @@ class DbcServo(SteppedServo):
             yield from problem_of(self._target_bits, position)
 
     def prepare(self, cycle_s: float) -> None:
-        """Set the cycle time, and wait until every message of the drive has been received without
-        error. The drive is not energised.
-        """
+        """Set the cycle, and wait for a valid frame of every message, without power."""
         self._require_off()
         self._require_watchdog(cycle_s)
         channel = self._channel

@@ -26,9 +26,7 @@ SEGMENT_BYTES: Final = 255
 
 WRITE_BYTES: Final = 30
 READ_BYTES: Final = 32
-"""Greatest number of bytes on the line for one ReadObject or WriteObject with its answer, if every
-byte that can be 90h is 90h.
-"""
+"""Greatest number of bytes of one WriteObject or ReadObject with its answer, all 90h doubled."""
 _BITS_PER_BYTE: Final = 10
 
 
@@ -39,8 +37,6 @@ class Opcode(IntEnum):
     READ_OBJECT = 0x60
     SEGMENT_READ = 0x62
     WRITE_OBJECT = 0x68
-    INITIATE_SEGMENTED_WRITE = 0x69
-    SEGMENT_WRITE = 0x6A
     SEND_NMT = 0x70
     INITIATE_SEGMENTED_READ = 0x81
 
@@ -66,9 +62,7 @@ LAST: Final = 0x02
 
 
 def crc(words: bytes) -> int:
-    """Return the CRC-16 (polynomial 1021h, initial value 0) of the 16-bit words of a frame,
-    beginning with the word that contains opcode and length.
-    """
+    """Return the CRC-16 (1021h, initial value 0) of the words of a frame from the opcode on."""
     swapped = bytearray(len(words))
     swapped[0::2], swapped[1::2] = words[1::2], words[0::2]
     return binascii.crc_hqx(swapped, 0)
@@ -138,9 +132,7 @@ class FrameDecoder:
 
 
 def _parse(buffer: bytearray, start: int) -> tuple[int, Frame | None]:
-    """Decode the frame whose opcode is at ``start``; return the end of the frame (0 if the frame is
-    incomplete), and the frame (None if the frame is bad).
-    """
+    """Return the end (0: incomplete) and the frame (None: bad) with its opcode at ``start``."""
     wanted = _HEAD + _CRC
     if len(buffer) - start >= _HEAD:
         wanted += 2 * buffer[start + 1]
@@ -174,7 +166,5 @@ def segment(chunk: bytes, toggle: int, last: bool) -> bytes:
 
 
 def cycle_bits(writes: int, reads: int) -> int:
-    """Return the greatest number of bit times of a control cycle that writes and reads so many
-    objects.
-    """
+    """Return the greatest number of bit times of a cycle with so many writes and reads."""
     return _BITS_PER_BYTE * (writes * WRITE_BYTES + reads * READ_BYTES)

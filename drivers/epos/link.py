@@ -55,9 +55,7 @@ _REASONS: Final = {
 
 
 class Guard(Protocol):
-    """Interface of the process that switches the power off if this program ends or hangs, because
-    the drive has no watchdog.
-    """
+    """The process that takes the power off for this program: the drive has no watchdog."""
 
     def arm(self, limit_s: float) -> None:
         """Arm the guard; the guard acts if :meth:`feed` is not called for this time, s.
@@ -85,9 +83,7 @@ class Guard(Protocol):
 
 CYCLE_WRITES: Final = 1
 CYCLE_READS: Final = 4
-"""Number of objects that are read in a control cycle: state, position, current, and one of all
-other objects in turn.
-"""
+"""Number of objects read in a cycle: state, position, current, and one other in turn."""
 
 FASTEST_1_S: Final = 1e9
 """Change of the position, counts/s, that no motor exceeds: 20 bits per turn at 950 turns/s."""
@@ -137,9 +133,7 @@ class _Input:
         self.value = value
 
     def take(self, answer: bytes) -> bool:
-        """Store the value in an answer; if the answer is a refusal or has a wrong length, change
-        nothing and return False.
-        """
+        """Store the value in an answer; return False for a refusal or a wrong length."""
         if len(answer) != _ANSWER_BYTES or not answer.startswith(_ACCEPTED):
             return False
         self.value = self.layout.unpack_from(answer, ERROR.size)[0]
@@ -178,12 +172,6 @@ class EposSerialNode:
     a joint encoder on another line is asked then
     (:meth:`~drivers.epos.link.EposSerialLink.call_at_instant`). The position was taken somewhat
     earlier, and the mean of the current ends somewhat later; both are brought to the instant.
-
-    Args:
-        node_id: Node identifier, 1 to 127.
-        dictionary: Objects of the drive.
-        line: The link.
-        fastest_1_s: Fastest plausible change of the position, counts/s.
 
     Attributes:
         node_id: Node identifier, 1 to 127.
@@ -277,9 +265,7 @@ class EposSerialNode:
         self._written(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; the request is sent even if the answer to an earlier request may
-        still arrive. The errors are those of :meth:`write`.
-        """
+        """Write also while the answer to an earlier request may still arrive."""
         self._request(
             Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
         )
@@ -336,9 +322,7 @@ class EposSerialNode:
 
     @property
     def sync_us(self) -> int:
-        """Host's time of the instant of the last complete cycle, or of the first values,
-        microseconds modulo 2^32.
-        """
+        """Host's time of the last complete cycle, microseconds modulo 2^32."""
         return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
@@ -399,9 +383,7 @@ class EposSerialNode:
             output.value = value
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Refuse the command, because without a watchdog a command of speed or torque would
-        continue after the end of this program.
-        """
+        """Refuse: without a watchdog the command would outlast this program."""
         raise ConfigurationError(
             f"{self.label}: over a serial line a drive can be commanded by positions only; set "
             "servo.mode: csp"
@@ -445,12 +427,6 @@ class EposSerialNode:
     ) -> None:
         """Write and read the objects of this cycle, up to the first lost answer. Position and mean
         are brought to the instant of the cycle, if this cycle and the last were complete.
-
-        Args:
-            cycle: Number of the cycle.
-            ask: Function that sends a frame and returns the data of its answer, or None if the
-                answer is lost.
-            at_instant: Function that is called at the instant of the cycle.
         """
         self.cycle = cycle
         self._complete = False
@@ -470,9 +446,7 @@ class EposSerialNode:
     def _ask_all(
         self, ask: Callable[[bytes], bytes | None], at_instant: Callable[[], None]
     ) -> int | None:
-        """Write and read the objects of this cycle; return its instant, ns, or None if it is
-        incomplete.
-        """
+        """Write and read this cycle's objects; return its instant, ns, or None."""
         clock = self._line.clock
         instant_ns = clock.now_ns()
         good = True
@@ -510,9 +484,7 @@ class EposSerialNode:
 
 
 def _turns(layouts: Sequence[PdoLayout]) -> list[ObjectAddress]:
-    """Return the order in which the objects of these layouts are read, one per cycle: all objects
-    of layouts with a period of one cycle, then one object of the other layouts, and so on.
-    """
+    """Return the order of reads, one a cycle: all of the quick objects, then one slow one."""
     quick = [
         a for layout in layouts if layout.every == 1 for a in layout.objects if a != _HOST_TIME
     ]
@@ -527,15 +499,9 @@ _LINE: Final = 0
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
 _LONGEST_WAIT_NS: Final = 50_000_000
-"""Greatest duration of one wait for bytes, ns; between waits the guard is told that the program is
-alive.
-"""
+"""Greatest duration of one wait for bytes, ns; the guard is fed between waits."""
 
 _SUBINDICES: Final = (1, 2, 3, 4)
-
-
-def _nothing() -> None:
-    """Do nothing: there is no other line."""
 
 
 class EposSerialLink(Link):
@@ -579,7 +545,7 @@ class EposSerialLink(Link):
         self.guard = guard
         self.cycle = 0
         self.lost = 0
-        self._at_instant: Callable[[], None] = _nothing
+        self._at_instant: Callable[[], None] = lambda: None
         self._name = name
         self._connect = connect
         self._answer_wait_ns = round(answer_s * NS)
@@ -663,9 +629,7 @@ class EposSerialLink(Link):
             )
 
     def call_at_instant(self, call: Callable[[], None]) -> None:
-        """Have ``call`` called in every exchange at the instant at which the values of the drive
-        hold, unless an answer is lost before.
-        """
+        """Call ``call`` in every exchange at the instant of the drive's values."""
         self._at_instant = call
 
     def take_frames(self) -> list[RawFrame]:
@@ -708,9 +672,6 @@ class EposSerialLink(Link):
     def tell(self, opcode: Opcode, data: bytes) -> None:
         """Send one request at once, and wait for its answer at most as long as an exchange does; if
         the answer does not arrive, the next exchange resynchronises the line.
-
-        Raises:
-            LinkError: The line is gone.
         """
         frame = encode(opcode, data)
         if self._in_step:
@@ -719,9 +680,7 @@ class EposSerialLink(Link):
             self._send(frame)
 
     def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
-        """Send a frame and return the data of its answer, or None if no reliable answer arrives in
-        time.
-        """
+        """Send a frame; return the data of its answer, or None if none comes in time."""
         if not self._in_step and not self._find_step(deadline_ns):
             return None
         self._send(frame)
@@ -762,9 +721,7 @@ class EposSerialLink(Link):
         return True
 
     def _learn_marks(self) -> None:
-        """Read several different parts of the drives' identities as marks, by which answers to
-        earlier requests are detected.
-        """
+        """Read parts of the identities as marks, which show earlier answers."""
         marks: dict[bytes, bytes] = {}
         for node in self._nodes.values():
             for subindex in _SUBINDICES:

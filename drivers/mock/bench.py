@@ -1,13 +1,18 @@
-"""Builds a simulated CANopen bench: clock, bus, machine, drive and joint encoder."""
+"""Builds simulated benches: clock, bus, machine, drive and joint encoder.
+
+The same seed gives the same bytes on the bus, and benches with drives of different kinds the same
+noise. A new bench is at rest at angle 0, with power off; its devices have booted.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
 from drivers.clock import SimulatedClock
+from drivers.mock.can_drives import CAN_DRIVES, CanDrive, CanDriveKind
 from drivers.mock.dbc_drive import DbcDrive
 from drivers.mock.drive import Rating, SimulatedDrive
 from drivers.mock.encoder import SimulatedEncoder, SimulatedTransmitter
@@ -21,24 +26,38 @@ from drivers.mock.wires.serial_line import SimulatedLine
 DRIVE_NODE: Final = 1
 ENCODER_NODE: Final = 2
 TRANSMITTER_NODE: Final = 4
+D = TypeVar("D", SimulatedDrive, DbcDrive, CanDrive)
 
 
 @dataclass(frozen=True)
-class SimulatedBench:
-    """The parts of one simulated bench.
+class Parts(Generic[D]):
+    """The parts of one simulated bench."""
+
+    clock: SimulatedClock
+    bus: SimulatedBus
+    machine: SimulatedMachine
+    drive: D
+    encoder: SimulatedEncoder
+    sampler: Sampler
+
+
+@dataclass(frozen=True)
+class SimulatedBench(Parts[SimulatedDrive]):
+    """A bench with a CANopen drive.
 
     ``lines`` are the serial lines of ``drive`` and ``encoder``, if the bench has any;
     ``transmitter`` measures the chamber pressure, if the bench has a transmitter.
     """
 
-    clock: SimulatedClock
-    bus: SimulatedBus
-    machine: SimulatedMachine
-    drive: SimulatedDrive
-    encoder: SimulatedEncoder
-    sampler: Sampler
     transmitter: SimulatedTransmitter | None = None
     lines: dict[str, SimulatedLine] = field(default_factory=dict)
+
+
+class SimulatedDbcBench(Parts[DbcDrive]):
+    """A bench with the drive of ``dbc_drive.dbc``."""
+
+
+SimulatedCanBench = Parts[CanDrive]
 
 
 def simulated_bench(
@@ -51,7 +70,7 @@ def simulated_bench(
     rating: Rating | None = None,
     traits: Traits | None = None,
 ) -> SimulatedBench:
-    """Build a bench and boot its devices. The same seed gives the same bytes on the bus.
+    """Build a bench with a CANopen drive, whose devices are in PRE-OPERATIONAL.
 
     Args:
         machine: Constants of the machine.
@@ -63,38 +82,19 @@ def simulated_bench(
             one.
         rating: Rated values of the drive; a rated current of 15 A unless given.
         traits: Differences of the drive from the usual simulated drive.
-
-    Returns:
-        The bench, at rest at angle 0, with power off; all devices are in PRE-OPERATIONAL after
-        their boot-up frames.
     """
-    noise, offsets, pressure = np.random.default_rng(seed).spawn(3)
-    clock = SimulatedClock()
-    bus = SimulatedBus(clock, bitrate)
-    plant = SimulatedMachine(machine, noise)
-    sampler = Sampler(plant)
-    offset_us = int(offsets.integers(1 << 32))
+    offsets, clock, bus, sampler = _basis(machine, seed, bitrate)
+    offset_us = _offset_us(offsets)
     drive = SimulatedDrive(bus, clock, drive_node, sampler, offset_us, rating, traits)
-    encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
+    encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, _offset_us(offsets))
     drive.boot()
     encoder.boot()
     transmitter = None
     if transmitter_node is not None:
+        pressure = np.random.default_rng(seed).spawn(3)[2]
         transmitter = SimulatedTransmitter(bus, clock, transmitter_node, sampler, pressure)
         transmitter.boot()
-    return SimulatedBench(clock, bus, plant, drive, encoder, sampler, transmitter)
-
-
-@dataclass(frozen=True)
-class SimulatedDbcBench:
-    """The parts of one simulated bench."""
-
-    clock: SimulatedClock
-    bus: SimulatedBus
-    machine: SimulatedMachine
-    drive: DbcDrive
-    encoder: SimulatedEncoder
-    sampler: Sampler
+    return SimulatedBench(clock, bus, sampler.machine, drive, encoder, sampler, transmitter)
 
 
 def simulated_dbc_bench(
@@ -103,26 +103,34 @@ def simulated_dbc_bench(
     bitrate: int = 1_000_000,
     encoder_node: int = ENCODER_NODE,
 ) -> SimulatedDbcBench:
-    """Build a bench and boot its devices.
-
-    The same seed gives the same bytes on the bus, and the same noise as the CANopen bench.
-
-    Args:
-        machine: Constants of the machine.
-        seed: Seed of the machine's noise and of the devices' clock offsets.
-        bitrate: Bit rate of the bus, bit/s.
-        encoder_node: CANopen node identifier of the encoder.
-
-    Returns:
-        The bench, at rest at angle 0, with power off.
-    """
-    noise, offsets = np.random.default_rng(seed).spawn(2)
-    clock = SimulatedClock()
-    bus = SimulatedBus(clock, bitrate)
-    plant = SimulatedMachine(machine, noise)
-    sampler = Sampler(plant)
-    drive = DbcDrive(bus, clock, sampler, int(offsets.integers(1 << 32)))
-    encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
+    """Build a bench with the drive of ``dbc_drive.dbc``; see :func:`simulated_bench`."""
+    offsets, clock, bus, sampler = _basis(machine, seed, bitrate)
+    drive = DbcDrive(bus, clock, sampler, _offset_us(offsets))
+    encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, _offset_us(offsets))
     drive.boot()
     encoder.boot()
-    return SimulatedDbcBench(clock, bus, plant, drive, encoder, sampler)
+    return SimulatedDbcBench(clock, bus, sampler.machine, drive, encoder, sampler)
+
+
+def simulated_can_bench(
+    kind: CanDriveKind, machine: constants.Machine, seed: int, bitrate: int, encoder_node: int
+) -> SimulatedCanBench:
+    """Build a bench with a drive of this kind; see :func:`simulated_bench`."""
+    offsets, clock, bus, sampler = _basis(machine, seed, bitrate)
+    drive = CAN_DRIVES[kind](bus, clock, sampler)
+    encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, _offset_us(offsets))
+    drive.boot()
+    encoder.boot()
+    return SimulatedCanBench(clock, bus, sampler.machine, drive, encoder, sampler)
+
+
+def _basis(
+    machine: constants.Machine, seed: int, bitrate: int
+) -> tuple[np.random.Generator, SimulatedClock, SimulatedBus, Sampler]:
+    noise, offsets = np.random.default_rng(seed).spawn(2)
+    clock = SimulatedClock()
+    return offsets, clock, SimulatedBus(clock, bitrate), Sampler(SimulatedMachine(machine, noise))
+
+
+def _offset_us(offsets: np.random.Generator) -> int:
+    return int(offsets.integers(1 << 32))

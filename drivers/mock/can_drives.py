@@ -1,4 +1,4 @@
-"""Simulated drives with the CAN frames of known products, and their bench: ODrive's CAN Simple
+"""Simulated drives with the CAN frames of known products: ODrive's CAN Simple
 protocol (``odrive.dbc``, node 3) and MIT-style packed frames (``mit_motor.dbc``).
 
 The drives pack frames with their own code, not with the codec under test. The ODrive sends its
@@ -14,17 +14,12 @@ import math
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-import numpy as np
-
 from drivers.can.port import REMOTE_FLAG
 from drivers.clock import SimulatedClock
-from drivers.mock.encoder import SimulatedEncoder
-from drivers.mock.plant.machine import Reading, SimulatedMachine
-from drivers.mock.plant.parts import constants
+from drivers.mock.plant.machine import Reading
 from drivers.mock.sampler import Sampler, encoder_resolution
 from drivers.mock.wires.bus import SimulatedBus, Timer
 
@@ -308,44 +303,6 @@ class ODriveAxis(CanDrive):
 CanDriveKind = Literal["odrive", "mit"]
 CAN_DRIVE_FILES: Final[Mapping[CanDriveKind, Path]] = {"odrive": ODRIVE_DBC, "mit": MIT_DBC}
 """The DBC file of each kind of drive."""
-_KINDS: Final[
+CAN_DRIVES: Final[
     Mapping[CanDriveKind, Callable[[SimulatedBus, SimulatedClock, Sampler], CanDrive]]
 ] = {"odrive": ODriveAxis, "mit": MitMotor}
-
-
-@dataclass(frozen=True)
-class SimulatedCanBench:
-    """The parts of one simulated bench."""
-
-    clock: SimulatedClock
-    bus: SimulatedBus
-    machine: SimulatedMachine
-    drive: CanDrive
-    encoder: SimulatedEncoder
-
-
-def simulated_can_bench(
-    kind: CanDriveKind, machine: constants.Machine, seed: int, bitrate: int, encoder_node: int
-) -> SimulatedCanBench:
-    """Build a bench and boot its devices; the same seed gives the same bytes on the bus.
-
-    Args:
-        kind: Kind of the drive.
-        machine: Constants of the machine.
-        seed: Seed of the machine's noise and of the encoder's clock offset.
-        bitrate: Bit rate of the bus, bit/s.
-        encoder_node: CANopen node identifier of the encoder.
-
-    Returns:
-        The bench, at rest at angle 0, with power off.
-    """
-    noise, offsets = np.random.default_rng(seed).spawn(2)
-    clock = SimulatedClock()
-    bus = SimulatedBus(clock, bitrate)
-    plant = SimulatedMachine(machine, noise)
-    sampler = Sampler(plant)
-    drive = _KINDS[kind](bus, clock, sampler)
-    encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
-    drive.boot()
-    encoder.boot()
-    return SimulatedCanBench(clock, bus, plant, drive, encoder)

@@ -34,9 +34,7 @@ WATCHDOG_NS: Final = 100_000_000
 DECELERATION_RAD_S2: Final = math.radians(2000.0)
 
 COMMISSIONED: Final = struct.pack("<hhI", -900, 900, 2400 | 840 << 12 | 600 << 22)
-"""Limits after power-on, in the order of ``DRV_Limits``: 9 motor turns, 240 rad/s, 25.2 A, 0.6
-turns of following error.
-"""
+"""``DRV_Limits`` after power-on: 9 motor turns, 240 rad/s, 25.2 A, 0.6 turns of error."""
 
 _LIMIT_TURNS: Final = 0.01
 _LIMIT_SPEED_RAD_S: Final = 0.1
@@ -89,9 +87,7 @@ TRANSITIONS: Final[Mapping[tuple[State, Order], State]] = {
     (State.BRAKING, Order.OFF): State.FAULT,
     (State.FAULT, Order.RESET): State.OFF,
 }
-"""State transitions; a pair that is absent changes nothing. A reset takes effect at its first
-frame.
-"""
+"""State transitions; a pair that is absent changes nothing."""
 
 POWERED: Final = frozenset({State.RUN, State.STOPPING, State.BRAKING})
 """States in which the power stage is on."""

@@ -37,17 +37,11 @@ _START: Final = 1 << 4
 _STEP_NS: Final = 1_000_000
 _TOO_LITTLE_A: Final = 0.2
 _BLOCKED_DEG: Final = 1.0
-"""Lag of the joint behind the target from which the joint counts as blocked, deg; half of the
-following-error limit if this is less.
-"""
+"""Lag from which the joint counts as blocked, deg; at most half of the error limit."""
 
 
 def check_method(_subindex: int, value: int) -> None:
-    """Refuse a homing method that the drive does not have.
-
-    Raises:
-        SdoAbortError: The drive does not have this method.
-    """
+    """Refuse a homing method that the drive does not have."""
     if value not in METHODS:
         raise SdoAbortError(OUT_OF_RANGE)
 
@@ -58,14 +52,6 @@ class Homing:
 
     The limit switches are closed where the true joint angle is beyond them.
 
-    Args:
-        sampler: Access to the machine.
-        clock: Simulated time.
-        values: The drive's dictionary.
-        counts_per_rad: Motor counts per radian of the motor.
-        speed_unit: Function that returns the unit of the drive's speeds, counts/s.
-        acceleration_unit: Function that returns the unit of its accelerations, counts/s^2.
-
     Attributes:
         shift: Drive position less the motor's counts.
         switches_deg: Joint angles of the limit switches, or None for switches that never close.
@@ -73,23 +59,13 @@ class Homing:
         jammed: Whether the motor has too little torque to move the joint, as with a jammed joint.
     """
 
-    def __init__(
-        self,
-        sampler: Sampler,
-        clock: SimulatedClock,
-        values: dict[int, int],
-        counts_per_rad: float,
-        speed_unit: Callable[[], float],
-        acceleration_unit: Callable[[], float],
-    ) -> None:
+    def __init__(self, mover: Mover) -> None:
         self.shift = 0
         self.switches_deg: tuple[float, float] | None = (-20.0, 20.0)
         self.endless = self.jammed = False
-        self._sampler, self._clock, self._values = sampler, clock, values
-        self._counts_per_rad, self._speed_unit = counts_per_rad, speed_unit
-        self._acceleration_unit = acceleration_unit
-        self._gear = sampler.machine.constants.motor.gear_ratio
-        self._timer = Timer(clock, self._advance)
+        self._mover = mover
+        self._sampler, self._clock, self._values = mover.sampler, mover.clock, mover.values
+        self._timer = Timer(mover.clock, self._advance)
         self._bits = REACHED
         self._word = 0
         self._demand = self._speed = 0.0
@@ -101,9 +77,7 @@ class Homing:
         return self._bits
 
     def begin(self, counts: int) -> None:
-        """Hold the position when the power is switched on in homing mode; the homing starts at a
-        rising edge of bit 4.
-        """
+        """Hold the position; the homing starts at a rising edge of bit 4."""
         self._bits = REACHED
         self._word = self._values[_CONTROLWORD]
         self._demand, self._speed = float(counts), 0.0
@@ -113,9 +87,7 @@ class Homing:
         self._timer.stop()
 
     def obey(self) -> None:
-        """Start the homing at a rising edge of bit 4 of the controlword, and interrupt the homing
-        at a falling edge.
-        """
+        """Start at a rising edge of bit 4 of the controlword, interrupt at a falling edge."""
         word = self._values[_CONTROLWORD]
         rising, falling = word & ~self._word & _START, ~word & self._word & _START
         self._word = word
@@ -160,8 +132,8 @@ class Homing:
             self._home = True
             self._set_zero(reading.motor_counts)
         speed = -self._values[_ZERO] if self._found else self._values[_SEARCH]
-        wanted = 0.0 if self._home else side * speed * self._speed_unit()
-        change = self._values[_ACCELERATION] * self._acceleration_unit() * _STEP_NS / NS
+        wanted = 0.0 if self._home else side * speed * self._mover.speed_unit
+        change = self._values[_ACCELERATION] * self._mover.acceleration_unit * _STEP_NS / NS
         self._speed += min(max(wanted - self._speed, -change), change)
         if self._home and self._speed == 0.0:
             self._halt(REACHED | ATTAINED)
@@ -178,7 +150,7 @@ class Homing:
         return angle <= low if side < 0 else angle >= high
 
     def _blocked(self) -> float:
-        counts = math.radians(_BLOCKED_DEG) * self._gear * self._counts_per_rad
+        counts = math.radians(_BLOCKED_DEG) * self._mover.gear * self._mover.counts_per_rad
         return min(counts, 0.5 * self._values[_WINDOW])
 
 
@@ -205,15 +177,6 @@ _BIT_12: Final = 0x1000
 class Mover:
     """Commands the machine according to the mode and the targets in the dictionary.
 
-    Args:
-        sampler: Access to the machine.
-        clock: Simulated time.
-        values: The drive's dictionary.
-        counts_per_rad: Motor counts per radian of the motor.
-        speed_unit: Unit of the drive's speeds, counts/s.
-        acceleration_unit: Unit of the drive's accelerations, counts/s^2.
-        current_A: Motor current of one unit of torque.
-
     Attributes:
         homing: Homing of the drive, and the zero that the last homing has set.
     """
@@ -230,22 +193,15 @@ class Mover:
     ) -> None:
         self.demand = 0.0
         self.acknowledged = False
-        self._sampler = sampler
+        self.sampler = sampler
         self._machine: SimulatedMachine = sampler.machine
-        self._clock = clock
-        self._values = values
-        self._counts_per_rad = counts_per_rad
+        self.clock = clock
+        self.values = values
+        self.counts_per_rad = counts_per_rad
         self.speed_unit, self.acceleration_unit = speed_unit, acceleration_unit
         self._current_A = current_A
-        self.homing = Homing(
-            sampler,
-            clock,
-            values,
-            counts_per_rad,
-            lambda: self.speed_unit,
-            lambda: self.acceleration_unit,
-        )
-        self._gear = self._machine.constants.motor.gear_ratio
+        self.gear = self._machine.constants.motor.gear_ratio
+        self.homing = Homing(self)
         self._profile = Timer(clock, self._advance_profile)
         self._speed = 0.0
         self._goal = 0.0
@@ -254,12 +210,12 @@ class Mover:
     @property
     def positions(self) -> bool:
         """Whether the drive closes its position loop, so that it has a following error."""
-        return self._values[_MODE] not in (CSV, CST)
+        return self.values[_MODE] not in (CSV, CST)
 
     @property
     def flags(self) -> int:
         """Bits of the statusword that depend on the mode, while the drive operates."""
-        mode = self._values[_MODE]
+        mode = self.values[_MODE]
         if mode == HM:
             return self.homing.flags
         follows = mode in (CSP, CSV, CST) or (mode == PP and self.acknowledged)
@@ -270,11 +226,11 @@ class Mover:
         self.demand = self._goal = float(counts)
         self._speed = 0.0
         self.acknowledged = False
-        self._word = self._values[_CONTROLWORD]
-        mode = self._values[_MODE]
+        self._word = self.values[_CONTROLWORD]
+        mode = self.values[_MODE]
         self._machine.control(position=self.positions, speed=mode != CST)
         if mode == PP:
-            self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+            self._profile.start(self.clock.now_ns() + _PROFILE_NS)
         elif mode == HM:
             self.homing.begin(counts)
 
@@ -291,17 +247,17 @@ class Mover:
             CST: self._push,
             PP: self._set_point,
             HM: self._home,
-        }.get(self._values[_MODE])
+        }.get(self.values[_MODE])
         return move is not None and move(period_ns)
 
     def _clamped(self) -> float:
         """Return the target within its limits, in the motor's counts."""
-        values = self._values
+        values = self.values
         target = min(max(values[_TARGET], values[_TARGET_MIN]), values[_TARGET_MAX])
         return float(target - self.homing.shift)
 
     def _position(self, period_ns: int) -> bool:
-        values, target = self._values, self._clamped()
+        values, target = self.values, self._clamped()
         reach = values[_MAX_SPEED] * self.speed_unit * period_ns / NS
         step = target - self.demand
         if step > reach or step < -reach:
@@ -312,23 +268,23 @@ class Mover:
         return target + self.homing.shift != values[_TARGET]
 
     def _spin(self, _period_ns: int) -> bool:
-        values = self._values
+        values = self.values
         speed = min(max(values[_TARGET_SPEED], -values[_MAX_SPEED]), values[_MAX_SPEED])
-        self._machine.spin(speed * self.speed_unit / self._counts_per_rad / self._gear)
+        self._machine.spin(speed * self.speed_unit / self.counts_per_rad / self.gear)
         return speed != values[_TARGET_SPEED]
 
     def _push(self, _period_ns: int) -> bool:
-        values = self._values
+        values = self.values
         torque = values[_TARGET_TORQUE]
-        motor_rad_s = self._sampler.peek(self._clock.now_ns()).motor_velocity_rad_s
-        speed = motor_rad_s * self._counts_per_rad / self.speed_unit
+        motor_rad_s = self.sampler.peek(self.clock.now_ns()).motor_velocity_rad_s
+        speed = motor_rad_s * self.counts_per_rad / self.speed_unit
         if abs(speed) > values[_MAX_SPEED] and torque * speed > 0.0:
             torque = 0
         self._machine.feed(torque * self._current_A)
         return torque != values[_TARGET_TORQUE]
 
     def _set_point(self, _period_ns: int) -> bool:
-        word = self._values[_CONTROLWORD]
+        word = self.values[_CONTROLWORD]
         if word & ~self._word & _NEW:
             self._goal = self._clamped()
             self.acknowledged = True
@@ -336,7 +292,7 @@ class Mover:
             self.acknowledged = False
         self._word = word
         goal = self._goal + self.homing.shift
-        return goal != self._values[_TARGET] and self.acknowledged
+        return goal != self.values[_TARGET] and self.acknowledged
 
     def _home(self, _period_ns: int) -> bool:
         self.homing.obey()
@@ -344,8 +300,8 @@ class Mover:
 
     def _advance_profile(self) -> None:
         """Take one step of a profile with constant accelerations to the set-point."""
-        self._sampler.advance(self._clock.now_ns())
-        values, dt = self._values, _PROFILE_NS / NS
+        self.sampler.advance(self.clock.now_ns())
+        values, dt = self.values, _PROFILE_NS / NS
         acceleration = values[_PROFILE_ACCELERATION] * self.acceleration_unit
         deceleration = values[_PROFILE_DECELERATION] * self.acceleration_unit
         greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * self.speed_unit
@@ -362,7 +318,7 @@ class Mover:
         else:
             self.demand += self._speed * dt
         self._machine.track(self.demand, _PROFILE_NS)
-        self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+        self._profile.start(self.clock.now_ns() + _PROFILE_NS)
 
 
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
@@ -402,9 +358,7 @@ _LONGEST_PERIOD: Final = 20
 _WHOLE: Final = 1e-6
 """Tolerance, in units, for a value that should be a whole number of units."""
 _AT_LIMIT: Final = 0.98
-"""Ratio of the mean current to its limit from which the current counts as limited; less than 1,
-because the measured mean contains noise.
-"""
+"""Ratio of mean current to limit from which the current counts as limited; it has noise."""
 
 
 @dataclass(frozen=True)
@@ -509,7 +463,7 @@ class SimulatedDrive(SimulatedNode):
         objects.written[0x6072] = objects.written[0x6073] = lambda _sub, _value: (
             self._limit_current()
         )
-        objects.written[0x6040] = lambda _sub, _value: self._outputs()
+        objects.written[0x6040] = lambda _sub, _value: self.act()
         self.restore()
 
     def restore(self) -> None:
@@ -676,7 +630,6 @@ class SimulatedDrive(SimulatedNode):
         else:
             self._flags |= _TARGET_REACHED
             self._show_status()
-        self.announce()
 
     def _fault(self, code: int, register: int, announce: bool = True) -> None:
         self._values[_ERROR_CODE] = code

@@ -9,7 +9,6 @@ from typing import Final
 from drivers.clock import SimulatedClock
 from drivers.epos.frames import (
     ERROR,
-    LAST,
     NMT,
     OBJECT,
     SEGMENT_BYTES,
@@ -30,14 +29,11 @@ WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _TARGET: Final = 0x607A
 _MEANS: Final = (0x6077, 0x6078)
-"""Torque and current, which are means since the last read; a maker's own object of the current is
-one too.
-"""
+"""Torque and current, which are means since the last read."""
 _VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4
 _CONTROL: Final = struct.Struct("B")
-_SEGMENT: Final = struct.Struct("BB")
 
 
 class SimulatedEposPort:
@@ -47,11 +43,6 @@ class SimulatedEposPort:
     There is no SYNC on the serial line: a target takes effect when it is written, values are
     sampled when they are read, and the drive checks its following error every millisecond. Current
     and voltage are means between two reads of the current.
-
-    Args:
-        bus: CAN bus of the drive, for NMT services.
-        clock: Simulated time.
-        drive: The drive with this port.
     """
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, drive: SimulatedDrive) -> None:
@@ -65,23 +56,18 @@ class SimulatedEposPort:
         self._means = {*_MEANS, *own}
         self._voltage = bytes(2)
         self._upload = b""
-        self._download: tuple[int, int, int, bytes] | None = None
         self._toggle = 0
         self._services: Mapping[int, Callable[[bytes], bytes]] = {
             Opcode.READ_OBJECT: self._read_object,
             Opcode.WRITE_OBJECT: self._write_object,
             Opcode.INITIATE_SEGMENTED_READ: self._start_upload,
             Opcode.SEGMENT_READ: self._continue_upload,
-            Opcode.INITIATE_SEGMENTED_WRITE: self._start_download,
-            Opcode.SEGMENT_WRITE: self._continue_download,
             Opcode.SEND_NMT: self._send_nmt,
         }
         drive.entered.append(self._entered)
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the frames that ``data`` completes; an invalid frame gets no
-        answer.
-        """
+        """Return the answers to the valid frames that ``data`` completes."""
         return b"".join(
             encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data)
         )
@@ -119,29 +105,6 @@ class SimulatedEposPort:
         answer = segment(chunk, self._toggle, not self._upload)
         self._toggle ^= TOGGLE
         return answer
-
-    def _start_download(self, fields: bytes) -> bytes:
-        index, subindex = self._address(fields)
-        (total,) = TOTAL.unpack_from(fields, OBJECT.size)
-        self._download = index, subindex, total, b""
-        self._toggle = 0
-        return b""
-
-    def _continue_download(self, fields: bytes) -> bytes:
-        length, control = _SEGMENT.unpack_from(fields)
-        self._expect_toggle(control)
-        if self._download is None:
-            raise SdoAbortError(UNKNOWN_COMMAND)
-        index, subindex, total, data = self._download
-        data += fields[2:][:length]
-        self._download = index, subindex, total, data
-        if control & LAST:
-            self._download = None
-            if len(data) != total:
-                raise SdoAbortError(WRONG_LENGTH)
-            self._write(index, subindex, data)
-        self._toggle ^= TOGGLE
-        return bytes([length, control & TOGGLE])
 
     def _send_nmt(self, fields: bytes) -> bytes:
         node, command = NMT.unpack_from(fields)

@@ -61,10 +61,6 @@ class WireFaults:
     ``count`` is the number of affected frames, :data:`FOR_GOOD` for all frames from now on. A CAN
     controller repeats frames with a wrong CRC, so that a receiver never receives them; the injected
     corruption is one that the CRC does not detect.
-
-    Args:
-        bus: The bus; its ``frame_filters`` and ``down`` are used.
-        clock: Simulated time.
     """
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock) -> None:
@@ -124,9 +120,7 @@ class WireFaults:
         )
 
     def bus_off(self, for_s: float | None) -> None:
-        """Put the host's controller into the state bus-off, for a time (s) or permanently
-        (None).
-        """
+        """Put the host's controller into bus-off, for a time (s) or for good (None)."""
         self._bus.down = True
         if for_s is not None:
             self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._recover)
@@ -177,10 +171,6 @@ class LineFaults:
 
     ``from_host`` selects requests (True), answers (False) or both (None); ``count`` is the number
     of affected messages, 0 for all messages from now on.
-
-    Args:
-        line: The line; its ``filters`` and ``cut`` are used.
-        clock: Simulated time.
     """
 
     def __init__(self, line: SimulatedLine, clock: SimulatedClock) -> None:
@@ -204,9 +194,7 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def flip(self, from_host: bool | None, count: int, bit: int) -> None:
-        """Invert bit number ``bit``, counted from the lowest bit of the first byte; in a shorter
-        message, invert a bit of the last byte.
-        """
+        """Invert bit ``bit``, from the lowest of the first byte; at most one of the last byte."""
 
         def change(data: bytes, _host: bool) -> bytes:
             spoiled = bytearray(data)
@@ -222,9 +210,7 @@ class LineFaults:
         )
 
     def delay(self, from_host: bool | None, count: int, by_s: float) -> None:
-        """Deliver messages with a delay of ``by_s``; later messages wait, because bytes keep their
-        order on a line.
-        """
+        """Deliver messages later by ``by_s``; those that follow wait."""
         self._add(
             from_host,
             count,
@@ -274,9 +260,7 @@ _MODE_DISPLAY = key(0x6061)
 
 
 class Sensor(Protocol):
-    """A simulated encoder of any kind; ``distort`` is the function by which a fault changes the
-    counts, or None without a fault.
-    """
+    """A simulated encoder; ``distort`` changes the counts, or is None without a fault."""
 
     distort: Callable[[int], int] | None
 
@@ -287,9 +271,7 @@ class Sensor(Protocol):
 
 
 def flip_bit(encoder: Sensor, bit: int, count: int) -> None:
-    """Invert one bit of the position in the next ``count`` readings, or in all readings if
-    ``count`` is 0.
-    """
+    """Invert one bit of the position in the next ``count`` readings; 0 for all."""
     left = count or None
 
     def distort(counts: int) -> int:
@@ -322,7 +304,7 @@ def freeze(encoder: Sensor) -> None:
 
 def reverse(encoder: Sensor) -> None:
     """Reverse the sign of the counts, as with two wires swapped."""
-    encoder.distort = _negated
+    encoder.distort = lambda counts: -counts
 
 
 def on_motor_shaft(encoder: Sensor, machine: SimulatedMachine) -> None:
@@ -336,10 +318,6 @@ def refuse_mode(drive: SimulatedDrive) -> None:
     drive.objects.values[_MODE_DISPLAY] = 0
     ignored: Callable[[int, int], None] = lambda _subindex, _value: None  # noqa: E731
     drive.objects.written[0x6060] = ignored
-
-
-def _negated(counts: int) -> int:
-    return -counts
 
 
 _PRODUCT: Final = key(0x1018, 2)
@@ -369,9 +347,7 @@ class Mistake:
         return self.spoil is None and self.change is None
 
     def build_into(self, bench: SimulatedBench | SimulatedDbcBench, encoder: Sensor) -> None:
-        """Inject the mistake into the devices of a bench, of which ``encoder`` is the used joint
-        encoder.
-        """
+        """Inject the mistake into a bench and its used joint encoder."""
         for loop in self.signs:
             bench.machine.reverse(loop)
         if self.spoil is not None and isinstance(bench, SimulatedBench):
@@ -389,10 +365,6 @@ def _motor(**factors: float) -> Callable[[Machine], Machine]:
         return dataclasses.replace(machine, motor=dataclasses.replace(machine.motor, **values))
 
     return change
-
-
-def _never_lost(_: int) -> None:
-    """Do nothing when the master is lost."""
 
 
 MISTAKES: Final[Mapping[str, Mistake]] = {
@@ -419,7 +391,7 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
     ),
     "watchdog_dead": Mistake(
         "the drive goes on when the program is silent",
-        lambda bench, _: setattr(bench.drive, "connection_lost", _never_lost),
+        lambda bench, _: setattr(bench.drive, "connection_lost", lambda _: None),
     ),
     "stop_ignored": Mistake(
         "the drive ignores the quick stop",

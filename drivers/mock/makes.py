@@ -25,9 +25,7 @@ from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.traits import HM, PP, Shown, Traits
 
 _OWN: Final = frozenset({0x2100, 0x2101, 0x60E3})
-"""Objects that no drive of a make has by default: objects of the simulated drive only, and the list
-of homing methods, which few drives have.
-"""
+"""Objects that no drive of a make has unless stated."""
 MAKES: Final[Mapping[str, Traits]] = {
     "EPOS4": Traits(
         0xFB,
@@ -122,9 +120,7 @@ _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 
 
 def description(make: str) -> str:
-    """Return the text of the EDS file of a make: the EDS file of the simulated drive, without the
-    objects that the make lacks, and with the additional objects of the make.
-    """
+    """Return the EDS of a make: that of the simulated drive with other objects."""
     traits = MAKES[make]
     kept, keep = [], True
     for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
@@ -147,10 +143,6 @@ def description(make: str) -> str:
 def described_drive(dictionary: ObjectDictionary, axis: Axis = ONE_AXIS) -> Traits:
     """Return the kind of simulated drive for an EDS: the make follows from vendor and objects in
     the EDS, and the drive has only the objects of the EDS, and its values of NMT error control.
-
-    Args:
-        dictionary: The EDS.
-        axis: The axis that the simulated drive is, of a device with several axes.
     """
     vendor, product = identity(dictionary)
     usual, described = _usual(), addresses(dictionary)

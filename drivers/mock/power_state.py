@@ -9,9 +9,7 @@ from typing import Final
 
 @unique
 class State(IntEnum):
-    """States of the drive; the value is the statusword under mask 6Fh (4Fh if bit 5 does not
-    matter).
-    """
+    """States by their statusword under mask 6Fh (4Fh if bit 5 does not matter)."""
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40

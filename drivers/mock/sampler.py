@@ -54,9 +54,7 @@ class Sampler:
         return reading
 
     def latch(self, now_ns: int) -> Reading:
-        """Return the reading at ``now_ns``, with current and voltage averaged since the last call
-        of this method, and start new means.
-        """
+        """Return the reading with means since the last call, and start new means."""
         reading = self.peek(now_ns)
         span = self._pending_ns
         if self._parts > 1 and span:

@@ -101,9 +101,7 @@ class OwnObjects:
     measured: list[tuple[int, Quantity, float]] = field(default_factory=list)
 
     def add_to(self, objects: DeviceDictionary) -> None:
-        """Add the drive's own objects to its dictionary, and remove the objects that the drive does
-        not have.
-        """
+        """Add the drive's own objects to its dictionary, and remove those it lacks."""
         for shown in self.traits.own:
             number = key(*shown.address)
             known = objects.entries.get(number)
@@ -132,9 +130,7 @@ class OwnObjects:
                 values[key(*shown.address)] = round(rated_current_A / shown.unit)
 
     def measure(self, values: dict[int, int], reading: Reading, current_sign: int) -> None:
-        """Set the measured values in the drive's own objects; currents have the drive's own
-        sign.
-        """
+        """Set the drive's own measured objects; currents have the drive's own sign."""
         for number, quantity, unit in self.measured:
             sign = current_sign if quantity == "current_A" else 1
             values[number] = sign * round(getattr(reading, quantity) / unit)

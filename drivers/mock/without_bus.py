@@ -18,9 +18,7 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.sampler import encoder_resolution
 
 SLOW_EVERY = 10
-"""Period, in cycles, of the frames with supply voltage and temperature, as the host configures
-it.
-"""
+"""Period, in cycles, of the frames with supply voltage and temperature."""
 
 Channel = NDArray[np.float64]
 

@@ -25,11 +25,12 @@ from drivers.errors import DeviceError, LinkError
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import (
     SimulatedBench,
+    SimulatedCanBench,
     SimulatedDbcBench,
     simulated_bench,
+    simulated_can_bench,
     simulated_dbc_bench,
 )
-from drivers.mock.can_drives import SimulatedCanBench, simulated_can_bench
 from drivers.mock.drive import Rating
 from drivers.mock.encoder import SimulatedAmt21
 from drivers.mock.epos_serial import SimulatedEposPort

@@ -324,7 +324,8 @@ def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(
 ) -> None:
     encoder = host.bench.encoder
     encoder.objects.values[key(0x6002)] = encoder._range = TURN
-    encoder._offset = round((180.0 + sign * start_deg) / 360.0 * TURN)
+    zero = round((180.0 + sign * start_deg) / 360.0 * TURN)
+    encoder.distort = lambda counts: counts + zero
     scales = EncoderScales(TURN, sign, offset_rad=-sign * math.pi, middle_rad=0.0)
     mounted = Cia406Encoder(host.encoder._channel, scales)
     assert mounted.reading() == pytest.approx(math.radians(start_deg), abs=1e-4)

@@ -11,15 +11,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import integrate
 
+from drivers.mock.plant.effects import kernel, table
+from drivers.mock.plant.effects.friction import WORK_SIZE, step_slipping
+from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.machine import SimulatedMachine, drive_vector, friction_vector, simulate
 from drivers.mock.plant.parts import loops
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Sensing
-from drivers.mock.plant.parts.friction import friction, step_velocity
+from drivers.mock.plant.parts.friction import friction
 
 MACHINE = Machine(sensing=Sensing(0, 0, 0.0))
 JOINT = Joint()
 STEP_S = 25e-6
 FORCES_N = (0.0, 3000.0)
+
+NO_EFFECTS = effect_vector(Machine())
+
+
+def step_velocity(
+    speed: float, held: float, torque: float, force_N: float
+) -> tuple[float, float, float]:
+    w = np.zeros(WORK_SIZE)
+    p = friction_vector(JOINT, force_N)
+    w[: len(p)] = p
+    return step_slipping(speed, held, torque, STEP_S, w, NO_EFFECTS)
 
 
 def magnitude(speed: float, force_N: float) -> float:
@@ -45,7 +59,7 @@ def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(
 ) -> None:
     static = magnitude(0.0, force)
     torque = math.copysign(min(abs(share), 1.0 - 1e-12) * static, share)
-    speed, impulse, held = step_velocity(0.0, static, torque, STEP_S, friction_vector(JOINT, force))
+    speed, impulse, held = step_velocity(0.0, static, torque, force)
     assert speed == 0.0
     assert impulse == 0.0
     assert held == pytest.approx(static)
@@ -58,9 +72,7 @@ def test_shaft_breaks_away_just_above_it_toward_the_torque(
     excess: float, side: float, force: float
 ) -> None:
     static = magnitude(0.0, force)
-    speed, _, _ = step_velocity(
-        0.0, static, side * (static + excess), STEP_S, friction_vector(JOINT, force)
-    )
+    speed, _, _ = step_velocity(0.0, static, side * (static + excess), force)
     assert side * speed > 0.0
 
 
@@ -73,7 +85,7 @@ def test_one_step_conserves_momentum_and_never_passes_through_zero(
     speed: float, torque: float, force: float
 ) -> None:
     p = friction_vector(JOINT, force)
-    after, impulse, _ = step_velocity(speed, friction(abs(speed), p)[0], torque, STEP_S, p)
+    after, impulse, _ = step_velocity(speed, friction(abs(speed), p)[0], torque, force)
     assert after * speed >= 0.0
     assert impulse >= 0.0
     if after != 0.0:
@@ -91,7 +103,7 @@ def test_sliding_below_coulomb_stops_and_holds_without_chatter(force: float, sid
     speed, held = side * 0.01, friction(0.01, p)[0]
     speeds = []
     for _ in range(20000):
-        speed, _, held = step_velocity(speed, held, -torque, STEP_S, p)
+        speed, _, held = step_velocity(speed, held, -torque, force)
         speeds.append(speed)
     stopped = speeds.index(0.0)
     assert 0 < stopped < 1000
@@ -149,10 +161,12 @@ def at_constant_voltage(machine: Machine, voltage: float, periods: int) -> np.nd
     """State after each loop period, shape (periods, states)."""
     s = np.zeros(loops.STATE_SIZE)
     d, p = drive_vector(machine), friction_vector(machine.joint, 0.0)
+    x, w, e = np.zeros(table.EXTRA_SIZE), np.zeros(WORK_SIZE), effect_vector(machine)
+    w[: len(p)] = p
     decay = float(np.exp(-0.5 * RESISTANCE * d[loops.LOOP_S] / d[loops.STEPS] / INDUCTANCE))
     out = np.empty((periods, loops.STATE_SIZE))
     for k in range(periods):
-        loops.integrate(s, d, p, voltage, True, decay)
+        kernel.integrate(s, x, d, w, e, voltage, True, decay, RESISTANCE)
         out[k] = s
     return out
 

@@ -17,7 +17,7 @@ import rig.wiring.connect
 from drivers.can.port import REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from drivers.mock import can_drives
-from drivers.mock.can_drives import SimulatedCanBench, simulated_can_bench
+from drivers.mock.bench import SimulatedCanBench, simulated_can_bench
 from rig.cli.entry import status
 from rig.common.sample import Phase
 from rig.config.bench import load_bench

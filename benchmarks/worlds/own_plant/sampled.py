@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.plant.effects.kernel import CONSTANTS_AT, Histories, dead_time_voltage, mesh_error
-from drivers.mock.plant.effects.pack import bare_vector
 from drivers.mock.plant.effects.table import (
     HEAT,
     JOINT,
@@ -111,8 +110,7 @@ class SampledMachine(SimulatedMachine):
         super().__init__(machine, rng, any_size=True)
         self._d[loops.COUNT] = count_rad
         self._x[RUN], self._x[HEAT] = run_s, heat_K
-        if self._e.size:
-            self._s[loops.THETA] = self._s[loops.MEASURED] = mesh_error(0.0, self._e)[0]
+        self._s[loops.THETA] = self._s[loops.MEASURED] = mesh_error(0.0, self._e)[0]
 
     @property
     def heat_K(self) -> float:
@@ -121,8 +119,6 @@ class SampledMachine(SimulatedMachine):
 
     def carry(self, torque_N_m: float, inertia_kg_m2: float) -> None:
         """Load the joint with a torque that is the same at every angle, and with an inertia."""
-        if not self._e.size:
-            self._e = bare_vector(self.constants)
         self._e[CONSTANTS_AT + STEADY_LOAD] = torque_N_m
         self._fixed_inertia += inertia_kg_m2
         self._load()
@@ -173,7 +169,7 @@ class _Vectors(NamedTuple):
 def _sample(v: _Vectors, noise: Vector, sent: Histories, law: Vector, out: Histories) -> None:
     """Advance one loop period for each column of ``sent``; write the signals into ``out``."""
     s, x, d, e = v.s, v.x, v.d, v.e
-    period, hidden = d[loops.LOOP_S], len(e) > 0
+    period = d[loops.LOOP_S]
     for k in range(sent.shape[1]):
         if len(law) > 0 and sent[SENDS, k] > 0.0:
             torque = sent[SENT_TORQUE, k] + law[0] * (sent[SENT_ANGLE, k] - s[loops.MEASURED])
@@ -182,15 +178,14 @@ def _sample(v: _Vectors, noise: Vector, sent: Histories, law: Vector, out: Histo
         s[loops.FLICKER] = sent[ENCODER_ERROR, k]
         out[CURRENT, k] = s[loops.CURRENT]
         out[ROTOR_ANGLE, k] = s[loops.THETA]
-        out[JOINT_ANGLE, k] = x[JOINT] if hidden else s[loops.THETA]
+        out[JOINT_ANGLE, k] = x[JOINT]
         path = sent[SENT_ANGLE, k : k + 1]
         advance_loaded(1, s, x, v.histories, d, v.p, e, v.y, v.g, noise[k : k + 1], path)
         out[MEAN_CURRENT, k] = s[loops.SUM_CURRENT] / period
         out[VOLTAGE, k] = out[TERMINAL, k] = s[loops.SUM_VOLTAGE] / period
         out[LINK, k] = x[SUPPLY]
-        if hidden:
-            nominal = e[CONSTANTS_AT + NOMINAL_SUPPLY]
-            out[TERMINAL, k] *= x[SUPPLY] / nominal
-            dead = dead_time_voltage(x[SUPPLY], nominal, e)
-            out[TERMINAL, k] -= dead * np.sign(s[loops.SUM_CURRENT])
+        nominal = e[CONSTANTS_AT + NOMINAL_SUPPLY]
+        out[TERMINAL, k] *= x[SUPPLY] / nominal
+        dead = dead_time_voltage(x[SUPPLY], nominal, e)
+        out[TERMINAL, k] -= dead * np.sign(s[loops.SUM_CURRENT])
         s[loops.SUM_CURRENT] = s[loops.SUM_VOLTAGE] = s[loops.SUM_NOISE] = s[loops.SUM_LOOPS] = 0.0

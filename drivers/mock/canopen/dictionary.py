@@ -34,11 +34,7 @@ _ENDS: Final = {
 
 
 class SdoAbortError(Exception):
-    """An access that the device refuses.
-
-    Args:
-        code: Abort code of CiA 301.
-    """
+    """An access that the device refuses."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort {code:08X}h")
@@ -108,9 +104,7 @@ class DeviceDictionary:
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
-        """Remove all objects except these (index and subindex), as in a device that does not offer
-        the removed objects on its bus; the device still uses the removed values internally.
-        """
+        """Hide all objects except these from the bus; the device still uses them."""
         self.entries = {
             number: entry
             for number, entry in self.entries.items()
@@ -118,9 +112,7 @@ class DeviceDictionary:
         }
 
     def reset(self, first: int, last: int) -> None:
-        """Reset the objects of indices ``first`` to ``last`` to their defaults, without running
-        hooks.
-        """
+        """Reset the objects ``first`` to ``last`` to their defaults, without hooks."""
         for number, entry in self.entries.items():
             if first <= number >> 8 <= last:
                 if isinstance(entry.default, str):
@@ -133,9 +125,7 @@ class DeviceDictionary:
         return self.values[key(index, subindex)]
 
     def kept(self, index: int, subindex: int = 0) -> int:
-        """Return the value of an object of the communication profile; 0 if the device does not have
-        the object.
-        """
+        """Return the value of an object; 0 if the device does not have it."""
         number = key(index, subindex)
         return self.values[number] if number in self.entries else 0
 
@@ -157,11 +147,7 @@ class DeviceDictionary:
         return self.entries[self.place(key(index, subindex))]
 
     def read(self, index: int, subindex: int) -> bytes:
-        """Return the encoded value, clamped to the range of the object.
-
-        Raises:
-            SdoAbortError: There is no such object, or it cannot be read.
-        """
+        """Return the encoded value, clamped to the range of the object."""
         number = self.place(key(index, subindex))
         entry = self.entries[number]
         if not entry.readable:
@@ -171,12 +157,7 @@ class DeviceDictionary:
         return struct.pack(f"<{entry.code}", held(entry.code, self.values[number]))
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
-        """Store an encoded value received by SDO.
-
-        Raises:
-            SdoAbortError: There is no such object, it cannot be written, or the value has the wrong
-                length or range.
-        """
+        """Store an encoded value received by SDO."""
         number = self.place(key(index, subindex))
         entry = self.entries[number]
         index, subindex = number >> 8, number & 0xFF

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 from operator import itemgetter
@@ -14,7 +14,7 @@ from typing import Any, Final
 from drivers.clock import SimulatedClock
 from drivers.interfaces import REMOTE_FLAG
 from drivers.mock.canopen import dictionary as od
-from drivers.mock.canopen.dictionary import WRONG_LENGTH, DeviceDictionary, SdoAbortError, key
+from drivers.mock.canopen.dictionary import DeviceDictionary, SdoAbortError, key
 from drivers.mock.wires.bus import Port, SimulatedBus, Timer
 
 _INVALID: Final = 1 << 31
@@ -36,16 +36,13 @@ class Receive:
 
 @dataclass
 class Transmit:
-    """One configured TPDO; ``every`` is its period in SYNCs, 0 for an event-driven TPDO."""
+    """One configured TPDO; ``every`` is its period in SYNCs."""
 
     identifier: int
     layout: struct.Struct
     pick: Callable[[dict[int, int]], tuple[Any, ...]]
     every: int
-    timer: Timer
-    period_ns: int
     count: int = 0
-    sent: bytes = field(default=b"")
 
     def content(self, values: dict[int, int]) -> bytes:
         """Return the PDO's data; each value is limited to the range of its object."""
@@ -65,7 +62,6 @@ class ProcessData:
     Args:
         dictionary: Objects of the device; its PDO objects are checked and applied by this class.
         port: CAN controller of the device.
-        clock: Clock for event timers.
         outputs: Function that is called when an event-driven RPDO has changed values.
         too_short: Function that is called with the length of an RPDO that is shorter than its
             mapping.
@@ -75,18 +71,15 @@ class ProcessData:
         self,
         dictionary: DeviceDictionary,
         port: Port,
-        clock: SimulatedClock,
         outputs: Callable[[], None],
         too_short: Callable[[int], None],
     ) -> None:
         self._dictionary = dictionary
         self._port = port
-        self._clock = clock
         self._outputs = outputs
         self._too_short = too_short
         self._receive: list[Receive] = []
         self._synchronous: list[Transmit] = []
-        self._event_driven: list[Transmit] = []
         self._active = False
         indices = {number >> 8 for number in dictionary.entries}
         self._receive_indices = sorted(index for index in indices if 0x1400 <= index < 0x1600)
@@ -119,18 +112,6 @@ class ProcessData:
                 pdo.count = 0
                 send(pdo.identifier, pdo.content(values))
 
-    def send_changes(self) -> None:
-        """Send the event-driven TPDOs whose content has changed."""
-        for pdo in self._event_driven:
-            if pdo.content(self._dictionary.values) != pdo.sent:
-                self._send_event(pdo)
-
-    def _send_event(self, pdo: Transmit) -> None:
-        pdo.sent = pdo.content(self._dictionary.values)
-        self._port.send(pdo.identifier, pdo.sent)
-        if pdo.period_ns:
-            pdo.timer.start(self._clock.now_ns() + pdo.period_ns)
-
     def _store(self, pdo: Receive, data: bytes) -> None:
         self._dictionary.values.update(zip(pdo.keys, pdo.layout.unpack_from(data), strict=True))
 
@@ -150,9 +131,7 @@ class ProcessData:
     def _rebuild(self) -> None:
         for receive in self._receive:
             self._port.ignore(receive.identifier)
-        for transmit in self._event_driven:
-            transmit.timer.stop()
-        self._receive, self._synchronous, self._event_driven = [], [], []
+        self._receive, self._synchronous = [], []
         if not self._active:
             return
         for index in self._receive_indices:
@@ -163,20 +142,9 @@ class ProcessData:
                 self._port.listen(identifier, partial(self._received, pdo))
         for index in self._transmit_indices:
             if (mapped := self._mapping(index)) is not None:
-                transmit = self._transmitter(index, *mapped)
-                (self._synchronous if transmit.every else self._event_driven).append(transmit)
-
-    def _transmitter(
-        self, index: int, identifier: int, kind: int, keys: tuple[int, ...], layout: struct.Struct
-    ) -> Transmit:
-        pick = itemgetter(*keys) if len(keys) > 1 else partial(_pick_one, keys[0])
-        synchronous = kind <= _MAX_SYNCHRONOUS
-        period_ns = 0 if synchronous else self._dictionary.integer(index, 5) * 1_000_000
-        timer = Timer(self._clock, lambda: self._send_event(pdo))
-        pdo = Transmit(identifier, layout, pick, kind if synchronous else 0, timer, period_ns)
-        if period_ns:
-            timer.start(self._clock.now_ns() + period_ns)
-        return pdo
+                identifier, kind, keys, layout = mapped
+                pick = itemgetter(*keys) if len(keys) > 1 else partial(_pick_one, keys[0])
+                self._synchronous.append(Transmit(identifier, layout, pick, kind))
 
     def _mapping(self, index: int) -> tuple[int, int, tuple[int, ...], struct.Struct] | None:
         read = self._dictionary.integer
@@ -194,8 +162,9 @@ class ProcessData:
             if not (current | value) & _INVALID and current != value:
                 raise SdoAbortError(od.DEVICE_STATE)
         elif subindex == 2:
-            lowest = 0 if index < 0x1800 else 1
-            if not lowest <= value <= _MAX_SYNCHRONOUS and value not in _EVENT_DRIVEN:
+            receive = index < 0x1800
+            events = receive and value in _EVENT_DRIVEN
+            if not (0 if receive else 1) <= value <= _MAX_SYNCHRONOUS and not events:
                 raise SdoAbortError(od.OUT_OF_RANGE)
 
     def _check_mapping(self, index: int, subindex: int, value: int) -> None:
@@ -234,18 +203,12 @@ class _Transfer:
     index: int
     subindex: int
     data: bytes
-    size: int | None = None
     toggle: int = 0
-    upload: bool = True
 
 
 class SdoServer:
-    """Answers SDO requests from an object dictionary, with the abort codes of CiA 301.
-
-    Args:
-        dictionary: The device's objects.
-        refresh: Function that updates measured values in the dictionary; it is called before every
-            upload.
+    """Answers SDO requests from an object dictionary, with the abort codes of CiA 301. Values of
+    more than four bytes can be read, and not written.
     """
 
     def __init__(self, dictionary: DeviceDictionary, refresh: Callable[[], None]) -> None:
@@ -268,8 +231,6 @@ class SdoServer:
             return None
         try:
             match service:
-                case 0:
-                    return self._download_segment(command, request[1:])
                 case 1:
                     return self._download(command, index, subindex, request[4:])
                 case 2:
@@ -279,7 +240,7 @@ class SdoServer:
                 case _:
                     raise SdoAbortError(BAD_COMMAND)
         except SdoAbortError as abort:
-            if self._transfer is not None and service in (0, 3):
+            if self._transfer is not None and service == 3:
                 index, subindex = self._transfer.index, self._transfer.subindex
             self._transfer = None
             return _HEAD.pack(0x80, index, subindex) + struct.pack("<I", abort.code)
@@ -293,7 +254,11 @@ class SdoServer:
         return _HEAD.pack(0x41, index, subindex) + struct.pack("<I", len(data))
 
     def _upload_segment(self, command: int) -> bytes:
-        transfer = self._expect(command, upload=True)
+        transfer = self._transfer
+        if transfer is None:
+            raise SdoAbortError(BAD_COMMAND)
+        if command & _TOGGLE != transfer.toggle:
+            raise SdoAbortError(BAD_TOGGLE)
         chunk, transfer.data = transfer.data[:7], transfer.data[7:]
         last = not transfer.data
         response = bytes(
@@ -306,38 +271,13 @@ class SdoServer:
 
     def _download(self, command: int, index: int, subindex: int, data: bytes) -> bytes:
         self._transfer = None
-        sized = command & 0x01
-        if command & 0x02:
-            # A request that states no size contains as many bytes as the object has.
-            size = (
-                4 - (command >> 2 & 0x03) if sized else self._dictionary.entry(index, subindex).size
-            )
-            self._dictionary.write(index, subindex, data[:size])
-        else:
-            self._dictionary.entry(index, subindex)
-            announced = struct.unpack("<I", data)[0] if sized else None
-            self._transfer = _Transfer(index, subindex, b"", announced, upload=False)
-        return _HEAD.pack(0x60, index, subindex) + bytes(4)
-
-    def _download_segment(self, command: int, data: bytes) -> bytes:
-        transfer = self._expect(command, upload=False)
-        transfer.data += data[: 7 - (command >> 1 & 0x07)]
-        response = bytes([0x20 | transfer.toggle]) + bytes(7)
-        transfer.toggle ^= _TOGGLE
-        if command & _LAST:
-            if transfer.size is not None and transfer.size != len(transfer.data):
-                raise SdoAbortError(WRONG_LENGTH)
-            self._dictionary.write(transfer.index, transfer.subindex, transfer.data)
-            self._transfer = None
-        return response
-
-    def _expect(self, command: int, upload: bool) -> _Transfer:
-        transfer = self._transfer
-        if transfer is None or transfer.upload is not upload:
+        if not command & 0x02:
             raise SdoAbortError(BAD_COMMAND)
-        if command & _TOGGLE != transfer.toggle:
-            raise SdoAbortError(BAD_TOGGLE)
-        return transfer
+        # A request that states no size contains as many bytes as the object has.
+        known = self._dictionary.entry(index, subindex).size
+        size = 4 - (command >> 2 & 0x03) if command & 0x01 else known
+        self._dictionary.write(index, subindex, data[:size])
+        return _HEAD.pack(0x60, index, subindex) + bytes(4)
 
 
 _MS: Final = 1_000_000
@@ -368,13 +308,6 @@ class SimulatedNode:
     Attributes:
         remote_frames: Whether the device answers remote frames, that is, guard requests.
         sdo_delay_ns: Time that the device takes for an SDO answer, ns.
-
-    Args:
-        bus: Bus of the device.
-        clock: Simulated time.
-        node_id: 1 to 127.
-        eds: EDS file of its object dictionary.
-        clock_offset_us: Reading of the device's microsecond clock at simulated time 0.
     """
 
     def __init__(
@@ -394,9 +327,7 @@ class SimulatedNode:
         self._clock = clock
         self._clock_offset_us = clock_offset_us
         self._port = bus.attach()
-        self._process_data = ProcessData(
-            self.objects, self._port, clock, self._outputs, self._rpdo_too_short
-        )
+        self._process_data = ProcessData(self.objects, self._port, self.act, self._rpdo_too_short)
         self._sdo = SdoServer(self.objects, self.refresh)
         self._producer = Timer(clock, self._send_heartbeat)
         self._watch = Timer(clock, self._check_heartbeat)
@@ -465,18 +396,8 @@ class SimulatedNode:
         self.act()
         self._process_data.send_synchronous()
 
-    def _outputs(self) -> None:
-        self.act()
-        self.announce()
-
-    def announce(self) -> None:
-        """Send the event-driven process data that changed between two SYNCs."""
-        self._process_data.send_changes()
-
     def stamp(self, time_ns: int) -> None:
-        """Put the time of the device's own clock at ``time_ns`` (1013h, microseconds modulo 2^32)
-        into the dictionary.
-        """
+        """Set 1013h to the device's own time at ``time_ns``, microseconds modulo 2^32."""
         self._values[_TIME_STAMP] = (time_ns // 1000 + self._clock_offset_us) & 0xFFFFFFFF
 
     def _rpdo_too_short(self, length: int) -> None:
@@ -598,6 +519,4 @@ class SimulatedNode:
         """Bring the device into its safe state immediately, before a restart."""
 
     def restore(self) -> None:
-        """Reset the internal state to that after power-on; the dictionary already contains its
-        defaults.
-        """
+        """Reset the internal state after the dictionary has its defaults."""

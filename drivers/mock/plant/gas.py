@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.kernel import Histories, advance_hiding
+from drivers.mock.plant.effects.kernel import Histories, advance
 from drivers.mock.plant.effects.pack import GAS_KNOWN
-from drivers.mock.plant.effects.table import JOINT, RUN, SEEN
+from drivers.mock.plant.effects.table import JOINT
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
 from drivers.mock.plant.parts.friction import MOMENT, open_throat
-from drivers.mock.plant.parts.loops import LOOP_S, THETA, advance
+from drivers.mock.plant.parts.loops import LOOP_S
 
 # State vector.
 (
@@ -74,9 +74,7 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
-    """Return the conditions of the next step: factors on throat area, burning area, burning rate
-    and heat, and the area of the leak, m^2.
-    """
+    """Return the factors on throat, burning area, burning rate and heat, and the leak, m^2."""
     throat, burning, rate, heat, leak = (
         g[THROAT_SHARE],
         g[BURNING_SHARE],
@@ -102,9 +100,7 @@ def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]
 
 @inlined
 def remember(y: Vector, g: Vector, grown: float, burning_area: float, h: float) -> None:
-    """Update the states of the effects after a step of ``h`` s in which ``grown`` m^3 burnt over
-    ``burning_area`` m^2.
-    """
+    """Update the states of the effects after ``h`` s in which ``grown`` m^3 burnt."""
     web, cooled, warmed = MEMORY + hidden.WEB, MEMORY + hidden.COOLED, MEMORY + hidden.WARMED
     y[web] += grown / burning_area
     if g[HIDDEN + hidden.HEAT_FLOW] > 0.0:
@@ -169,9 +165,7 @@ def solve_stage(
 
 @inlined
 def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
-    """Advance the gas generator by ``h`` s while the throat area changes to that at ``angle``
-    (rad).
-    """
+    """Advance by ``h`` s while the throat area changes to that at ``angle`` (rad)."""
     throat_share, burning_share, rate_share, heat_share, leak = conditions(y, g)
     energy, velocity = g[ENERGY] * heat_share, g[VELOCITY] * math.sqrt(heat_share)
     grown = g[BURNING_AREA] * burning_share * g[RATE] * rate_share
@@ -409,7 +403,7 @@ def felt_force(force: float, e: Vector) -> float:
     ``force``, equal to ``force`` at the reference force. Without this effect it is equal to
     ``force``.
     """
-    if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
+    if e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
         return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
     return force
 
@@ -442,15 +436,10 @@ def advance_loaded(
         if burns:
             p[MOMENT] = felt_force(y[FORCE], e) * g[ARM]
         part = path[done : done + n]
-        if len(e) > 0:
-            advance_hiding(n, s, x, histories, d, p, e, noise[done : done + n], part)
-        else:
-            advance(n, s, d, p, noise[done : done + n], part)
-            x[RUN] += n * d[LOOP_S]
-            x[SEEN] = s[THETA]
+        advance(n, s, x, histories, d, p, e, noise[done : done + n], part)
         done += n
         if burns:
             y[PENDING] += n
             if y[PENDING] >= g[LOOPS_PER_STEP]:
-                step_gas(y, g, x[JOINT] if len(e) > 0 else s[THETA], y[PENDING] * d[LOOP_S])
+                step_gas(y, g, x[JOINT], y[PENDING] * d[LOOP_S])
                 y[PENDING] = 0.0

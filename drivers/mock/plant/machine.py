@@ -14,27 +14,12 @@ from numpy.typing import NDArray
 from drivers.errors import ConfigurationError
 from drivers.mock.plant import gas
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects import table as extra
 from drivers.mock.plant.effects.kernel import Histories
-from drivers.mock.plant.effects.pack import bare_vector, effect_vector
-from drivers.mock.plant.effects.table import RUN, SEEN, SUPPLY
+from drivers.mock.plant.effects.pack import effect_vector
 from drivers.mock.plant.gas import PRESSURE, advance_loaded, felt_force, gas_vector, lit, unlit
 from drivers.mock.plant.parts import constants, friction, loops
 from drivers.mock.plant.parts.compiled import Vector, compiled
 from drivers.mock.plant.parts.constants import Loops
-from drivers.mock.plant.parts.loops import (
-    LOOP_S,
-    MEASURED,
-    SUM_CURRENT,
-    SUM_LOOPS,
-    SUM_NOISE,
-    SUM_VOLTAGE,
-    TARGET,
-    TARGET_LEFT,
-    TARGET_STEP,
-    THETA,
-    VELOCITY_ESTIMATE,
-)
 
 
 def close_loops(d: Vector, cascade: Loops, position: bool, speed: bool) -> None:
@@ -53,9 +38,7 @@ def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
 
 
 def take_over(s: Vector, d: Vector, cascade: Loops) -> bool:
-    """Close all loops of a drive in motion, at its present position and speed; return whether a
-    loop was open.
-    """
+    """Close all loops of a drive in motion, and return whether one was open."""
     if d[loops.POSITION_GAIN] == cascade.position_gain:
         return False
     s[loops.TARGET] = s[loops.MEASURED]
@@ -117,11 +100,10 @@ def drive_vector(machine: constants.Machine) -> NDArray[np.float64]:
     MEAN_CURRENT,
     MEAN_VOLTAGE,
     LINK_VOLTAGE,
-    FOLLOWING,
     RUN_TIME,
     CHAMBER_PRESSURE,
     LATCHED,
-) = range(10)
+) = range(9)
 
 
 class Latches(NamedTuple):
@@ -139,7 +121,6 @@ class Latches(NamedTuple):
     current_A: NDArray[np.float64]
     voltage_V: NDArray[np.float64]
     supply_V: NDArray[np.float64]
-    following_rad: NDArray[np.float64]
     run_s: NDArray[np.float64]
     pressure_Pa: NDArray[np.float64]
 
@@ -167,21 +148,20 @@ def record_cycles(
     for k in range(len(targets)):
         part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]
         advance_loaded(loops_per_cycle, s, x, histories, d, p, e, y, g, part, no_path)
-        n = s[SUM_LOOPS]
-        seconds = n * d[LOOP_S]
+        n = s[loops.SUM_LOOPS]
+        seconds = n * d[loops.LOOP_S]
         row = out[k]
-        row[ROTOR] = s[THETA]
-        row[JOINT_SEEN] = x[SEEN]
-        row[SPEED] = s[VELOCITY_ESTIMATE]
-        row[MEAN_CURRENT] = s[SUM_CURRENT] / seconds + s[SUM_NOISE] / n
-        row[MEAN_VOLTAGE] = s[SUM_VOLTAGE] / seconds
-        row[LINK_VOLTAGE] = x[SUPPLY]
-        row[FOLLOWING] = s[TARGET] - s[MEASURED]
-        row[RUN_TIME] = x[RUN]
+        row[ROTOR] = s[loops.THETA]
+        row[JOINT_SEEN] = x[table.SEEN]
+        row[SPEED] = s[loops.VELOCITY_ESTIMATE]
+        row[MEAN_CURRENT] = s[loops.SUM_CURRENT] / seconds + s[loops.SUM_NOISE] / n
+        row[MEAN_VOLTAGE] = s[loops.SUM_VOLTAGE] / seconds
+        row[LINK_VOLTAGE] = x[table.SUPPLY]
+        row[RUN_TIME] = x[table.RUN]
         row[CHAMBER_PRESSURE] = y[PRESSURE]
-        s[SUM_CURRENT] = s[SUM_VOLTAGE] = s[SUM_NOISE] = s[SUM_LOOPS] = 0.0
-        s[TARGET_LEFT] = loops_per_cycle
-        s[TARGET_STEP] = (targets[k] - s[TARGET]) / loops_per_cycle
+        s[loops.SUM_CURRENT] = s[loops.SUM_VOLTAGE] = s[loops.SUM_NOISE] = s[loops.SUM_LOOPS] = 0.0
+        s[loops.TARGET_LEFT] = loops_per_cycle
+        s[loops.TARGET_STEP] = (targets[k] - s[loops.TARGET]) / loops_per_cycle
 
 
 Loop = Literal["position", "velocity", "phases"]
@@ -211,9 +191,7 @@ class Reading(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """The exact state of the machine, for tests and for benches with exact channels; this state is
-    not sent over the bus.
-    """
+    """The exact state of the machine, which no bus carries."""
 
     angle_rad: float
     velocity_rad_s: float
@@ -274,9 +252,9 @@ class SimulatedMachine:
         self._s = np.zeros(loops.STATE_SIZE)
         self._d = drive_vector(machine)
         self._e = effect_vector(machine, any_size)
-        self._x = np.zeros(extra.EXTRA_SIZE)
-        self._x[extra.SUPPLY] = machine.supply_V
-        self._histories = np.zeros((2, extra.HISTORY))
+        self._x = np.zeros(table.EXTRA_SIZE)
+        self._x[table.SUPPLY] = machine.supply_V
+        self._histories = np.zeros((2, table.HISTORY))
         self._g = gas_vector(machine)
         self._y = unlit(machine)
         self._label_kg = 0.0
@@ -287,9 +265,7 @@ class SimulatedMachine:
         self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
-        """Hang a weight with the label ``mass_kg`` in total on the lever: contact force (L3/L4) m_w
-        g (eq. 17).
-        """
+        """Hang ``mass_kg`` on the lever: contact force (L3/L4) m_w g (eq. 17)."""
         self._label_kg, self._force_N = mass_kg, None
         self._y = unlit(self.constants)
         self._load()
@@ -301,23 +277,16 @@ class SimulatedMachine:
         self._load()
 
     def ignite(self) -> None:
-        """Load the valve with the gas generator in place of a weight; the gas generator burns
-        steadily from the start until another load is set.
-        """
+        """Load the valve with the gas generator, which burns until another load is set."""
         self._label_kg, self._force_N = 0.0, None
         self._y = lit(self.constants, self._g, self._angle())
         self._load()
 
     def _angle(self) -> float:
-        return float(self._x[extra.JOINT] if self._e.size else self._s[loops.THETA])
+        return float(self._x[table.JOINT])
 
     def fix_weight(self, mass_kg: float, length_m: float, zero_rad: float) -> None:
-        """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m
-        l^2.
-        """
-        if not self._e.size:
-            self._e = bare_vector(self.constants)
-            self._x[extra.JOINT] = self._x[extra.SEEN] = self._s[loops.THETA]
+        """Fix a weight to the joint: torque -m g l sin(theta - zero), inertia m l^2."""
         # The torques of the weight and of an injected imbalance are both sines of the angle; their
         # sum is one sine.
         hidden = self.constants.effects.get(
@@ -341,10 +310,7 @@ class SimulatedMachine:
             else self._force_N
         )
         force += float(self._y[gas.FORCE])
-        if not e.size:
-            self._p = friction_vector(joint, force)
-            return
-        coming = self._x[extra.RECORDING] + (self._s[loops.MODE] == loops.OFF)
+        coming = self._x[table.RECORDING] + (self._s[loops.MODE] == loops.OFF)
         if e[table.WEIGHT_RECORDING] == coming and self._force_N is None and not self._y[gas.MASS]:
             force = per_kg * e[table.WEIGHT_MASS]
         self._p = friction_vector(joint, felt_force(force, e))
@@ -358,7 +324,7 @@ class SimulatedMachine:
             p = self._p
             of_speed = e[table.MEMORY_OF_SPEED] > 0.0
             at_rest = p[friction.DM] + p[friction.MOMENT] * p[friction.DMU]
-            self._x[extra.FALLING] = 0.0 if of_speed else at_rest
+            self._x[table.FALLING] = 0.0 if of_speed else at_rest
 
     def limit_current(self, current_A: float) -> None:
         """Set the current limit of the drive, which is at most that of the control loops."""
@@ -376,8 +342,8 @@ class SimulatedMachine:
             s[loops.TARGET] = s[loops.MEASURED]
             s[loops.TARGET_LEFT] = 0.0
             s[loops.TARGET_STEP] = 0.0
-            self._x[extra.TIME] = 0.0
-            self._x[extra.RECORDING] += 1.0
+            self._x[table.TIME] = 0.0
+            self._x[table.RECORDING] += 1.0
             self._load()
         elif not on and not self.stuck:
             s[loops.MODE] = loops.OFF
@@ -418,15 +384,13 @@ class SimulatedMachine:
 
     def rest(self, seconds: float) -> None:
         """Advance the time with the power off and the joint at rest, so that the motor cools."""
-        self._x[extra.RUN] += seconds
+        self._x[table.RUN] += seconds
         e = self._e
-        if e.size and e[table.HEATING_RISE] > 0.0:
-            self._x[extra.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
+        if e[table.HEATING_RISE] > 0.0:
+            self._x[table.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
     def track(self, target_counts: float, over_ns: int) -> None:
-        """Follow ``target_counts`` (motor encoder), which is reached by linear interpolation within
-        ``over_ns``.
-        """
+        """Follow ``target_counts`` (motor encoder), reached linearly within ``over_ns``."""
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
@@ -436,16 +400,12 @@ class SimulatedMachine:
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
     def feed(self, current_A: float) -> None:
-        """Add a current to the current command of the control loops, until the next call, while the
-        machine follows targets.
-        """
+        """Add a current to the command of the loops while the machine follows targets."""
         if self._s[loops.MODE] == loops.TRACK:
             self._s[loops.OFFSET] = current_A
 
     def brake(self, deceleration_rad_s2: float) -> None:
-        """Reduce the commanded joint speed to zero with this deceleration, then hold the position
-        (quick stop).
-        """
+        """Reduce the commanded joint speed to zero, then hold the position (quick stop)."""
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
@@ -503,9 +463,6 @@ class SimulatedMachine:
     def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
         """For each target of ``target_counts`` (motor encoder counts): advance one cycle, sample
         the sensors and set the target.
-
-        Raises:
-            ValueError: The cycle is not a whole number of loop periods.
         """
         per_cycle = self._loops_in(cycle_ns)
         out = np.zeros((len(target_counts), LATCHED))
@@ -514,17 +471,9 @@ class SimulatedMachine:
         noise = self._take_noise(per_cycle * len(targets))
         s, y, g = self._s, self._y, self._g
         record_cycles(per_cycle, s, x, histories, d, p, e, y, g, noise, targets, _NO_PATH, out)
-        return Latches(
-            np.floor(out[:, ROTOR] / self.motor_count_rad),
-            np.floor(out[:, JOINT_SEEN] / self.joint_count_rad),
-            out[:, SPEED],
-            out[:, MEAN_CURRENT],
-            out[:, MEAN_VOLTAGE],
-            out[:, LINK_VOLTAGE],
-            out[:, FOLLOWING],
-            out[:, RUN_TIME],
-            out[:, CHAMBER_PRESSURE],
-        )
+        rotor, joint, *others = out.T
+        motor_counts = np.floor(rotor / self.motor_count_rad)
+        return Latches(motor_counts, np.floor(joint / self.joint_count_rad), *others)
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
         """Return the next noise samples, as single loop periods would draw them."""
@@ -547,7 +496,7 @@ class SimulatedMachine:
         """
         s = self._s
         theta = float(s[loops.THETA])
-        seen = float(self._x[extra.SEEN]) if self._e.size else theta
+        seen = float(self._x[table.SEEN])
         n = float(s[loops.SUM_LOOPS])
         if n:
             seconds = n * float(self._d[loops.LOOP_S])
@@ -576,8 +525,8 @@ class SimulatedMachine:
             float(s[loops.VELOCITY_ESTIMATE]) * self.constants.motor.gear_ratio,
             current,
             voltage,
-            float(self._x[extra.SUPPLY]),
-            float(self.temperature(float(self._x[extra.RUN]))),
+            float(self._x[table.SUPPLY]),
+            float(self.temperature(float(self._x[table.RUN]))),
             following,
             float(self._y[gas.PRESSURE]),
         )
@@ -666,9 +615,7 @@ def simulate(
 def _load(
     plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
 ) -> None:
-    """Load the valve with a burning gas generator, with a contact force if it is given, or with a
-    weight.
-    """
+    """Load the valve with a gas generator, a contact force, or a weight."""
     if burning:
         plant.ignite()
     elif contact_force_N is None:

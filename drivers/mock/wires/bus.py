@@ -15,9 +15,7 @@ from drivers.interfaces import RawFrame
 
 Handler = Callable[[bytes], None]
 FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
-"""Function of (time in ns, identifier, data, whether the host sent the frame) that returns the
-frame to deliver, or None to lose the frame.
-"""
+"""(time in ns, identifier, data, whether the host sent it) to the frame to deliver, or None."""
 
 
 _NEVER = 1 << 62
@@ -38,9 +36,7 @@ def _rank(identifier: int) -> int:
 
 
 class Port:
-    """One controller on the bus: sends its frames in order, and receives the identifiers for which
-    it has a handler.
-    """
+    """One controller: sends its frames in order, and receives those with a handler."""
 
     def __init__(self, bus: SimulatedBus, number: int) -> None:
         self._bus = bus
@@ -163,11 +159,7 @@ class SimulatedBus(can.BusABC):
         self._received.append(raw_frame((self._clock.now_ns(), ERROR_FLAG, b"", False)))
 
     def transmit(self, identifier: int, data: bytes) -> None:
-        """Queue a frame of the host.
-
-        Raises:
-            OSError: The bus is down or closed.
-        """
+        """Queue a frame of the host."""
         if self.down or self._is_shutdown:
             raise OSError("bus-off" if self.down else "the bus is shut")
         self._host.send(identifier, data)
@@ -178,9 +170,6 @@ class SimulatedBus(can.BusABC):
 
         Frames without a gap between them are returned together, as from the buffer of a controller,
         each with its arrival time.
-
-        Raises:
-            OSError: The bus is closed.
         """
         deadline = self._clock.now_ns() + round(timeout_s * NS)
         if not self._wait(deadline):
@@ -190,11 +179,7 @@ class SimulatedBus(can.BusABC):
         return frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Queue a frame of the host.
-
-        Raises:
-            can.CanOperationError: The bus is down or closed.
-        """
+        """Queue a frame of the host."""
         with _of_python_can():
             if msg.is_remote_frame:
                 self.transmit(msg.arbitration_id | REMOTE_FLAG, bytes(msg.dlc))
@@ -206,9 +191,6 @@ class SimulatedBus(can.BusABC):
 
         ``timeout`` is in seconds of simulated time; with None the method waits as long as any event
         is scheduled.
-
-        Raises:
-            can.CanOperationError: The bus is closed.
         """
         with _of_python_can():
             return self._next(timeout)

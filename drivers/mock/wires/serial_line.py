@@ -17,9 +17,7 @@ class Station(Protocol):
     """The device at the other end of a line."""
 
     def receive(self, data: bytes) -> bytes:
-        """Process received bytes, which may be empty, and return the answer or unsolicited bytes
-        that are due.
-        """
+        """Process received bytes, if any, and return the bytes that are due."""
         ...
 
 
@@ -56,11 +54,7 @@ class SimulatedLine:
         self._closed = False
 
     def write(self, data: bytes) -> None:
-        """Send bytes after the bytes that are still being sent.
-
-        Raises:
-            OSError: The line is closed.
-        """
+        """Send bytes after the bytes that are still being sent."""
         self._require_open()
         arrival = max(self._clock.now_ns(), self._free_ns) + len(data) * self._byte_ns
         self._free_ns = arrival
@@ -69,9 +63,6 @@ class SimulatedLine:
     def read(self, timeout_s: float) -> bytes:
         """Return the received bytes; if there is none, simulated time advances until a byte
         arrives.
-
-        Raises:
-            OSError: The line is closed.
         """
         self._require_open()
         clock = self._clock

@@ -6,28 +6,6 @@ import math
 
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.outside import ACCELERATION_DRAG, outside_level, outside_sides
-from drivers.mock.plant.effects.table import (
-    ACCELERATION,
-    EXTERNAL,
-    FALLING,
-    GRAVITY_TORQUE,
-    GRAVITY_ZERO,
-    GROWN,
-    JOINT,
-    LOAD_SLOPE,
-    PRESLIDING_STIFFNESS,
-    RUN,
-    SPRING_REST,
-    SPRING_STIFFNESS,
-    STOP_ANGLE,
-    STOP_OTHER,
-    STOP_STIFFNESS,
-    SWING_DECAY,
-    SWING_FRACTION,
-    SWING_FREQUENCY,
-    TIME,
-    TRANSMITTED,
-)
 from drivers.mock.plant.parts.compiled import Vector, inlined
 from drivers.mock.plant.parts.friction import (
     ALPHA,
@@ -62,9 +40,7 @@ def static_limit(side: float, w: Vector) -> float:
 
 @inlined
 def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float]:
-    """Return friction at a sliding ``speed`` >= 0 rad/s in the direction ``side``, and its slope; N
-    m and N m s/rad.
-    """
+    """Return friction, N m, at ``speed`` >= 0 rad/s in direction ``side``, and its slope."""
     magnitude, slope = friction(speed, w)
     magnitude += side * (w[SIDE] + w[VISCOUS_SIDE] * speed) + w[DRAG] * speed * speed + w[LAGGED]
     slope += side * w[VISCOUS_SIDE] + 2.0 * w[DRAG] * speed
@@ -78,9 +54,7 @@ def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float
 
 @inlined
 def bristle_level(speed: float, p: Vector, moment: float) -> float:
-    """Return the part of the nominal friction that falls with speed, at ``speed`` >= 0 rad/s, N
-    m.
-    """
+    """Return the nominal friction that falls with speed, at ``speed`` >= 0 rad/s, N m."""
     at_rest = p[DM] * math.exp(-((speed / p[OMEGA_SF]) ** p[ALPHA]))
     if moment > 0.0:
         at_rest += moment * p[DMU] * math.exp(-((speed / p[OMEGA_SL]) ** p[ALPHA]))
@@ -91,10 +65,21 @@ def bristle_level(speed: float, p: Vector, moment: float) -> float:
 def step_slipping(
     omega: float, before: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float]:
-    """Advance J domega/dt = torque - friction by ``h`` s; friction may depend on the direction.
+    """Advance J domega/dt = torque - friction by ``h`` s.
 
-    With the same friction in both directions the result is that of
-    :func:`drivers.mock.plant.parts.friction.step_velocity`.
+    Friction has the factor sgn(omega), which the paper omits, and may depend on the direction.
+    While the joint slides, the step is trapezoidal and implicit in friction. A joint whose speed
+    would change its sign stops. A joint at rest stays exactly at rest until the torque exceeds the
+    static limit, so that it neither creeps nor oscillates. The step has one solution if h < 2 J /
+    |steepest negative slope|.
+
+    Args:
+        omega: Speed, rad/s.
+        before: Friction magnitude at this speed, N m (third result of the last step).
+        torque: Drive torque over the step, N m.
+        h: Step, s.
+        w: Working friction vector.
+        e: Effect vector.
 
     Returns:
         Speed after the step, impulse of friction against the motion (N m s), friction magnitude at
@@ -123,6 +108,7 @@ def step_slipping(
         change = min(residual / (inertia / h + 0.5 * slope), 0.5 * speed)
         speed -= change
         after -= slope * change
+        # Newton's method converges quadratically: the remaining error is below rounding.
         if abs(change) <= 1e-7 * speed:
             break
     return side * speed, 0.5 * h * (before + after), after
@@ -149,7 +135,7 @@ def step_bristles(
     Returns:
         Speed and deflection after the step, and the friction torque over the step, with its sign.
     """
-    stiffness = e[PRESLIDING_STIFFNESS]
+    stiffness = e[table.PRESLIDING_STIFFNESS]
     inertia = w[INERTIA]
     speed = abs(omega)
     side = 1.0 if omega > 0.0 or (omega == 0.0 and torque > 0.0) else -1.0
@@ -178,51 +164,47 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
     ``angle_rad`` and the second stop below ``other_rad``.
     """
     torque = 0.0
-    if e[GRAVITY_TORQUE] != 0.0:
-        torque -= e[GRAVITY_TORQUE] * math.sin(theta - e[GRAVITY_ZERO])
-    if e[SPRING_STIFFNESS] != 0.0:
-        torque -= e[SPRING_STIFFNESS] * (theta - e[SPRING_REST])
-    if e[STOP_STIFFNESS] != 0.0:
-        side = math.copysign(1.0, e[STOP_ANGLE]) if e[STOP_OTHER] == 0.0 else 1.0
-        depth = side * (theta - e[STOP_ANGLE])
+    if e[table.GRAVITY_TORQUE] != 0.0:
+        torque -= e[table.GRAVITY_TORQUE] * math.sin(theta - e[table.GRAVITY_ZERO])
+    if e[table.SPRING_STIFFNESS] != 0.0:
+        torque -= e[table.SPRING_STIFFNESS] * (theta - e[table.SPRING_REST])
+    if e[table.STOP_STIFFNESS] != 0.0:
+        side = math.copysign(1.0, e[table.STOP_ANGLE]) if e[table.STOP_OTHER] == 0.0 else 1.0
+        depth = side * (theta - e[table.STOP_ANGLE])
         if depth > 0.0:
-            torque -= side * max(e[STOP_STIFFNESS] * (depth + _STOP_DAMPING_S * side * omega), 0.0)
-        if e[STOP_OTHER] != 0.0 and theta < e[STOP_OTHER]:
-            depth = e[STOP_OTHER] - theta
-            torque += max(e[STOP_STIFFNESS] * (depth - _STOP_DAMPING_S * omega), 0.0)
+            torque -= side * max(
+                e[table.STOP_STIFFNESS] * (depth + _STOP_DAMPING_S * side * omega), 0.0
+            )
+        if e[table.STOP_OTHER] != 0.0 and theta < e[table.STOP_OTHER]:
+            depth = e[table.STOP_OTHER] - theta
+            torque += max(e[table.STOP_STIFFNESS] * (depth - _STOP_DAMPING_S * omega), 0.0)
     return torque
 
 
 @inlined
 def load_factor(theta: float, time: float, e: Vector) -> float:
-    """Return the ratio of the contact force to that of the weight at rest, at an angle and a
-    time since power-on.
-    """
+    """Return the ratio of the contact force to that of the weight at rest."""
     factor = 1.0
-    if e[LOAD_SLOPE] != 0.0:
-        factor = max(1.0 + e[LOAD_SLOPE] * theta, 0.0)
-    if e[SWING_FRACTION] != 0.0:
-        swing = math.cos(2.0 * math.pi * e[SWING_FREQUENCY] * time) * math.exp(
-            -time / e[SWING_DECAY]
+    if e[table.LOAD_SLOPE] != 0.0:
+        factor = max(1.0 + e[table.LOAD_SLOPE] * theta, 0.0)
+    if e[table.SWING_FRACTION] != 0.0:
+        swing = math.cos(2.0 * math.pi * e[table.SWING_FREQUENCY] * time) * math.exp(
+            -time / e[table.SWING_DECAY]
         )
-        factor *= 1.0 + e[SWING_FRACTION] * swing
+        factor *= 1.0 + e[table.SWING_FRACTION] * swing
     return factor
 
 
 _RENEWAL_RAD = 1e-3
-"""Assumed sliding distance after which the increase of static friction during a rest is lost,
-rad.
-"""
+"""Assumed sliding distance after which a rest no longer counts, rad."""
 _SMOOTHED_S = 2.5e-3
-"""Assumed time constant with which the drag of ``x_acceleration_drag`` follows the acceleration,
-s.
-"""
+"""Assumed time constant of the acceleration of ``x_acceleration_drag``, s."""
 
 
 @inlined
 def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
     """Write all elements of the friction vector ``w`` of one loop period except the inertia."""
-    theta = x[JOINT]
+    theta = x[table.JOINT]
     for k in range(FRICTION_SIZE - 1):
         w[k] = p[k]
     w[SIDE] = e[table.ASYMMETRIC_COULOMB]
@@ -234,29 +216,29 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
         w[MC] += e[table.PATCH_TORQUE] * math.exp(-0.5 * u * u)
     if e[table.COULOMB_RATE] != 0.0:
         time = e[table.COULOMB_TIME]
-        w[MC] -= e[table.COULOMB_RATE] * time * math.expm1(-x[RUN] / time)
+        w[MC] -= e[table.COULOMB_RATE] * time * math.expm1(-x[table.RUN] / time)
     if e[table.THERMAL_FRACTION] != 0.0:
         w[SIGMA_2] *= 1.0 - e[table.THERMAL_FRACTION] * (
-            1.0 - math.exp(-x[RUN] / e[table.THERMAL_TIME])
+            1.0 - math.exp(-x[table.RUN] / e[table.THERMAL_TIME])
         )
     if p[MOMENT] > 0.0:
-        w[MOMENT] = p[MOMENT] * load_factor(theta, x[TIME], e)
+        w[MOMENT] = p[MOMENT] * load_factor(theta, x[table.TIME], e)
         w[MC] += e[table.PIVOT_TORQUE]
-    both, one = outside_sides(theta, x[ACCELERATION], e)
+    both, one = outside_sides(theta, x[table.ACCELERATION], e)
     w[MC] += both
     w[SIDE] += one
     if 0.0 < e[table.EFFICIENCY] < 1.0:
         share = e[table.EFFICIENCY]
-        driving = x[TRANSMITTED] * omega >= 0.0
-        w[MC] += abs(x[TRANSMITTED]) * (1.0 - share if driving else 1.0 / share - 1.0)
-    w[MC] = max(w[MC] + e[table.LOAD_FRICTION] * abs(x[EXTERNAL]), 0.0)
+        driving = x[table.TRANSMITTED] * omega >= 0.0
+        w[MC] += abs(x[table.TRANSMITTED]) * (1.0 - share if driving else 1.0 / share - 1.0)
+    w[MC] = max(w[MC] + e[table.LOAD_FRICTION] * abs(x[table.EXTERNAL]), 0.0)
     if e[table.DWELL_GROWTH] != 0.0:
-        w[DM] += x[GROWN]
+        w[DM] += x[table.GROWN]
     if e[table.MEMORY_TIME] > 0.0:
         w[DM] = w[DMU] = 0.0
-        w[LAGGED] = x[FALLING]
+        w[LAGGED] = x[table.FALLING]
         if e[table.MEMORY_OF_SPEED] > 0.0:
-            w[LAGGED] = bristle_level(abs(x[FALLING]), p, w[MOMENT])
+            w[LAGGED] = bristle_level(abs(x[table.FALLING]), p, w[MOMENT])
 
 
 @inlined
@@ -269,15 +251,17 @@ def remember(
         wanted = omega
         if e[table.MEMORY_OF_SPEED] == 0.0:
             wanted = bristle_level(speed, p, w[MOMENT])
-        x[FALLING] = wanted + (x[FALLING] - wanted) * math.exp(-h / e[table.MEMORY_TIME])
+        x[table.FALLING] = wanted + (x[table.FALLING] - wanted) * math.exp(
+            -h / e[table.MEMORY_TIME]
+        )
     if e[table.DWELL_GROWTH] != 0.0:
         # The joint counts as at rest, on bristles too, if it is slower than a hundredth of the
         # Stribeck speed.
         if speed < 0.01 * p[OMEGA_SF]:
             wanted = e[table.DWELL_GROWTH]
-            x[GROWN] = wanted + (x[GROWN] - wanted) * math.exp(-h / e[table.DWELL_TIME])
+            x[table.GROWN] = wanted + (x[table.GROWN] - wanted) * math.exp(-h / e[table.DWELL_TIME])
         else:
-            x[GROWN] *= math.exp(-speed * h / _RENEWAL_RAD)
+            x[table.GROWN] *= math.exp(-speed * h / _RENEWAL_RAD)
     if e[ACCELERATION_DRAG] != 0.0:
         share = 1.0 - math.exp(-h / _SMOOTHED_S)
-        x[ACCELERATION] += share * ((omega - before) / h - x[ACCELERATION])
+        x[table.ACCELERATION] += share * ((omega - before) / h - x[table.ACCELERATION])

@@ -50,9 +50,7 @@ GAS_CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     },
     "leakage": {"area_m2": Parameter(LEAK, 0.0, 2e-4)},
 }
-"""Slot and range of each parameter of each effect; ``rate_m_s`` is the growth rate of the thickness
-of the layer on all rims of the throat.
-"""
+"""Parameters of each effect; ``rate_m_s`` is the growth of the layer on all rims."""
 
 GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
     "x_propellant_bands": {
@@ -98,9 +96,7 @@ def burning_share(web: float, g: Vector, at: int) -> float:
 
 @inlined
 def rate_share(burn_time: float, web: float, gas_speed: float, g: Vector, at: int) -> float:
-    """Return the ratio of the burning rate to a p^n, with gas leaving the surface at
-    ``gas_speed`` m/s.
-    """
+    """Return the ratio of the burning rate to a p^n; the gas leaves at ``gas_speed`` m/s."""
     share = 1.0 + g[at + EROSION] * gas_speed
     if g[at + BAND_SHARE] != 0.0:
         share *= 1.0 + g[at + BAND_SHARE] * math.sin(2.0 * math.pi * web / g[at + BAND_LENGTH])
@@ -113,17 +109,13 @@ def rate_share(burn_time: float, web: float, gas_speed: float, g: Vector, at: in
 
 @inlined
 def chill(cooled: float, warmed: float, g: Vector, at: int) -> float:
-    """Return the heat flow from the gas to the walls, W, proportional to their temperature
-    difference.
-    """
+    """Return the heat flow to the walls, W, proportional to the temperature difference."""
     return float(g[at + HEAT_FLOW] * (1.0 - cooled - warmed))
 
 
 @inlined
 def settled_chill(burnt: float, enthalpy: float, g: Vector, at: int) -> float:
-    """Return the relative temperature loss of the gas if ``burnt`` kg/s of fresh gas mix
-    immediately and the walls are cold.
-    """
+    """Return the relative temperature loss if ``burnt`` kg/s mix at once and walls are cold."""
     return float(g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy))
 
 

@@ -1,7 +1,4 @@
-"""Compiled integration of a machine with injected effects.
-
-Without effects the results equal those of the nominal kernel.
-"""
+"""Compiled integration of the simulated machine with the injected effects."""
 
 from __future__ import annotations
 
@@ -26,83 +23,13 @@ from drivers.mock.plant.effects.outside import (
     TRAVEL_TORQUE,
     outside_torque,
 )
-from drivers.mock.plant.effects.table import (
-    BRISTLES,
-    BRUSH_CURRENT,
-    BRUSH_VOLTAGE,
-    COGGING_ORDER,
-    COGGING_PHASE,
-    COGGING_TORQUE,
-    DEAD_TIME_VOLTAGE,
-    EXTERNAL,
-    GAP,
-    GEAR,
-    HEAT,
-    HISTORY,
-    HYSTERESIS_DEFLECTION,
-    HYSTERESIS_TORQUE,
-    JOINT,
-    LOOP,
-    MESH_AMPLITUDE,
-    MESH_ORDER,
-    MESH_PHASE,
-    NOMINAL_SUPPLY,
-    OUTSIDE_TORQUE,
-    PLAY,
-    RECORDING,
-    RIPPLE_FRACTION,
-    RIPPLE_ORDER,
-    RIPPLE_PHASE,
-    ROTOR_INERTIA,
-    ROTOR_SPEED,
-    RUN,
-    SATURATION_KNEE,
-    SATURATION_RATIONAL,
-    SEEN,
-    SHAFT_DAMPING,
-    SLIPPED,
-    STEADY_LOAD,
-    STIFFNESS,
-    SUPPLY,
-    TIME,
-    TORQUE_CURRENT,
-    TRANSMITTED,
-    TRAVEL,
-    TWO_MASSES,
-)
+from drivers.mock.plant.parts import loops
 from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
 from drivers.mock.plant.parts.friction import INERTIA
-from drivers.mock.plant.parts.loops import (
-    CURRENT,
-    EMF_PER_SPEED,
-    FRICTION_WORK,
-    INDUCTANCE,
-    LOOP_S,
-    MODE,
-    NOISE,
-    OFF,
-    OMEGA,
-    RESISTANCE,
-    STEPS,
-    SUM_CURRENT,
-    SUM_LOOPS,
-    SUM_NOISE,
-    SUM_VOLTAGE,
-    TARGET,
-    TARGET_LEFT,
-    TARGET_STEP,
-    THETA,
-    TORQUE_PER_AMPERE,
-    VELOCITY_INTEGRAL,
-    VOLTAGE_INTEGRAL,
-    current_command,
-    voltage_command,
-)
+from drivers.mock.plant.parts.loops import current_command, voltage_command
 
 HARD_N_M_RAD = 1e6
-"""Default stiffness of teeth and shaft; a torque of 20 N m twists the shaft by 20 microradian, one
-count of the encoder.
-"""
+"""Default stiffness; 20 N m twist the shaft by 20 microradian, a count of the encoder."""
 DAMPING_RATIO = 0.08
 """Assumed damping ratio of the oscillation of rotor against joint on the spring of the shaft."""
 
@@ -110,7 +37,7 @@ DAMPING_RATIO = 0.08
 @inlined
 def stiffness_of(e: Vector) -> float:
     """Return the shaft's stiffness, N m/rad."""
-    return e[STIFFNESS] if e[STIFFNESS] > 0.0 else HARD_N_M_RAD
+    return e[table.STIFFNESS] if e[table.STIFFNESS] > 0.0 else HARD_N_M_RAD
 
 
 @inlined
@@ -127,7 +54,7 @@ def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vec
         e: Effect vector.
     """
     stiffness = stiffness_of(e)
-    half = 0.5 * e[GAP]
+    half = 0.5 * e[table.GAP]
     if half == 0.0:
         return float(stiffness * (twist - given) + damping * rate)
     if twist > half:
@@ -140,8 +67,10 @@ def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vec
 @inlined
 def deflection(play: float, e: Vector) -> float:
     """Return the deflection in the coupling's hysteresis for the present play state, rad."""
-    most = e[HYSTERESIS_DEFLECTION]
-    return float(most * min(max(play / e[HYSTERESIS_TORQUE], -1.0), 1.0)) if most > 0.0 else 0.0
+    most = e[table.HYSTERESIS_DEFLECTION]
+    return (
+        float(most * min(max(play / e[table.HYSTERESIS_TORQUE], -1.0), 1.0)) if most > 0.0 else 0.0
+    )
 
 
 @inlined
@@ -159,10 +88,10 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
         play: Previous state of the play operator, N m.
         e: Effect vector.
     """
-    most, width = e[HYSTERESIS_DEFLECTION], e[HYSTERESIS_TORQUE]
+    most, width = e[table.HYSTERESIS_DEFLECTION], e[table.HYSTERESIS_TORQUE]
     if most == 0.0:
         return 0.0, 0.0
-    half = 0.5 * e[GAP]
+    half = 0.5 * e[table.GAP]
     beyond = max(twist - half, 0.0) + min(twist + half, 0.0)
     stiffness = stiffness_of(e)
     torque = stiffness * (beyond - most * min(max(play / width, -1.0), 1.0))
@@ -176,13 +105,13 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
 
 @inlined
 def mesh_error(theta: float, e: Vector) -> tuple[float, float]:
-    """Return the mesh error phi/i - theta at a joint angle, rad, and its derivative with respect to
-    the angle.
-    """
-    if e[MESH_AMPLITUDE] == 0.0:
+    """Return the mesh error phi/i - theta, rad, and its derivative by the angle."""
+    if e[table.MESH_AMPLITUDE] == 0.0:
         return 0.0, 0.0
-    at = e[MESH_ORDER] * theta + e[MESH_PHASE]
-    return e[MESH_AMPLITUDE] * math.sin(at), e[MESH_AMPLITUDE] * e[MESH_ORDER] * math.cos(at)
+    at = e[table.MESH_ORDER] * theta + e[table.MESH_PHASE]
+    return e[table.MESH_AMPLITUDE] * math.sin(at), e[table.MESH_AMPLITUDE] * e[
+        table.MESH_ORDER
+    ] * math.cos(at)
 
 
 COPPER_PER_K = 0.00393
@@ -208,8 +137,8 @@ def winding(
     stays zero until the voltage exceeds ``dead``.
     """
     push = voltage - emf
-    if e[BRUSH_VOLTAGE] != 0.0:
-        push -= e[BRUSH_VOLTAGE] * math.tanh(current / e[BRUSH_CURRENT])
+    if e[table.BRUSH_VOLTAGE] != 0.0:
+        push -= e[table.BRUSH_VOLTAGE] * math.tanh(current / e[table.BRUSH_CURRENT])
     if dead == 0.0:
         settled = push / resistance
         return settled + (current - settled) * decay
@@ -227,26 +156,27 @@ def winding(
 @inlined
 def dead_time_voltage(supply: float, nominal: float, e: Vector) -> float:
     """Return the voltage loss due to the dead time, a share of the supply voltage, V."""
-    return float(e[DEAD_TIME_VOLTAGE] * supply / nominal)
+    return float(e[table.DEAD_TIME_VOLTAGE] * supply / nominal)
 
 
 @inlined
 def flux_factor(shaft: float, e: Vector) -> float:
-    """Return the ratio of the flux at a motor angle (rad) to the mean flux; this ratio scales
-    torque and back-EMF.
-    """
-    if e[RIPPLE_FRACTION] == 0.0:
+    """Return the ratio of the flux at a motor angle to its mean; it scales torque and back-EMF."""
+    if e[table.RIPPLE_FRACTION] == 0.0:
         return 1.0
-    return float(1.0 + e[RIPPLE_FRACTION] * math.sin(e[RIPPLE_ORDER] * shaft + e[RIPPLE_PHASE]))
+    return float(
+        1.0
+        + e[table.RIPPLE_FRACTION] * math.sin(e[table.RIPPLE_ORDER] * shaft + e[table.RIPPLE_PHASE])
+    )
 
 
 @inlined
 def saturated(current: float, e: Vector) -> float:
     """Return the effective current for the torque under saturation, A."""
-    knee = e[SATURATION_KNEE]
+    knee = e[table.SATURATION_KNEE]
     if knee <= 0.0:
         return current
-    if e[SATURATION_RATIONAL] > 0.0:
+    if e[table.SATURATION_RATIONAL] > 0.0:
         return float(current / (1.0 + (current / knee) ** 2))
     return float(knee * math.tanh(current / knee))
 
@@ -254,54 +184,52 @@ def saturated(current: float, e: Vector) -> float:
 @inlined
 def cogging(shaft: float, e: Vector) -> float:
     """Return the cogging torque at the joint, at a motor angle in rad."""
-    if e[COGGING_TORQUE] == 0.0:
+    if e[table.COGGING_TORQUE] == 0.0:
         return 0.0
-    return float(e[COGGING_TORQUE] * math.sin(e[COGGING_ORDER] * shaft + e[COGGING_PHASE]))
+    return float(
+        e[table.COGGING_TORQUE] * math.sin(e[table.COGGING_ORDER] * shaft + e[table.COGGING_PHASE])
+    )
 
 
 Histories = NDArray[np.float64]
-"""Joint angles and mean currents of the last loop periods, shape (2, HISTORY)."""
+"""Joint angles and mean currents of the last loop periods, shape (2, table.HISTORY)."""
 
 
 @inlined
 def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> float:
-    """Return the value that was ``delay_s`` before the newest value, interpolated between loop
-    periods; ``loop`` is the index of the newest value.
-    """
+    """Return the value ``delay_s`` before the newest one, which has the index ``loop``."""
     back = delay_s / period_s
     whole = math.floor(back)
     share = back - whole
     at = int(loop - whole)
-    mask = HISTORY - 1
+    mask = table.HISTORY - 1
     return float((1.0 - share) * history[at & mask] + share * history[(at - 1) & mask])
 
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Sample the joint encoder, and return the charge, A s, that corresponds to the logged mean
-    current of this period.
-    """
-    x[LOOP] += 1.0
-    at = int(x[LOOP]) & (HISTORY - 1)
-    theta = x[JOINT]
+    """Sample the joint encoder; return the charge, A s, of the logged mean current."""
+    x[table.LOOP] += 1.0
+    at = int(x[table.LOOP]) & (table.HISTORY - 1)
+    theta = x[table.JOINT]
     if (
         e[table.SLIP_ANGLE] != 0.0
-        and x[RECORDING] == e[table.SLIP_RECORDING]
-        and x[TIME] >= e[table.SLIP_TIME]
+        and x[table.RECORDING] == e[table.SLIP_RECORDING]
+        and x[table.TIME] >= e[table.SLIP_TIME]
     ):
-        x[SLIPPED] = e[table.SLIP_ANGLE]
-    seen = theta + x[SLIPPED]
+        x[table.SLIPPED] = e[table.SLIP_ANGLE]
+    seen = theta + x[table.SLIPPED]
     if e[table.ECCENTRICITY] != 0.0:
         seen += e[table.ECCENTRICITY] * math.sin(theta + e[table.ECCENTRICITY_PHASE])
     histories[0, at] = seen
     histories[1, at] = charge
     if e[table.DELAY_TIME] > 0.0:
-        seen = earlier(histories[0], x[LOOP], e[table.DELAY_TIME], period_s)
-    x[SEEN] = seen
-    x[TIME] += period_s
-    x[RUN] += period_s
+        seen = earlier(histories[0], x[table.LOOP], e[table.DELAY_TIME], period_s)
+    x[table.SEEN] = seen
+    x[table.TIME] += period_s
+    x[table.RUN] += period_s
     if e[table.SKEW_TIME] > 0.0:
-        return earlier(histories[1], x[LOOP], e[table.SKEW_TIME], period_s)
+        return earlier(histories[1], x[table.LOOP], e[table.SKEW_TIME], period_s)
     return charge
 
 
@@ -313,9 +241,7 @@ CONSTANTS_AT = OUTSIDE_END
 def move_joint(
     omega: float, held: float, bristles: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float, float]:
-    """Advance the joint speed by ``h`` s; return speed, friction at the end of the step, deflection
-    of the bristles, and work of friction.
-    """
+    """Advance by ``h`` s; return speed, friction, deflection of the bristles, and work."""
     if e[table.PRESLIDING_STIFFNESS] > 0.0:
         new, bristles, drag = step_bristles(omega, bristles, torque, h, w, e)
         return new, abs(drag), bristles, h * drag * 0.5 * (omega + new)
@@ -335,35 +261,41 @@ def integrate(
     decay: float,
     resistance: float,
 ) -> float:
-    """Integrate one loop period at constant voltage and return the charge, A s.
+    """Integrate eq. 1 over one loop period at constant voltage and return the charge, A s.
 
-    A machine with one mass is integrated by the splitting of the nominal kernel. With two masses,
-    the angles advance by half a step, then the speeds by a step, then the angles by half a step.
+    The method is Strang splitting: half a step of the current (exact for a given speed), a step of
+    the speed, half a step of the current. The mean torque on the shaft is exactly Km i times the
+    logged mean current. With two masses, the angles advance by half a step before and after the
+    speeds. ``decay`` is exp(-R h / 2 L).
     """
-    h = d[LOOP_S] / d[STEPS]
+    h = d[loops.LOOP_S] / d[loops.STEPS]
     at = CONSTANTS_AT
-    two = e[at + TWO_MASSES] != 0.0
-    outside = e[at + OUTSIDE_TORQUE] != 0.0
-    steady = e[at + STEADY_LOAD]
-    gear, rotor_inertia, damping = e[at + GEAR], e[at + ROTOR_INERTIA], e[at + SHAFT_DAMPING]
-    per_ampere, per_speed = d[TORQUE_PER_AMPERE], d[EMF_PER_SPEED]
+    two = e[at + table.TWO_MASSES] != 0.0
+    outside = e[at + table.OUTSIDE_TORQUE] != 0.0
+    steady = e[at + table.STEADY_LOAD]
+    gear, rotor_inertia, damping = (
+        e[at + table.GEAR],
+        e[at + table.ROTOR_INERTIA],
+        e[at + table.SHAFT_DAMPING],
+    )
+    per_ampere, per_speed = d[loops.TORQUE_PER_AMPERE], d[loops.EMF_PER_SPEED]
     # All variables that change are local variables, so that the compiler can keep the effect vector
     # in registers.
-    omega, theta, current = s[OMEGA], x[JOINT], s[CURRENT]
-    rotor, turning = s[THETA], x[ROTOR_SPEED]
-    effective, bristles = x[TORQUE_CURRENT], x[BRISTLES]
-    transmitted, play = x[TRANSMITTED], x[PLAY]
+    omega, theta, current = s[loops.OMEGA], x[table.JOINT], s[loops.CURRENT]
+    rotor, turning = s[loops.THETA], x[table.ROTOR_SPEED]
+    effective, bristles = x[table.TORQUE_CURRENT], x[table.BRISTLES]
+    transmitted, play = x[table.TRANSMITTED], x[table.PLAY]
     external = friction_work = charge = 0.0
-    warm = 1.0 + MAGNET_PER_K * x[HEAT] * e[table.HEATING_MAGNET]
-    dead = dead_time_voltage(x[SUPPLY], e[at + NOMINAL_SUPPLY], e)
+    warm = 1.0 + MAGNET_PER_K * x[table.HEAT] * e[table.HEATING_MAGNET]
+    dead = dead_time_voltage(x[table.SUPPLY], e[at + table.NOMINAL_SUPPLY], e)
     lag_s = e[table.LAG_TIME]
     lag = 1.0 - math.exp(-h / lag_s) if lag_s > 0.0 else 1.0
-    strange = outside_torque(x[RUN], theta, x[TRAVEL], e) if outside else 0.0
+    strange = outside_torque(x[table.RUN], theta, x[table.TRAVEL], e) if outside else 0.0
     held, _ = level(abs(omega), 1.0 if omega >= 0.0 else -1.0, w, e)
     error, steepness = mesh_error(theta, e)
     if not two:
         turning = omega * (1.0 + steepness)
-    for _ in range(int(d[STEPS])):
+    for _ in range(int(d[loops.STEPS])):
         flux = warm * flux_factor(rotor * gear, e)
         if powered:
             current = winding(
@@ -409,30 +341,30 @@ def integrate(
             current = winding(
                 current, voltage, per_speed * flux * turning, resistance, dead, decay, e
             )
-    s[THETA], s[OMEGA], s[CURRENT] = rotor, omega, current
-    s[FRICTION_WORK] += friction_work
-    x[JOINT], x[ROTOR_SPEED] = theta, turning
-    x[TORQUE_CURRENT], x[BRISTLES], x[EXTERNAL] = effective, bristles, external
-    x[TRANSMITTED], x[PLAY] = transmitted, play
+    s[loops.THETA], s[loops.OMEGA], s[loops.CURRENT] = rotor, omega, current
+    s[loops.FRICTION_WORK] += friction_work
+    x[table.JOINT], x[table.ROTOR_SPEED] = theta, turning
+    x[table.TORQUE_CURRENT], x[table.BRISTLES], x[table.EXTERNAL] = effective, bristles, external
+    x[table.TRANSMITTED], x[table.PLAY] = transmitted, play
     return float(charge * h)
 
 
 @inlined
 def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
-    """Set the supply voltage under the present load, and return the winding voltage for the
-    commanded ``voltage``, V.
-    """
-    nominal = e[CONSTANTS_AT + NOMINAL_SUPPLY]
-    x[SUPPLY] = nominal
+    """Set the supply voltage under load; return the winding voltage for ``voltage``, V."""
+    nominal = e[CONSTANTS_AT + table.NOMINAL_SUPPLY]
+    x[table.SUPPLY] = nominal
     if e[table.SAG_RESISTANCE] == 0.0:
         return voltage
-    x[SUPPLY] = max(nominal - e[table.SAG_RESISTANCE] * voltage / nominal * s[CURRENT], 0.0)
-    return float(voltage * x[SUPPLY] / nominal)
+    x[table.SUPPLY] = max(
+        nominal - e[table.SAG_RESISTANCE] * voltage / nominal * s[loops.CURRENT], 0.0
+    )
+    return float(voltage * x[table.SUPPLY] / nominal)
 
 
 @compiled
-def advance_hiding(
-    loops: int,
+def advance(
+    count: int,
     s: Vector,
     x: Vector,
     histories: Histories,
@@ -442,46 +374,51 @@ def advance_hiding(
     noise: Vector,
     path: Vector,
 ) -> None:
-    """Advance ``loops`` drive-loop periods, as :func:`drivers.mock.plant.parts.loops.advance` does,
-    with effects.
+    """Advance ``count`` drive-loop periods.
 
-    ``x`` and ``histories`` are the state of the effects; ``e`` is the effect vector.
+    ``x`` and ``histories`` are the state of the effects; ``e`` is the effect vector. ``noise``
+    has ``count`` samples of unit rms; ``path`` has ``count`` commanded joint angles; if it is
+    empty, the drive interpolates to its target.
     """
-    period = d[LOOP_S]
-    step = period / d[STEPS]
-    decay = math.exp(-0.5 * d[RESISTANCE] * step / d[INDUCTANCE])
-    resistance = d[RESISTANCE]
+    period = d[loops.LOOP_S]
+    step = period / d[loops.STEPS]
+    decay = math.exp(-0.5 * d[loops.RESISTANCE] * step / d[loops.INDUCTANCE])
+    resistance = d[loops.RESISTANCE]
     w = np.zeros(WORK_SIZE)
     w[INERTIA] = p[INERTIA]
-    if e[CONSTANTS_AT + TWO_MASSES] != 0.0:
-        w[INERTIA] -= e[CONSTANTS_AT + ROTOR_INERTIA]
-    for k in range(loops):
+    if e[CONSTANTS_AT + table.TWO_MASSES] != 0.0:
+        w[INERTIA] -= e[CONSTANTS_AT + table.ROTOR_INERTIA]
+    for k in range(count):
         voltage = 0.0
-        powered = s[MODE] != OFF
-        error = d[NOISE] * noise[k] + e[table.CURRENT_OFFSET] + e[table.CURRENT_DRIFT] * x[TIME]
+        powered = s[loops.MODE] != loops.OFF
+        error = (
+            d[loops.NOISE] * noise[k]
+            + e[table.CURRENT_OFFSET]
+            + e[table.CURRENT_DRIFT] * x[table.TIME]
+        )
         if len(path) > 0:
-            s[TARGET_STEP] = path[k] - s[TARGET]
-            s[TARGET_LEFT] = 1.0
+            s[loops.TARGET_STEP] = path[k] - s[loops.TARGET]
+            s[loops.TARGET_LEFT] = 1.0
         wanted = current_command(s, d)
         if powered:
             voltage = voltage_command(s, d, wanted, error)
         else:
-            s[CURRENT] = 0.0
-            s[VELOCITY_INTEGRAL] = 0.0
-            s[VOLTAGE_INTEGRAL] = 0.0
+            s[loops.CURRENT] = 0.0
+            s[loops.VELOCITY_INTEGRAL] = 0.0
+            s[loops.VOLTAGE_INTEGRAL] = 0.0
         if e[table.HEATING_RISE] > 0.0:
-            resistance = d[RESISTANCE] * (1.0 + COPPER_PER_K * x[HEAT])
-            decay = math.exp(-0.5 * resistance * step / d[INDUCTANCE])
-            target = e[table.HEATING_RISE] * resistance * s[CURRENT] * s[CURRENT]
-            x[HEAT] += (target - x[HEAT]) * period / e[table.HEATING_TIME]
-        before = s[OMEGA]
+            resistance = d[loops.RESISTANCE] * (1.0 + COPPER_PER_K * x[table.HEAT])
+            decay = math.exp(-0.5 * resistance * step / d[loops.INDUCTANCE])
+            target = e[table.HEATING_RISE] * resistance * s[loops.CURRENT] * s[loops.CURRENT]
+            x[table.HEAT] += (target - x[table.HEAT]) * period / e[table.HEATING_TIME]
+        before = s[loops.OMEGA]
         renew(w, p, e, x, before)
         charge = integrate(s, x, d, w, e, power_stage(s, x, e, voltage), powered, decay, resistance)
-        remember(w, p, e, x, before, s[OMEGA], period)
+        remember(w, p, e, x, before, s[loops.OMEGA], period)
         if e[TRAVEL_TORQUE] != 0.0:
-            moved = s[OMEGA] * period / e[TRAVEL_LENGTH]
-            x[TRAVEL] = (x[TRAVEL] + moved) / (1.0 + abs(moved))
-        s[SUM_CURRENT] += sense(x, e, histories, charge, period)
-        s[SUM_VOLTAGE] += voltage * period
-        s[SUM_NOISE] += error
-        s[SUM_LOOPS] += 1.0
+            moved = s[loops.OMEGA] * period / e[TRAVEL_LENGTH]
+            x[table.TRAVEL] = (x[table.TRAVEL] + moved) / (1.0 + abs(moved))
+        s[loops.SUM_CURRENT] += sense(x, e, histories, charge, period)
+        s[loops.SUM_VOLTAGE] += voltage * period
+        s[loops.SUM_NOISE] += error
+        s[loops.SUM_LOOPS] += 1.0

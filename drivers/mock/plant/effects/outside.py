@@ -85,9 +85,7 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 """Slot and range of each parameter of each effect."""
 
 _ROOT_FLOOR = 1e-4
-"""Speed, rad/s, below which a drag proportional to the square root of the speed is replaced by a
-linear drag, so that its slope is finite.
-"""
+"""Speed, rad/s, below which the drag is linear, so that its slope is finite."""
 
 
 @inlined
@@ -99,9 +97,7 @@ def scatter(number: float) -> float:
 
 @inlined
 def outside_torque(run: float, theta: float, travel: float, e: Vector) -> float:
-    """Return the torque on the joint, N m, by effects outside the catalogue that depend on running
-    time, s, angle, rad, and the state of a hysteresis over long travel, -1 to 1.
-    """
+    """Return the torque, N m, at a running time, s, an angle, rad, and a travel state -1 to 1."""
     torque = 0.0
     if e[TIMED_TORQUE] != 0.0:
         torque += e[TIMED_TORQUE] * math.sin(
@@ -152,9 +148,7 @@ def outside_level(speed: float, moment: float, e: Vector) -> tuple[float, float]
 
 @inlined
 def outside_sides(theta: float, acceleration: float, e: Vector) -> tuple[float, float]:
-    """Return extra Coulomb friction for both directions, and its asymmetry (added forward,
-    subtracted backward), N m.
-    """
+    """Return extra Coulomb friction, N m, for both directions, and its asymmetry."""
     both = one = 0.0
     if e[ACCELERATION_DRAG] != 0.0:
         both += e[ACCELERATION_DRAG] * abs(acceleration)

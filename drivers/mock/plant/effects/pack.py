@@ -8,20 +8,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.kernel import CONSTANTS_AT, DAMPING_RATIO, stiffness_of
 from drivers.mock.plant.effects.outside import OUTSIDE
-from drivers.mock.plant.effects.table import (
-    CATALOGUE,
-    CONSTANTS_SIZE,
-    GEAR,
-    NOMINAL_SUPPLY,
-    OUTSIDE_TORQUE,
-    ROTOR_INERTIA,
-    SHAFT_DAMPING,
-    TWO_MASSES,
-    Parameter,
-)
+from drivers.mock.plant.effects.table import CATALOGUE, Parameter
 from drivers.mock.plant.parts import constants
 
 Effects = Mapping[str, Mapping[str, float]]
@@ -33,12 +24,7 @@ _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
 def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the requested effects, each as a path of names and a message.
-
-    Args:
-        effects: Effects and the values of their parameters.
-        any_size: Whether values may be outside their ranges.
-    """
+    """Yield the problems of the requested effects, each as a path of names and a message."""
     for name, given in effects.items():
         parameters = _EVERY.get(name)
         if parameters is None:
@@ -59,8 +45,7 @@ def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[s
 
 
 def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray[np.float64]:
-    """Pack the effects of a machine, except those of its gas generator; the vector is empty without
-    effects.
+    """Pack the effects of a machine, except those of its gas generator.
 
     Args:
         machine: The machine.
@@ -75,9 +60,10 @@ def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray
     if wrong or (text := too_light(machine)):
         raise ValueError("; ".join(wrong) or text)
     effects = {name: given for name, given in machine.effects.items() if name in KNOWN}
-    if not effects:
-        return np.zeros(0)
-    e = bare_vector(machine)
+    e = np.zeros(CONSTANTS_AT + table.CONSTANTS_SIZE)
+    e[CONSTANTS_AT + table.ROTOR_INERTIA] = _rotor(machine)
+    e[CONSTANTS_AT + table.GEAR] = machine.motor.gear_ratio
+    e[CONSTANTS_AT + table.NOMINAL_SUPPLY] = machine.supply_V
     for name, given in effects.items():
         for key, parameter in KNOWN[name].items():
             value = given.get(key, parameter.default)
@@ -86,21 +72,12 @@ def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray
     if _TWO_MASS & effects.keys():
         rotor = _rotor(machine)
         total = machine.joint.inertia_kg_m2
-        e[CONSTANTS_AT + TWO_MASSES] = 1.0
+        e[CONSTANTS_AT + table.TWO_MASSES] = 1.0
         reduced = rotor * (total - rotor) / total
-        e[CONSTANTS_AT + SHAFT_DAMPING] = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_of(e) * reduced)
-    e[CONSTANTS_AT + OUTSIDE_TORQUE] = 1.0 if OUTSIDE.keys() & effects.keys() else 0.0
-    return e
-
-
-def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Return an effect vector in which all effects are absent, for the kernel with injected
-    effects.
-    """
-    e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
-    e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
-    e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
-    e[CONSTANTS_AT + NOMINAL_SUPPLY] = machine.supply_V
+        e[CONSTANTS_AT + table.SHAFT_DAMPING] = (
+            2.0 * DAMPING_RATIO * math.sqrt(stiffness_of(e) * reduced)
+        )
+    e[CONSTANTS_AT + table.OUTSIDE_TORQUE] = 1.0 if OUTSIDE.keys() & effects.keys() else 0.0
     return e
 
 

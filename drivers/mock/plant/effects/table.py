@@ -83,9 +83,7 @@ from typing import NamedTuple
 
 
 class Parameter(NamedTuple):
-    """One parameter of an effect: its slot in the vector, its range, and its default value, or None
-    if the value must be given.
-    """
+    """Slot in the vector, range, and default of a parameter; None: it must be given."""
 
     slot: int
     low: float

@@ -31,9 +31,7 @@ def _shared_sources() -> str:
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of one kernel; in addition to the kernel's own file, which numba watches, a
-    change of a shared file makes the machine code obsolete.
-    """
+    """Numba's cache of one kernel, obsolete also when a shared file has changed."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
@@ -108,8 +106,7 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel that allocates no memory, for inner loops, into its compiled callers.
 
     Without ``_nrt=False`` numba would count references to every array at every call by atomic
-    operations, which take longer than the formulas: the kernel with injected effects would be 2.7
-    times slower, and the nominal kernel slower by a sixth.
+    operations, which take longer than the formulas: the kernel would be 2.7 times slower.
     """
     return _kept(function, **_INLINED)
 

@@ -1,8 +1,5 @@
-"""Stribeck friction of the simulated joint with true rest, and the time step of its speed.
-
-Friction is eq. 9 (system load) plus eq. 12 and 13 (working load), with the factor sgn(omega), which
-the paper omits: friction opposes motion, and at rest it balances the drive torque up to the static
-limit. The time step is implicit in friction.
+"""Stribeck friction of the simulated joint: eq. 9 (system load) plus eq. 12 and 13 (working load);
+and the throat of its valve.
 """
 
 from __future__ import annotations
@@ -46,68 +43,15 @@ def friction(speed: float, p: Vector) -> tuple[float, float]:
 
 
 @inlined
-def step_velocity(
-    omega: float, before: float, torque: float, h: float, p: Vector
-) -> tuple[float, float, float]:
-    """Advance J domega/dt = torque - friction by ``h``.
-
-    While the joint slides, the step is trapezoidal and implicit in friction. A joint whose speed
-    would change its sign stops. A joint at rest stays exactly at rest until the torque exceeds the
-    static limit, so that it neither creeps nor oscillates. The step has one solution if h < 2 J /
-    |steepest negative slope|.
-
-    Args:
-        omega: Speed, rad/s.
-        before: Friction magnitude at this speed, N m (third result of the last step).
-        torque: Drive torque over the step, N m.
-        h: Step, s.
-        p: Friction vector.
-
-    Returns:
-        Speed after the step, impulse of friction against the motion (N m s), friction magnitude at
-        the new speed.
-    """
-    static = p[MC] + p[DM] + p[MOMENT] * (p[MU_C] + p[DMU])
-    if omega == 0.0:
-        if abs(torque) <= static:
-            return 0.0, 0.0, static
-        side = 1.0 if torque > 0.0 else -1.0
-    else:
-        side = 1.0 if omega > 0.0 else -1.0
-    inertia = p[INERTIA]
-    start = side * omega
-    drive = side * torque
-    if inertia * start <= h * (0.5 * (before + static) - drive):
-        return 0.0, inertia * start, static
-    speed = max(start + h * (drive - before) / inertia, 1e-9)
-    after = before
-    for _ in range(20):
-        after, slope = friction(speed, p)
-        residual = inertia * (speed - start) / h + 0.5 * (before + after) - drive
-        change = min(residual / (inertia / h + 0.5 * slope), 0.5 * speed)
-        speed -= change
-        after -= slope * change
-        if (
-            abs(change) <= 1e-7 * speed
-        ):  # Newton's method converges quadratically: the remaining error is below rounding.
-            break
-    return side * speed, 0.5 * h * (before + after), after
-
-
-@inlined
 def disc_beyond(radius: float, distance: float) -> float:
-    """Return the area of a disc on the far side of a line at this signed distance from its
-    centre.
-    """
+    """Return the area of a disc beyond a line at this signed distance from its centre."""
     t = min(max(distance / radius, -1.0), 1.0)
     return radius * radius * (math.acos(t) - t * math.sqrt(1.0 - t * t))
 
 
 @inlined
 def lens(large: float, small: float, distance: float) -> float:
-    """Return the area common to two discs of these radii, ``large`` >= ``small``, with their
-    centres ``distance`` apart.
-    """
+    """Return the area common to two discs with their centres ``distance`` apart."""
     if distance >= large + small:
         return 0.0
     if distance <= large - small:

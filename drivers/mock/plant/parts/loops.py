@@ -1,11 +1,10 @@
-"""Compiled integration of the nominal simulated machine: control loops, motor (eq. 1), friction."""
+"""State and control loops of the simulated drive, compiled."""
 
 from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
-from drivers.mock.plant.parts.friction import friction, step_velocity
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 # State vector.
 (
@@ -57,9 +56,7 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Compute position P and velocity PI controller once; return the limited current command with
-    the added current, A.
-    """
+    """Return the limited current command of position P and velocity PI controller, A."""
     measured = s[THETA] + s[FLICKER]
     if d[COUNT] > 0.0:
         measured = math.floor(measured / d[COUNT]) * d[COUNT]
@@ -94,9 +91,7 @@ def current_command(s: Vector, d: Vector) -> float:
 
 @inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
-    """Compute the PI controller of the current once; return the limited voltage for the next loop
-    period, V.
-    """
+    """Return the limited voltage of the current controller for the next loop period, V."""
     error = wanted - (s[CURRENT] + noise)
     integral = s[VOLTAGE_INTEGRAL] + d[CURRENT_GAIN] * d[CURRENT_INTEGRAL_GAIN] * d[LOOP_S] * error
     voltage = d[CURRENT_GAIN] * error + integral
@@ -104,64 +99,3 @@ def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
     if abs(voltage) <= limit or voltage * error < 0.0:
         s[VOLTAGE_INTEGRAL] = integral
     return float(min(max(voltage, -limit), limit))
-
-
-@inlined
-def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, decay: float) -> None:
-    """Integrate eq. 1 over one loop period at constant voltage.
-
-    The method is Strang splitting: half a step of the current (exact for a given speed), a step of
-    the speed (trapezoidal, implicit in friction), half a step of the current. The mean torque on
-    the shaft is exactly Km i times the logged mean current. ``decay`` is exp(-R h / 2 L).
-    """
-    h = d[LOOP_S] / d[STEPS]
-    omega = s[OMEGA]
-    theta = s[THETA]
-    current = s[CURRENT]
-    charge = 0.0
-    held, _ = friction(abs(omega), p)
-    for _ in range(int(d[STEPS])):
-        if powered:
-            settled = (voltage - d[EMF_PER_SPEED] * omega) / d[RESISTANCE]
-            current = settled + (current - settled) * decay
-        new, impulse, held = step_velocity(omega, held, d[TORQUE_PER_AMPERE] * current, h, p)
-        charge += current
-        mean = 0.5 * (omega + new)
-        theta += h * mean
-        s[FRICTION_WORK] += impulse * abs(mean)
-        omega = new
-        if powered:
-            settled = (voltage - d[EMF_PER_SPEED] * omega) / d[RESISTANCE]
-            current = settled + (current - settled) * decay
-    s[THETA] = theta
-    s[OMEGA] = omega
-    s[CURRENT] = current
-    s[SUM_CURRENT] += charge * h
-
-
-@compiled
-def advance(loops: int, s: Vector, d: Vector, p: Vector, noise: Vector, path: Vector) -> None:
-    """Advance ``loops`` drive-loop periods.
-
-    ``noise`` contains ``loops`` samples of unit rms; ``path`` contains ``loops`` commanded joint
-    angles; if it is empty, the drive interpolates to its target.
-    """
-    decay = math.exp(-0.5 * d[RESISTANCE] * d[LOOP_S] / d[STEPS] / d[INDUCTANCE])
-    for k in range(loops):
-        voltage = 0.0
-        powered = s[MODE] != OFF
-        error = d[NOISE] * noise[k]
-        if len(path) > 0:
-            s[TARGET_STEP] = path[k] - s[TARGET]
-            s[TARGET_LEFT] = 1.0
-        wanted = current_command(s, d)
-        if powered:
-            voltage = voltage_command(s, d, wanted, error)
-        else:
-            s[CURRENT] = 0.0
-            s[VELOCITY_INTEGRAL] = 0.0
-            s[VOLTAGE_INTEGRAL] = 0.0
-        integrate(s, d, p, voltage, powered, decay)
-        s[SUM_VOLTAGE] += voltage * d[LOOP_S]
-        s[SUM_NOISE] += error
-        s[SUM_LOOPS] += 1.0
