@@ -94,14 +94,7 @@ Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a commissioning.
-
-    Attributes:
-        name: Short name.
-        announced: Text for the operator on what moves and what is under power.
-        do: Function that carries out the step.
-        asks: Whether the step needs the operator's consent.
-    """
+    """One step of a commissioning."""
 
     name: str
     announced: str
@@ -169,9 +162,7 @@ class Commissioning:
 
     Attributes:
         ending: Kind of the ending; `done` if every step succeeded or was skipped.
-        words: Message on the ending, for the operator.
         text: Text of the bench file with all corrections.
-        changes: All corrections, in order.
         sessions: Steps of each connection; after a correction, a new connection begins.
         safe: State in which the drive was left, or None if the drive was never energised.
         error: A defect of this program, which is raised after all results are stored.
@@ -187,9 +178,7 @@ class Commissioning:
 
     @property
     def not_homed(self) -> str:
-        """Sentence on why a requested homing was not done; empty if the homing was done or not
-        requested.
-        """
+        """Why a requested homing was not done; empty if it was done or not requested."""
         for step in self.sessions[-1]:
             if step.name == HOMING and step.verdict is Verdict.SKIPPED:
                 return f"the homing requested by --home was not done: {step.words}"
@@ -225,15 +214,6 @@ def commission(
 ) -> Commissioning:
     """Commission a bench. The function raises only the errors of a connection, before the drive is
     energised.
-
-    Args:
-        document: The bench file.
-        connect: Opens the devices of a bench.
-        interview: The person at the bench.
-        stop: Stop button.
-        record_in: Creates the recording of a connection, by its number from 1.
-        fastest_deg_s: Limit on the joint speed, deg/s.
-        home: The requested homing, or None to set no zero by homing.
 
     Raises:
         InputError: A connection to the bench is impossible.

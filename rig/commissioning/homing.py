@@ -26,9 +26,7 @@ from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError
 
 SETTLE_S: Final = 0.3
-"""Time, s, after the start during which the statusword is ignored, because it may still show the
-state before the start.
-"""
+"""Time after the start in which the statusword may still show the state before, s."""
 STILL_S: Final = 0.2
 """Time, s, for which the joint is monitored after the end of a homing."""
 IN_PLACE_LIMIT_S: Final = 5.0
@@ -36,14 +34,10 @@ SPARE_S: Final = 20.0
 MOVED_DEG: Final = 0.2
 """Largest motion of the joint in a homing without motion."""
 NEAR_DEG: Final = 1.0
-"""Largest distance from the home position at the end of a homing with motion, which brakes at the
-home position.
-"""
+"""Largest distance from the home position after a homing with motion, which brakes there."""
 ZERO_DEG_S: Final = 1.0
 FASTER: Final = 3.0
-"""Ratio to the speed limit of the speed above which a change of the drive's position counts as a
-new zero.
-"""
+"""Ratio to the speed limit above which a change of the drive's position is a new zero."""
 ACCELERATION_S: Final = 0.2
 """Time, s, in which the drive reaches the speed of the homing."""
 UNSET: Final = (
@@ -194,10 +188,6 @@ class _Travels:
     Before the zero is set, the drive's angle has no meaning, but changes of the angle are valid. A
     change in one cycle that is faster than the limits allow is caused by the new zero, and does not
     count as travel.
-
-    Args:
-        setup: The bench; earlier moves have confirmed units, signs and ratio.
-        begun: Sample at the start of the homing.
     """
 
     def __init__(self, setup: Setup, begun: Sample) -> None:
@@ -208,11 +198,7 @@ class _Travels:
         self._travel = 0.0
 
     def require_same(self, sample: Sample) -> None:
-        """Compare the travels up to the sample of a cycle.
-
-        Raises:
-            TripError: The travels differ.
-        """
+        """Compare the travels up to the sample of a cycle; raise a TripError if they differ."""
         change = (sample.motor_angle - self._last.motor_angle) / self._ratio
         if abs(change) <= self._fastest * (sample.time - self._last.time):
             self._travel += change

@@ -19,13 +19,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """One value that was measured or read.
-
-    Attributes:
-        name: Name of the quantity.
-        value: The value as text.
-        unit: Unit of the quantity; empty if it has no unit.
-    """
+    """One value that was measured or read."""
 
     name: str
     value: str
@@ -37,12 +31,8 @@ class StepRecord:
     """Record of one step.
 
     Attributes:
-        name: Short name.
         announced: Message before the step: what moves, and what is under power.
         consent: Form of the operator's consent: `typed`, `--yes`, or empty if nothing was asked.
-        measured: Measured values.
-        verdict: Verdict of the step.
-        words: Result and remedy.
         changes: Values to set in the bench file.
     """
 
@@ -79,7 +69,6 @@ class WrongError(Exception):
     """A step found a wrong value or reaction.
 
     Args:
-        words: Finding and remedy.
         changes: Values to set in the bench file; none if the bench or the drive must be changed.
     """
 

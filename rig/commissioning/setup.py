@@ -52,12 +52,7 @@ class Interview(Protocol):
 
 
 class AutomaticInterview:
-    """Agrees to every step (``--yes``, simulated benches only).
-
-    Args:
-        screen: Screen for messages.
-        angle_deg: The true joint angle, or None if it is not given.
-    """
+    """Agrees to every step (``--yes``, simulated benches only)."""
 
     how = "--yes"
 
@@ -83,10 +78,7 @@ class TypedInterview:
     """Asks the operator at the terminal.
 
     Args:
-        screen: Screen for messages.
-        asker: Asks and reads answers.
         stop: Stop button; a stop signal interrupts a question.
-        angle_deg: The true joint angle, if given on the command line.
     """
 
     how = "typed"
@@ -118,11 +110,7 @@ class TypedInterview:
             self.tell(f"{typed!r} is not one of `yes`, `no`, `abort`")
 
     def angle_deg(self, words: str) -> float | None:
-        """Ask for an angle in degrees; an empty answer means None.
-
-        Raises:
-            OperatorStopError: See :meth:`agrees`.
-        """
+        """Ask for an angle, deg; an empty answer means None; raises as :meth:`agrees`."""
         if self._angle_deg is not None:
             return self._angle_deg
         while True:
@@ -176,9 +164,7 @@ class HomeRequest:
 
 
 def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
-    """Return the limits of a commissioning: the bench's limits, with reduced speed, torque and
-    current.
-    """
+    """Return the bench's limits with reduced speed, torque and current."""
     limits = bench_limits(bench)
     return dataclasses.replace(
         limits,
@@ -193,18 +179,9 @@ class Setup:
     """A connected bench.
 
     Attributes:
-        bench: The bench file.
-        devices: Devices of the bench, on an open link.
-        interview: The person at the bench.
-        stop: Stop button, read every cycle.
-        recorder: Records samples and events.
-        limits: Limits in force.
-        cycle: The control cycle.
         own: Limits stored in the drive before the commissioning; None until the limits are read.
         safe: State in which the drive was left after it was last energised, or in which it was
             found if it was not off at the start; else None.
-        steps: Records of the steps so far.
-        home: The requested homing, or None.
         true_deg: True joint angle as given by the operator, or None if unknown.
         stiffness_N_m_rad: Joint torque per position error of a drive that did not move the joint
             within the small travel of the step `signs`; else None.
@@ -264,10 +241,7 @@ class Setup:
         return servo_limits(self.limits, self.bench)
 
     def prepare(self, share: float = 1.0) -> None:
-        """Map process data and write the low limits into the drive; nothing is energised.
-
-        Args:
-            share: Limits of torque and current, as a share of the low limits.
+        """Map process data and write the low limits, torque and current times ``share``; no power.
 
         Raises:
             DeviceError: A device differs from the bench file, or rejects a limit.
@@ -304,10 +278,6 @@ class Setup:
     def homing(self, order: HomingOrder, step: StepRecord) -> Iterator[None]:
         """Energise in homing mode; at the end, also after an error, take the power off, select the
         bench's mode again and read the mode back (6061h).
-
-        Args:
-            order: The homing, which is not started yet.
-            step: Record to which the written values and the mode read back are added.
 
         Raises:
             WrongError: The drive could not be verified to be without power.

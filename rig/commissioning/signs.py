@@ -104,9 +104,7 @@ class _Push:
 
 
 def direction(angle: float, before: Iterable[float], least: float) -> int:
-    """Return 1 or -1 for an angle above or below all angles before by at least ``least`` and by
-    more than their noise; else 0.
-    """
+    """Return 1 or -1 for an angle beyond all before by ``least`` and by their noise, else 0."""
     low, high = min(before), max(before)
     beyond = max(angle - high, 0.0) + min(angle - low, 0.0)
     if not abs(beyond) >= max(least, NOISE * (high - low)) or not beyond:

@@ -47,11 +47,7 @@ class Campaign(Schema):
 
 
 def load_campaign(path: Path) -> Document[Campaign]:
-    """Read and check a campaign file without opening the recordings.
-
-    Raises:
-        InputError: The file is not valid; the message lists every error with its place in the file.
-    """
+    """Read and check a campaign file without opening the recordings; InputError lists every error."""
     document = load_located(path, Campaign, lambda root: _merge_defaults(_rows(root, path)))
     document.require(_cross_check(document.value))
     return document

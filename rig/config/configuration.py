@@ -39,27 +39,18 @@ class Schema(BaseModel):
 
 @dataclass(frozen=True)
 class Document(Generic[M]):
-    """A validated file with the position of each of its values.
-
-    Attributes:
-        value: The validated record.
-        path: The file.
-    """
+    """A validated file with the position of each of its values."""
 
     value: M
     path: Path
     _root: Node
 
     def problem(self, loc: Loc, message: str, value: object = _ABSENT) -> str:
-        """Return a problem that was found after the validation, as the text of an
-        :class:`InputError`.
+        """Return a problem that was found after the validation, as the text of an InputError.
 
-        Args:
-            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. If the
-                file does not contain this place (a default was used), the message points to the
-                nearest enclosing value.
-            message: Text with the problem, the limit and the remedy.
-            value: Wrong value for the message; if omitted, the message shows the value in the file.
+        ``loc`` are keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``; a
+        place that the file does not contain (a default was used) gives the nearest enclosing value.
+        Without ``value`` the message shows that of the file.
         """
         node, mark, path, _ = _resolve(self._root, loc)
         if value is _ABSENT and path == loc:
@@ -67,9 +58,7 @@ class Document(Generic[M]):
         return _format(self.path, mark, _dotted(loc), message, value)
 
     def other_files(self) -> list[Path]:
-        """Return the files, other than the file of the document itself, from which values were
-        read.
-        """
+        """Return the other files from which values were read."""
         found: dict[Path, None] = {}
         waiting = [self._root]
         while waiting:
@@ -83,10 +72,8 @@ class Document(Generic[M]):
         return list(found)
 
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
-        """Raise an error if there are problems, each a location and a message.
-
-        Raises:
-            InputError: At least one problem exists; the message lists all of them.
+        """Raise an InputError that lists the problems, each a location and a message, if there are
+        any.
         """
         lines = [self.problem(loc, message) for loc, message in problems]
         if lines:
@@ -130,14 +117,8 @@ def located_text(
 
 
 def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] = ()) -> Document[M]:
-    """Validate a tree that was read from ``path``.
-
-    Args:
-        path: The file, for messages.
-        root: Content of the file.
-        schema: The record to validate into.
-        found: Problems from the reading of the file, which are reported together with those of the
-            schema.
+    """Validate a tree that was read from ``path``; the problems ``found`` in reading are reported
+    too.
 
     Raises:
         InputError: The tree violates the schema, or ``found`` has problems; the message lists all
@@ -157,21 +138,12 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
 
 def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
-    """Format the validation problems of a JSON file (record or standard dataclass) with their
-    places.
-
-    Raises:
-        InputError: The text is too deep or too long to search for places.
-    """
+    """Format the validation problems of a JSON file (record or standard dataclass) with places."""
     return _lines(path, list(_explain(_json_tree(path, text), schema, error)))
 
 
 def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> list[str]:
-    """Format problems found in a JSON file after validation, each with its place.
-
-    Raises:
-        InputError: The text is too deep or too long to search for places.
-    """
+    """Format problems found in a JSON file after validation, each with its place."""
     root, found = _json_tree(path, text), []
     for loc, message in problems:
         node, mark, path_found, _ = _resolve(root, loc)

@@ -36,9 +36,7 @@ _EXTENDED_BYTES = 3
 """Bytes of data that take as long as the 20 additional bits of an extended frame with bit stuffing.
 """
 Problem = Callable[[Loc, str], str]
-"""Function that formats a problem found after validation:
-:meth:`rig.config.configuration.Document.problem`.
-"""
+"""Function that formats a problem; see :meth:`rig.config.configuration.Document.problem`."""
 
 
 class HeldSection(Schema):
@@ -212,9 +210,7 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return the number of data bytes and the period in cycles of each message; an identifier of 29
-    bits counts as three more bytes, and a remote frame as a frame without data.
-    """
+    """Return data bytes and period in cycles of each frame; a 29-bit identifier counts as 3 bytes."""
     frames = [
         (
             message.size + (_EXTENDED_BYTES if message.identifier & EXTENDED_FLAG else 0),

@@ -28,9 +28,7 @@ _ANY_SIGN: Final = frozenset({"temperature_C"})
 _SMALLEST: Final = 1e-12
 """Smallest permitted constant of the simulated machine, SI units; the largest is its inverse."""
 _LOOPS_HZ: Final = (100.0, 1e8)
-"""Permitted range of the rate of the simulated drive's loops, Hz; very fast loops represent a drive
-in continuous time.
-"""
+"""Permitted rate of the simulated drive's loops, Hz; very fast loops represent continuous time."""
 _MAY_BE_ZERO: Final = frozenset(
     {
         "inductance_H",
@@ -77,11 +75,7 @@ def follow_bench(root: Node) -> Node:
 
 
 def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
-    """Return the values of ``mock`` that follow from the other sections of a bench file.
-
-    Args:
-        bench: The file as plain data, which need not be valid.
-    """
+    """Return the values of ``mock`` that follow from the other sections of a bench file."""
     motor = _known(
         resistance_ohm=_number(bench, "machine", "resistance_ohm"),
         inductance_H=_number(bench, "machine", "inductance_H"),
@@ -202,9 +196,7 @@ def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
 
 
 def may_be(name: str) -> str:
-    """Return the permitted range of a number of the simulated machine: "> 0", "≥ 0", or an empty
-    text for any number.
-    """
+    """Return the permitted range of a number: "> 0", "≥ 0", or an empty text for any number."""
     if name in _ANY_SIGN:
         return ""
     return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
@@ -287,9 +279,6 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
     (eq. 1). The loop is linear, so that its eigenvalues determine its stability; the supply voltage
     only limits the oscillation.
-
-    Args:
-        machine: The simulated machine.
 
     Returns:
         The message on the key ``current_gain_V_A``, or None if the loop is stable.

@@ -40,12 +40,7 @@ _HEAD: Final = struct.Struct("<I")
 
 
 class View:
-    """Record of what one page has received.
-
-    Args:
-        hub: The runs.
-        page: The page.
-    """
+    """Record of what one page has received."""
 
     def __init__(self, hub: Hub, page: Page) -> None:
         self._hub = hub
@@ -202,19 +197,7 @@ _LONGEST_WINDOW_S: Final = 86_400.0
 
 
 class Console:
-    """The web application of the console.
-
-    Args:
-        hub: The runs and the pages.
-        token: Token that this start of the console has made.
-        hosts: Values of the Host header that name this console.
-
-    Attributes:
-        app: The routes.
-        broken: Called when the console can no longer follow the runs.
-        failure: Reason why the console can no longer follow the runs; None while the console
-            follows the runs.
-    """
+    """The web application of the console."""
 
     def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:
         self.broken: Callable[[], None] = lambda: None
@@ -279,8 +262,8 @@ class Console:
     def _posted(
         self, act: Callable[[Page | None, Mapping[str, Any]], Awaitable[dict[str, Any]]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Return the endpoint of a command. The endpoint checks token, content and number, then
-        calls ``act``.
+        """Return the endpoint of a command, which checks token, content and number, then calls
+        ``act``.
         """
 
         async def endpoint(request: Request) -> Response:
@@ -333,8 +316,8 @@ class Console:
                 self._calm.set()
 
     async def _sent(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a command to a run. The command `stop` needs neither the controls nor an open
-        page, and without a run it is sent to every program in progress.
+        """Send a command to a run; `stop` needs neither controls nor page, nor a run (it stops
+        all).
         """
         command = _COMMANDS.get(str(message.get("command")))
         if command is None:
@@ -374,8 +357,8 @@ class Console:
         return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
 
     async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Make a bench safe, as `rig off` does; needs neither the controls nor an open page,
-        because it only takes power off.
+        """Make a bench safe, as `rig off`; needs neither controls nor page: it only takes power
+        off.
         """
         bench = message.get("bench")
         known = {str(run.about["bench_file"]) for run in self._hub.runs.values()}
@@ -467,9 +450,7 @@ class Console:
             self._hub.controls.close(page)
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
-        """Send state and charts to a page every few ticks. A page that does not read its messages
-        does not delay the messages to other pages.
-        """
+        """Send state and charts to a page every few ticks, without delay by pages that do not read."""
         view = View(self._hub, page)
         while not reading.done():
             async with self._turn:
@@ -487,9 +468,7 @@ class Console:
 
 
 async def _read_views(socket: WebSocket, page: Page) -> None:
-    """Read which run and charts a page requests, until the page is closed or sends an invalid
-    message.
-    """
+    """Read which run and charts a page requests, until it is closed or sends an invalid message."""
     while True:
         try:
             message = dict(await socket.receive_json())
@@ -522,9 +501,7 @@ def _json(content: Mapping[str, Any], status: int = 200) -> Response:
 
 
 async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:
-    """Send a JSON message in ASCII; the escapes of ASCII can also encode text that is not valid
-    Unicode.
-    """
+    """Send JSON in ASCII, whose escapes can also encode text that is not valid Unicode."""
     await socket.send_text(json.dumps(message))
 
 
@@ -535,12 +512,6 @@ def serve(
     starter: Starter, only: frozenset[str], port: int, announce: Callable[[str], None]
 ) -> None:
     """Serve the console until SIGINT or SIGTERM.
-
-    Args:
-        starter: Starts runs.
-        only: Names of the benches whose runs are shown; empty for all.
-        port: Port, or 0 for a free port.
-        announce: Called with the address, including the token, when the address can be opened.
 
     Raises:
         InputError: The port is in use.

@@ -38,23 +38,14 @@ _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
 
 @dataclass(frozen=True)
 class Choice:
-    """Which of the recorded runs are listed.
-
-    Attributes:
-        bench: Name of the bench; empty for every bench.
-        last: Number of runs; the latest are listed.
-    """
+    """Which of the recorded runs are listed."""
 
     bench: str = ""
     last: int = SHOWN
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Choice:
-        """Return the choice of recorded runs that a query or a message of a page states.
-
-        Raises:
-            ValueError: The values are not valid.
-        """
+        """Return the choice that a query or message states; ValueError if it is not valid."""
         bench, last = given.get("bench", ""), given.get("last", SHOWN)
         last = int(last) if isinstance(last, str) and len(last) < 10 else last
         if not isinstance(bench, str) or type(last) is not int or not 0 < last <= MOST_SHOWN:
@@ -68,14 +59,7 @@ class Choice:
 
 
 class Recorded:
-    """Lists the runs of a folder, and serves the pages in the run folders, read only.
-
-    Args:
-        root: The folder.
-
-    Attributes:
-        root: The folder.
-    """
+    """Lists the runs of a folder, and serves the pages in the run folders, read only."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -92,8 +76,8 @@ class Recorded:
         ]
 
     async def known(self) -> Sequence[Entry]:
-        """Return the runs of the last list, the earliest first; if there is no list yet, the folder
-        is read.
+        """Return the runs of the last list, the earliest first; the folder is read if there is
+        none.
         """
         if self._read_s < 0.0:
             await self._refresh()
@@ -148,9 +132,7 @@ class Recorded:
         return list(dict.fromkeys(name for details in known for name in details.constants))
 
     def _listed(self, choice: Choice) -> str:
-        """Return the list as JSON in ASCII, whose escapes also encode names that are not valid
-        Unicode.
-        """
+        """Return the list as JSON in ASCII, whose escapes also encode names that are no Unicode."""
         everything = self._entries
         listed = self._chosen(everything, choice)
         benches = {entry.head.bench for entry in everything} - {""}
@@ -212,12 +194,7 @@ _SHOWN: Final = 2000
 
 
 class Made:
-    """Makes pages of recorded runs, one at a time, and serves the pages, read only.
-
-    Args:
-        recorded: The runs.
-        command: Start of the command line of ``rig``.
-    """
+    """Makes pages of recorded runs, one at a time, and serves the pages, read only."""
 
     def __init__(self, recorded: Recorded, command: Sequence[str]) -> None:
         self._recorded = recorded
@@ -227,10 +204,7 @@ class Made:
         self.routes = [Route("/made/{key}", self._page, methods=["GET"])]
 
     async def compare(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Compare runs of the list with the earliest of these runs.
-
-        Args:
-            message: ``runs``, their folders as listed.
+        """Compare runs of the list (``runs``, folders as listed) with the earliest of them.
 
         Returns:
             ``page``, the address of the page, and ``words``, the name of the page.
@@ -254,10 +228,7 @@ class Made:
         return await self._make(f"Comparison of {', '.join(folders)}", "compare", "--", *runs)
 
     async def trend(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Follow one constant over the runs that are listed.
-
-        Args:
-            message: ``constant``, and ``bench`` and ``last`` as for the list.
+        """Follow one ``constant`` over the runs that ``bench`` and ``last`` list.
 
         Returns:
             ``page``, the address of the page, and ``words``, the name of the page.
@@ -295,11 +266,7 @@ class Made:
         return {"words": name, "page": f"/made/{key}"}
 
     async def _run(self, *arguments: str) -> None:
-        """Run a command of ``rig runs``.
-
-        Raises:
-            Refusal: The command failed, or took too long.
-        """
+        """Run a command of ``rig runs``; Refusal if it fails, or takes too long."""
         try:
             status, words = await output_of([*self._command, "runs", *arguments], MAKE_S, NICE)
         except TimeoutError as error:

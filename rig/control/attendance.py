@@ -28,12 +28,6 @@ _INHIBIT_S: Final = 2.0
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
     """Reject a run that hangs weights on a real bench if no person would confirm their mass.
 
-    Args:
-        plan: The planned run.
-        bench: The bench of the run.
-        yes: Whether the program answers prompts with the planned mass (``--yes``).
-        terminal: Whether a person can be asked.
-
     Raises:
         InputError: The run hangs weights on a real bench, and no person would be asked.
     """
@@ -65,9 +59,6 @@ def connected(
     """Open a bench with :func:`rig.wiring.connect.connect`; a stop signal interrupts the opening,
     because no drive is energised yet. The computer of a real bench is kept awake, where this is
     possible.
-
-    Raises:
-        KeyboardInterrupt: The operator stopped the opening.
     """
     with ExitStack() as stack:
         with stop.interruptible():
@@ -82,10 +73,11 @@ def connected(
 
 @contextmanager
 def kept_awake(purpose: str) -> Iterator[str]:
-    """Ask the system not to sleep, neither when it is idle nor when its lid is closed.
+    """Ask the system not to sleep; yields the reason if this is impossible, empty if it stays
+    awake.
 
-    Yields the reason if this is impossible; empty if the system stays awake. The request ends with
-    this program, however it ends, because the input of the process that holds it ends.
+    The request ends with this program, however it ends, because the input of the process that holds
+    it ends.
     """
     held = (sys.executable, "-c", "print(flush=True); import sys; sys.stdin.read()")
     with ExitStack() as stack:

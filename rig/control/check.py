@@ -27,17 +27,12 @@ SCHEMA = "loadrig.check/1"
 STATED = "*"
 """Mark of a limit that is stated in the bench file and not read from the drive."""
 _UNSET_RAD = 2000.0 * math.pi
-"""Greatest value that counts as a limit; a drive without a configured limit reports the largest
-value of its number format.
+"""Larger values of a drive are no limit: without a configured one, it reports the largest number.
 """
 
 
 def require_connectable(document: Document[Bench]) -> list[Finding]:
-    """Return the faults of a bench file that do not prevent connecting to the bench.
-
-    Raises:
-        InputError: No connection to the bench is possible; the message lists every reason.
-    """
+    """Return the faults of a bench file that permit a connection; the InputError lists the others."""
     found = bench_findings(document, utc_now().date())
     in_the_way = [finding.text for finding in found if not finding.connectable]
     if in_the_way:
@@ -48,16 +43,8 @@ def require_connectable(document: Document[Bench]) -> list[Finding]:
 def examine(
     document: Document[Bench], devices: Devices, seed: int, found: list[Finding]
 ) -> tuple[dict[str, Any], Readings]:
-    """Read all values that can be read without a motion or a write to a device.
-
-    Args:
-        document: The bench.
-        devices: Devices of the bench, on an open link.
-        seed: Seed of a simulated bench's noise.
-        found: Faults of the bench file, from :func:`require_connectable`.
-
-    Returns:
-        The record for ``--json``, and the readings that the record contains.
+    """Return the record for ``--json`` of what can be read without motion or write, and the
+    readings.
 
     Raises:
         DeviceError: A device does not answer.
@@ -108,14 +95,7 @@ def examine(
 
 
 def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> str:
-    """Return the results of the check as text for the terminal.
-
-    Args:
-        found: Record from :func:`examine`.
-        readings: Readings from :func:`examine`.
-        watching: The watchdog or guardian that stops the drive when this program no longer commands
-            the drive.
-    """
+    """Return the results of the check as text for the terminal."""
     lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
     lines += [
         f"state of the drive: {readings.state}",

@@ -38,13 +38,7 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Jog:
-    """The moves of a jog, in order.
-
-    Attributes:
-        angles: Joint angles at the ends of the moves, rad.
-        speed: Greatest speed of the moves, rad/s.
-        limits: Limits that apply during the moves.
-    """
+    """The moves of a jog, in order."""
 
     angles: tuple[float, ...]
     speed: float
@@ -52,12 +46,7 @@ class Jog:
 
 
 def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) -> Jog:
-    """Check the requested moves against the bench.
-
-    Raises:
-        InputError: An angle or the speed is outside its permitted range; the message lists all
-            such values.
-    """
+    """Check the requested moves against the bench; the InputError lists every value out of range."""
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
     problems = [
@@ -83,12 +72,7 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
 
 
 def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
-    """Return a text on the limits of the jog that only this program checks, or None if the drive
-    checks all of them.
-
-    Raises:
-        DeviceError: The drive does not answer.
-    """
+    """Return a text on the limits of the jog that only this program checks, or None."""
     servo = devices.servo
     return only_here(servo, servo_limits(jog.limits, bench), servo.read_limits())
 

@@ -16,9 +16,7 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 WEIGHT_TOLERANCE = 0.005
 """Default tolerance of the typed mass, relative to the planned mass."""
 LEAST_TOLERANCE_KG = 0.001
-"""Difference of masses, kg, that is always allowed: the resolution of scales. For an empty lever,
-the relative tolerance alone would allow no difference.
-"""
+"""Difference that is always allowed, kg: the resolution of scales; needed for an empty lever."""
 _LOOK_NS = NS // 20
 _PAUSE_QUESTION = "What now (go on, repeat, abort) [go on]: "
 _ROUNDING = 1e-9
@@ -73,8 +71,6 @@ class AutomaticOperator:
     Args:
         hung: True mass on a simulated lever, kg, by stage, for simulated mistakes; for other stages
             the planned mass hangs on the lever.
-        clock: Clock for waiting while paused.
-        screen: Terminal for the messages.
         control: Socket on which messages are shown and answers may arrive, or None for none.
     """
 
@@ -99,10 +95,8 @@ class AutomaticOperator:
         return self._hung.get(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the next pause signal, or for an answer on the control socket.
-
-        Raises:
-            OperatorStopError: A stop arrived on the control socket.
+        """Wait for the next pause signal, or an answer on the control socket, which may stop the
+        run.
         """
         control = self._control
         if control is not None:
@@ -130,20 +124,15 @@ class AutomaticOperator:
         return verb
 
     def tell(self, words: str, typed: str = "") -> None:
-        """Show the message on stderr, and keep it for programs that watch the run.
-
-        Args:
-            words: The message.
-            typed: What can be typed or pressed at the terminal; a page has buttons instead.
+        """Show a message, and what can be ``typed`` at the terminal; keep it for programs that
+        watch.
         """
         self._screen.say(words + typed)
         if self._control is not None:
             self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended: on stdout if the ending is good, otherwise on stderr. Programs that
-        watch the run receive the message as well.
-        """
+        """Show how a run ended, on stdout if the ending is good, else on stderr, and on the socket."""
         if self._control is not None:
             self._control.ended(words, good)
         self._screen.say(words, err=not good)
@@ -153,9 +142,6 @@ class ConsoleOperator(AutomaticOperator):
     """Asks the operator at the terminal.
 
     Args:
-        screen: Terminal for questions and messages.
-        asker: Asks and reads answers; by default a :class:`rig.terminal.prompt.Prompt` on the
-            terminal.
         patience_s: Longest wait for an answer, s, or None for no time-out.
         tolerance: Greatest relative difference between typed and planned mass.
         control: Socket on which answers may arrive as well, or None for none.
@@ -221,11 +207,7 @@ class ConsoleOperator(AutomaticOperator):
                 )
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Ask the operator how to continue.
-
-        Raises:
-            OperatorStopError: The operator did not answer in time.
-        """
+        """Ask the operator how to continue; no answer in time stops the run (OperatorStopError)."""
         if self._control is not None:
             self._control.begin(Topic.PAUSE)
         self.tell(f"Paused after stage {stage}; the drive is off.")
@@ -258,15 +240,8 @@ def operator_for(
     control: ControlSocket | None = None,
     only_there: bool = False,
 ) -> AutomaticOperator:
-    """Return the operator object that answers the prompts of a run.
-
-    Args:
-        yes: Whether the program answers the prompts with the plan, without asking.
-        screen: Terminal for questions and messages.
-        patience_s: Longest wait for an answer, s, or None for no time-out.
-        tolerance: Greatest relative difference between typed and planned mass.
-        control: Socket on which answers may arrive as well, or None for none.
-        only_there: Whether answers can arrive only on the socket, because there is no terminal.
+    """Return who answers the prompts of a run; with ``only_there`` answers arrive on the socket
+    only.
     """
     if yes:
         return AutomaticOperator(screen=screen, control=control)
@@ -275,9 +250,7 @@ def operator_for(
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Return a typed mass in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``, or None if the text
-    is not a mass.
-    """
+    """Return a typed mass in kg (``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``), or None for none."""
     found = _MASS.fullmatch(text.strip())
     if found is None:
         return None

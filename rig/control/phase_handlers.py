@@ -58,11 +58,7 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
 
 
 def next_phase(phase: Phase, event: Event) -> Phase:
-    """Return the next phase by the transition table.
-
-    Raises:
-        ValueError: The table has no such transition; the message states phase and event.
-    """
+    """Return the next phase by the transition table; a ValueError names an illegal move."""
     try:
         return TRANSITIONS[phase, event]
     except KeyError:
@@ -77,13 +73,7 @@ class WeightError(Exception):
 
 @dataclass(frozen=True)
 class Console:
-    """The operator's interface: prompts, stop button and progress display.
-
-    Attributes:
-        operator: Object that answers the prompts.
-        stop: Stop button, which is read in every cycle.
-        progress: Progress callback.
-    """
+    """The operator's interface: prompts, stop button and progress display."""
 
     operator: Operator
     stop: StopButton
@@ -95,7 +85,6 @@ class StartingPoint:
     """The point at which a run starts.
 
     Attributes:
-        stage: Index of the first stage.
         segment: Number of the last excitation of an earlier part of the run.
         reset_fault: Whether to clear a drive fault after the operator has answered the weight
             prompt.
@@ -110,8 +99,6 @@ class PhaseHandlers:
     """The handlers of the phases of a run, with its present stage.
 
     Attributes:
-        cycle: The control cycle, with its counters.
-        off: Proves that the drive is off.
         own_limits: The limits that were stored in the drive before the run; None until the limits
             are read.
     """

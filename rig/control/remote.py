@@ -29,11 +29,6 @@ class RunProgress:
 
     Run time is the time of the control cycles, without the wait at a prompt. Nothing is shown if
     the output is not a terminal.
-
-    Args:
-        cycle_s: Control cycle, s.
-        duration_s: Expected time in motion, s.
-        screen: Terminal of the status line.
     """
 
     def __init__(self, cycle_s: float, duration_s: float, screen: Screen | None = None) -> None:
@@ -70,14 +65,6 @@ def reachable(
 
     If the socket cannot be created, a run at a terminal continues without it, with a message.
 
-    Args:
-        stop: The stop button of the run.
-        screen: Shows what was commanded through the socket.
-        inputs: The inputs of the run.
-        plan: The plan computed from the inputs.
-        path: The run folder.
-        required: Whether the prompts can only be answered through the socket.
-
     Raises:
         InputError: The socket is required and cannot be created.
     """
@@ -91,12 +78,6 @@ def stoppable(
 ) -> Iterator[ControlSocket | None]:
     """Open the control socket of a program that moves a bench without a run, such as a jog, so that
     STOP in `rig console` reaches it.
-
-    Args:
-        stop: The stop button of the program.
-        screen: Shows what was commanded through the socket.
-        bench: The bench that moves.
-        name: Name of the program for the operator.
     """
     about = {"name": name, "bench": bench.name, "real": not bench.simulated}
     with _opened(stop, screen, about, False) as control:
@@ -121,9 +102,7 @@ def _opened(
 
 
 def observed(devices: Devices, control: ControlSocket | None, progress: RunProgress) -> Devices:
-    """Wrap the devices so that a control socket, if there is one, states phases and progress of the
-    run.
-    """
+    """Wrap the devices so that a control socket, if any, states phases and progress of the run."""
     if control is None:
         return devices
     control.left_s = lambda: progress.left_s

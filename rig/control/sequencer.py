@@ -46,23 +46,11 @@ class Outcome:
 _FAILURES = frozenset(
     {Check.SAMPLE_AGE, Check.PAUSE, Check.DRIVE_STATE, Check.LATENESS, Check.SLEEP}
 )
-"""Checks that fail because of a device, the bus or the computer, and not because the bench reaches
-a physical limit.
-"""
+"""Checks that fail by a device, the bus or the computer, not by a physical limit."""
 
 
 class Sequencer:
-    """One run of one plan.
-
-    Args:
-        plan: The plan to run.
-        devices: The devices, on an open link.
-        console: Operator, stop button and progress display.
-        recorder: The open recording.
-        journal: Object that writes the state of the run to disk.
-        scale: Object that checks the weights.
-        start: The point at which the run starts.
-    """
+    """One run of one plan."""
 
     def __init__(
         self,

@@ -64,13 +64,9 @@ class Inputs:
     """The inputs of a run.
 
     Attributes:
-        bench: The validated bench file.
-        sequence: The validated sequence file.
         seed: Seed of a simulated bench's noise.
-        realtime: Whether a simulated bench runs in real time.
         operator: Name of the person who runs the bench, as stated by the user.
         reference: Accepted identification of the bench, for the weight check.
-        reset_fault: Whether a drive fault may be cleared.
         feedforward: Model of the feed-forward torque that the drive adds, or None for none.
         resumed: ``run.json`` of a stopped run to continue at its first unfinished stage, or None
             for a new run.
@@ -157,16 +153,6 @@ def execute(
     """Run a plan into an empty folder, or continue a stopped run.
 
     The link is open at the call and stays open.
-
-    Args:
-        inputs: The inputs of the run.
-        plan: The plan computed from the inputs.
-        devices: The devices to command.
-        path: The run folder.
-        operator: The person or program that hangs the weights.
-        stop: Stop button, which is read in every cycle.
-        progress: Progress callback.
-        start_recording: Function that creates the recording.
 
     Raises:
         DeviceError: A device cannot be identified; nothing was energised.
@@ -281,11 +267,7 @@ def _count(record: RunRecord, part: PartRecord, cycle: Cycle) -> None:
 
 
 def describe_devices(devices: Devices) -> dict[str, Any]:
-    """Read identities and the limits that are stored in the drive.
-
-    Raises:
-        DeviceError: A device does not answer.
-    """
+    """Read identities and the limits stored in the drive, or raise a DeviceError."""
     told = {
         "servo": dataclasses.asdict(devices.servo.identity()),
         "encoder": dataclasses.asdict(devices.encoder.identity()),
@@ -297,12 +279,7 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 
 
 def held_limits(devices: Devices) -> dict[str, float | None]:
-    """Read the limits that are stored in the drive; a limit is None if the drive has no object for
-    it, or if the following error window is off.
-
-    Raises:
-        DeviceError: The drive does not answer.
-    """
+    """Read the limits stored in the drive; None without an object, or with the window off."""
     limits = dataclasses.asdict(devices.servo.read_limits())
     if not limits["quick_stop_option"] >= 0:
         limits["quick_stop_option"] = None
@@ -420,13 +397,6 @@ def run_simulated(
     feedforward: Feedforward | None = None,
 ) -> Dataset:
     """Run a sequence on a simulated bench with the planned weights, and return its recordings.
-
-    Args:
-        bench: A simulated bench.
-        sequence: The sequence to run.
-        seed: Seed of the bench's noise.
-        folder: The run folder; new or empty.
-        feedforward: Model of the feed-forward torque that the drive adds, or None for none.
 
     Raises:
         InputError: The bench is a real bench, or the run did not end regularly.

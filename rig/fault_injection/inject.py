@@ -47,11 +47,7 @@ class FileLimit:
         self._before: tuple[int, int] | None = None
 
     def fill(self) -> None:
-        """Make every further write to a file fail, as on a full disk.
-
-        Raises:
-            InputError: This operating system cannot limit the size of files.
-        """
+        """Make every write to a file fail, as on a full disk; InputError where this is impossible."""
         try:
             import resource
         except ImportError as error:
@@ -84,7 +80,6 @@ class Finding:
     """Result of one fault.
 
     Attributes:
-        row: Number of the fault in the schedule, from 1.
         applied_s: Bench time of the fault, or None if it was never triggered.
         off_after_s: Time from the fault to the final de-energised state; None while energised, or
             if current flows or the joint moves in the simulated machine at the end.
@@ -107,13 +102,7 @@ class Finding:
 
 
 class FaultInjector:
-    """Executes one schedule in one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`.
-
-    Args:
-        schedule: The faults.
-        sequence: The sequence of the run; determines the phase ``ramp_out``.
-        patience_s: Time that the run waits for an answer, s, or None to wait without limit.
-    """
+    """Executes one schedule in one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`."""
 
     def __init__(
         self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None
@@ -188,15 +177,9 @@ class FaultInjector:
         return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices run for some time without the host, judge every row of the schedule, and
-        write the findings.
+        """Let the devices run on without the host, judge the schedule, and write the findings.
 
-        Args:
-            status: Exit status of the run, or None if the process is about to be killed.
-            message: Last message of the run.
-
-        Raises:
-            OSError: The findings cannot be written.
+        ``status`` is the exit status, or None if the process is about to be killed.
         """
         clock = self._scene.clock
         if self._off_ns is None or self._scene.live:
@@ -328,10 +311,7 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("operator", "weight_removed"): lambda s, r: s._scene.machine.hang(r.amount or 0.0),
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
-"""Actions on this program and its operator, by target and name of the fault.
-
-Actions on the bench are in :mod:`rig.fault_injection.scene`.
-"""
+"""Actions on program and operator; those on the bench are in :mod:`rig.fault_injection.scene`."""
 
 
 def fault_injector(
@@ -340,11 +320,7 @@ def fault_injector(
     sequence: Document[Sequence],
     patience_s: float | None = None,
 ) -> FaultInjector:
-    """Read a schedule for a run on a simulated bench; the run waits ``patience_s`` for answers.
-
-    Raises:
-        InputError: The schedule is not valid, or the bench is real.
-    """
+    """Read a schedule for a simulated bench; the run waits ``patience_s`` for answers; InputError."""
     schedule = load_faults(path)
     if not bench.value.simulated:
         text = "faults can only be injected on a simulated bench; set bus.interface to mock"
@@ -418,11 +394,7 @@ class _DyingFile(io.FileIO):
     dead = False
 
     def write(self, data: Any) -> int:
-        """Write the data, or fail as a broken medium does.
-
-        Raises:
-            OSError: The medium is broken.
-        """
+        """Write the data, or raise an OSError as a broken medium does."""
         if self.dead:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return super().write(data)

@@ -16,9 +16,7 @@ from rig.planning.limits import Limits
 LONGEST_RAMP_SHARE = 0.25
 """Longest fade-in or fade-out, as a share of the duration of the pass."""
 GROWTH = 2.0
-"""Factor on the amplitude from one pass to the next while the joint does not move; with soft gains
-the command must lead by degrees before the joint breaks away.
-"""
+"""Factor on the amplitude from pass to pass while the joint, as with soft gains, does not move."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +24,8 @@ class PlannedPass:
     """A first pass, ready to run.
 
     Attributes:
-        targets: Joint angles in rad, one per cycle, shape (n,).
         amplitude: Amplitude as a share of the stage's amplitude.
-        duration_s: Duration, s.
         move_limits: Limits during the move to the start of the pass.
-        limits: Limits during the pass.
     """
 
     targets: Array
@@ -43,9 +38,7 @@ class PlannedPass:
 def plan_passes(
     section: StageSection, low: FirstPass, limits: Limits, cycle_s: float
 ) -> tuple[PlannedPass, ...]:
-    """Return the first pass of a stage, and the passes with larger amplitude that follow while the
-    joint does not move.
-    """
+    """Return the first pass of a stage, and larger ones while the joint does not move."""
     passes: list[PlannedPass] = []
     amplitude = low.amplitude
     while amplitude < 1.0:
@@ -100,10 +93,8 @@ def _peak_speed(targets: Array, cycle_s: float) -> float:
 def _tighter(limits: Limits, share: float) -> Limits:
     """Return reduced limits.
 
-    Static friction does not decrease with the amplitude, so that the limits of torque and current
-    are reduced only half as much as the limit of the speed. The limit of the following error is
-    also reduced half as much, because the error of a drive with soft gains is proportional to
-    torque.
+    Static friction does not decrease with the amplitude, and soft gains need an error for it:
+    torque, current and following error are reduced half as much as the speed.
     """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(

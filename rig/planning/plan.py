@@ -72,12 +72,9 @@ class Plan:
     """A whole run, ready to start.
 
     Attributes:
-        name: Name of the sequence.
-        stages: Stages in the order in which they run.
         limits: The limits that apply: limits of the bench, tightened by the sequence.
         servo_limits: The limits to be written into the drive.
         approach_speed: Peak speed of moves to a start angle, rad/s.
-        cycle_ns: Control cycle, ns.
         feedforward: Source of the stages' torque offsets, or None for none.
     """
 
@@ -118,14 +115,6 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a run: compute all targets, and check them against the limits of the
     bench.
-
-    Args:
-        sequence: The sequence.
-        bench: The bench.
-        first_pass: Whether to make a first pass at low amplitude, or None for the setting of the
-            sequence.
-        feedforward: Identified parameters of the bench for the torque that the drive adds during
-            excitations, or None for no feed-forward.
 
     Raises:
         InputError: A stage exceeds a limit of the bench, or a limit of the sequence is wider than

@@ -39,16 +39,8 @@ _LOAD_FRICTION = ("mu_c", "mu_s")
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Friction and inertia of a bench for predictions.
-
-    Attributes:
-        values: The nine parameters, SI, at the joint.
-        alpha: Stribeck exponent.
-        moment_arm_m: Moment arm L1, m.
-        moment_per_kg: Contact moment of one kilogram on the lever, N m.
-        source: Origin of the values, as text.
-        measured: Whether the values come from an identification.
-        from_paper: Names of the parameters with values of the paper.
+    """Friction and inertia of a bench for predictions, SI, at the joint; ``from_paper`` names
+    assumed.
     """
 
     values: Mapping[str, float]
@@ -60,12 +52,7 @@ class FrictionModel:
     from_paper: tuple[str, ...] = ()
 
     def friction_measured(self, loaded: bool) -> bool:
-        """Return whether the friction torques of a stage were measured on this bench.
-
-        Args:
-            loaded: Whether the stage has a load, so that its friction also depends on the load
-                parameters.
-        """
+        """Return whether the friction of a stage, ``loaded`` or not, was measured on this bench."""
         needed = _UNLOADED_FRICTION + (_LOAD_FRICTION if loaded else ())
         return self.measured and not set(needed) & set(self.from_paper)
 
@@ -73,13 +60,8 @@ class FrictionModel:
 def friction_model(
     bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
 ) -> FrictionModel:
-    """Return the best known friction of a bench.
-
-    Args:
-        bench: Constants of the bench.
-        named: Result of ``rig identify --json`` to use.
-        runs: Folder in which the newest result of a bench with the same constants is searched if
-            ``named`` is None.
+    """Return the friction ``named``, else the newest result in ``runs`` of such a bench, or the
+    paper.
 
     Raises:
         InputError: ``named`` cannot be read, or is not a result of ``rig identify``.
@@ -104,12 +86,7 @@ def friction_model(
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
-    """Return a warning if an identification is of a run on a bench with other constants, else None.
-
-    Args:
-        path: Result of ``rig identify --json``.
-        bench: Constants of the bench for which the result is used.
-    """
+    """Return a warning if an identification is of a run on a bench with other constants, else None."""
     try:
         recorded = recorded_bench(read_record(path.parent))
     except InputError:
@@ -158,8 +135,8 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
 WARNING_SHARE = 0.8
 """Predicted peak, as a share of its limit, above which the program warns."""
 LOOP_S = 0.005
-"""Time in which a drive with stiff gains follows a step of the commanded speed, s; with softer
-gains the torque is less.
+"""Time in which a drive with stiff gains follows a step of the speed, s; soft gains need less
+torque.
 """
 FIRST_PASS = "first pass"
 LESS = "use less weight, or a slower or smaller motion"
@@ -174,16 +151,7 @@ _FROM_PAPER = (
 
 @dataclass(frozen=True)
 class PredictedPeak:
-    """The greatest torque of one part of a stage, and its limits.
-
-    Attributes:
-        stage: Name of the stage.
-        part: ``first pass`` or ``stage``.
-        torque_N_m: Peak torque at the joint.
-        torque_limit_N_m: Torque limit that applies.
-        current_A: Peak motor current.
-        current_limit_A: Current limit that applies.
-    """
+    """The greatest torque of one part of a stage, and its limits."""
 
     stage: str
     part: str
@@ -210,13 +178,7 @@ class PredictedPeak:
 
 @dataclass(frozen=True)
 class PredictedLoad:
-    """The predicted peaks of a plan, and what they mean before the run.
-
-    Attributes:
-        plan: The plan.
-        model: Friction and inertia from which the peaks are predicted.
-        peaks: Predicted peaks in the order of the run.
-    """
+    """The predicted peaks of a plan, and what they mean before the run."""
 
     plan: Plan
     model: FrictionModel
@@ -234,9 +196,7 @@ class PredictedLoad:
 
     @property
     def warnings(self) -> list[str]:
-        """Messages on peaks near their limits, and on peaks that are predicted from the paper's
-        friction and exceed their limits.
-        """
+        """Messages on peaks near their limits, or above them by the paper's friction."""
         found: list[str] = []
         for peak in self.peaks:
             measured = self._measured(peak)
@@ -248,11 +208,7 @@ class PredictedLoad:
         return found
 
     def require_within(self, sequence: Document[Sequence]) -> None:
-        """Refuse a run that would exceed its limits.
-
-        Raises:
-            InputError: A peak that is predicted from measured friction exceeds its limit.
-        """
+        """Refuse (InputError) a run with a peak from measured friction above its limit."""
         names = [stage.name for stage in sequence.value.stages]
         problems = [
             sequence.problem(

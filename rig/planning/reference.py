@@ -23,15 +23,7 @@ LARGEST_ALPHA = 100.0
 
 @dataclass(frozen=True)
 class Reference:
-    """Friction of a bench from an accepted identification.
-
-    Attributes:
-        values: Values of the parameters by name, SI units.
-        sigmas: Standard errors of the parameters by name.
-        alpha: Stribeck exponent.
-        moment_per_kg: Contact moment F_P L1 of one kilogram on the lever, N m (eq. 13, 17).
-        source: The result file.
-    """
+    """Friction of a bench from an accepted identification."""
 
     values: Mapping[str, float]
     sigmas: Mapping[str, float]
@@ -59,12 +51,7 @@ def moment_per_kg(bench: Bench) -> float:
 
 
 def load_reference(path: Path, bench: Bench) -> Reference:
-    """Read the result of ``rig identify`` on an earlier run of this bench.
-
-    Raises:
-        InputError: The file cannot be read, is not a result of ``rig identify``, or does not
-            determine a parameter that the weight check needs.
-    """
+    """Read a result of ``rig identify`` as reference; InputError without what the check needs."""
     raw = read_identification(path)
     keys = ("value", "low", "high")
     try:
@@ -87,12 +74,7 @@ def load_reference(path: Path, bench: Bench) -> Reference:
 
 
 def read_identification(path: Path) -> dict[str, Any]:
-    """Read the result file of ``rig identify`` on a rotary bench.
-
-    Raises:
-        InputError: The file cannot be read, or is not a result of ``rig identify`` on a rotary
-            bench.
-    """
+    """Read a result of ``rig identify`` on a rotary bench, or raise an InputError."""
     raw = read_json(path)
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
@@ -119,12 +101,7 @@ def read_identification(path: Path) -> dict[str, Any]:
 
 
 def read_values(path: Path, names: Iterable[str]) -> tuple[dict[str, float], float]:
-    """Return the determined values of parameters, SI units, and the Stribeck exponent, from a
-    result file of ``rig identify``.
-
-    Raises:
-        InputError: The file cannot be read, is not such a result, or is damaged.
-    """
+    """Return determined values, SI units, and the Stribeck exponent of a result, or InputError."""
     raw = read_identification(path)
     try:
         stated = {name: raw["parameters"].get(name, {}).get("value") for name in names}

@@ -40,11 +40,8 @@ class Read:
     """The recordings of one file, and the time span of the file.
 
     Attributes:
-        recordings: One recording per piece without gaps.
         first: First time stamp of the whole file, s.
         last: Last time stamp of the whole file, s.
-        section: Entry of the file in the campaign.
-        index: Position of the entry in ``recordings``.
     """
 
     recordings: tuple[Recording, ...]
@@ -140,9 +137,7 @@ Rows = NDArray[np.intp]
 LEAST_JITTER = 0.005
 """Rms deviation of the stamps from an even grid, in periods, below which stamps count as even."""
 MOST_OFF = 0.25
-"""Greatest mean deviation of neighbouring stamps from the grid, in periods. A lost sample or a
-changing rate shifts all later stamps; jitter and single late stamps do not.
-"""
+"""Greatest mean deviation of neighbouring stamps from the grid, in periods, as by a lost sample."""
 WINDOW = 101
 """Number of neighbouring stamps over which the deviation from the grid is averaged."""
 SMOOTHER = 0.8
@@ -153,9 +148,7 @@ Quantisation and noise contribute equally to both roughnesses. If quantisation a
 jitter of the stamps, the jitter has little effect on results.
 """
 FAST, MOST = 0.25, 0.99
-"""Share and quantile: a sample is compared only if its travel is at least this share of this
-quantile of the travels of all samples, because at rest a wrong stamp has no effect.
-"""
+"""A sample is compared if its travel is at least this share of this quantile of all travels."""
 NEIGHBOURS = (-2, -1, 1, 2)
 
 
@@ -182,9 +175,7 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
 
 
 def _grid(time: Array) -> tuple[Array, Rows] | None:
-    """Return the times on the line through the stamps, and the number of each sample, or None if
-    the mean over neighbouring stamps deviates from the line by more than :data:`MOST_OFF`.
-    """
+    """Return the times on the line through the stamps, and sample numbers; None if it does not fit."""
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
     # Jitter may look like a lost sample; therefore lost samples are assumed only if necessary.
@@ -200,9 +191,7 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
 
 
 def _with_neighbours(index: Rows, time: Array) -> Rows:
-    """Return the rows that have two neighbours on either side, each one period from the next, with
-    different stamps.
-    """
+    """Return the rows with two neighbours on either side, each one period from the next."""
     consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
     runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
     return np.flatnonzero(runs) + 2
@@ -211,8 +200,7 @@ def _with_neighbours(index: Rows, time: Array) -> Rows:
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
     """Return the median distance of samples from the cubic polynomial through their neighbours.
 
-    A mean is not used: nearly coinciding stamps magnify the noise of their samples without limit,
-    so that these few samples would determine a mean.
+    A mean would be determined by the few samples whose stamps nearly coincide.
     """
     apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
     predicted = np.zeros(len(rows))
@@ -235,13 +223,6 @@ def build(
     file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
 ) -> Read:
     """Read one file, convert its channels to SI units, and make the allowed corrections.
-
-    Args:
-        file: The recording.
-        section: Entry of the file in the campaign.
-        bench: Constants of the machine.
-        document: The campaign; error messages state the line of the entry.
-        index: Position of the entry in ``recordings``.
 
     Returns:
         One recording per piece without gaps, with its corrections as notes, and the time span of
@@ -462,9 +443,7 @@ def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per piece without gaps, each on one clock; several pieces are numbered
-    from 1.
-    """
+    """Return one recording per piece without gaps, each on one clock; several are numbered from 1."""
     n = len(whole.time)
     if timing.pieces == ((0, n),):
         return [_on_one_clock(whole, stamps)]
@@ -481,9 +460,7 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
-    """Return a recording whose channels have common times; if the time stamps are uneven but the
-    samples are not, the times are made even.
-    """
+    """Return a recording whose channels have common times, which are made even if the samples are."""
     if stamps is None:
         return _on_even_stamps(recording)
     channels, words = aligned(

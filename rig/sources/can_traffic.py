@@ -69,11 +69,9 @@ class Lines:
     """State of the filtering of a file: the current line, and the counts of dropped lines.
 
     Attributes:
-        path: The file.
         number: Number of the line that was read last, from 1.
         stamped: Number of lines with a time stamp.
         errors: Number of dropped error frames.
-        notes: Messages to the user.
     """
 
     path: Path
@@ -96,10 +94,8 @@ class Lines:
 
 
 def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the frames of a ``candump -L`` file, with time stamps since the first frame.
-
-    Raises:
-        InputError: A line is not a frame; the message names the line.
+    """Yield the frames of a ``candump -L`` file, with times since the first; InputError with the
+    line.
     """
     begin: int | None = None
     for text in lines.whole(stream):
@@ -152,11 +148,7 @@ def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
 
 
 def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the lines of a PEAK TRC file without its date.
-
-    Raises:
-        InputError: The file is of a version that python-can does not read.
-    """
+    """Yield the lines of a PEAK TRC file without its date; InputError for an unknown version."""
     for text in lines.whole(stream):
         word = text.strip()
         if word.startswith(";$FILEVERSION"):
@@ -203,8 +195,8 @@ class Frames:
 
 
 def _read_traffic(path: Path) -> tuple[dict[Key, Frames], list[str]]:
-    """Return the data frames of a file by bus and identifier, in order of appearance, and notes;
-    error frames and remote frames are left out and counted.
+    """Return data frames by bus and identifier, in order of appearance, and notes on those left
+    out.
     """
     kind = format_of(path)
     lines = Lines(path)
@@ -325,16 +317,11 @@ class BusSignal:
     """One signal of a CAN message.
 
     Attributes:
-        name: Name of the signal's column.
         positions: Numbers of the bits in the frame, least significant first; bit 0 is the lowest
             bit of the first byte.
         signed: Whether the raw value is in two's complement.
         real: Whether the raw value is a number by IEEE 754.
-        factor: Value of one raw unit.
-        offset: Value at raw 0.
-        unit: Unit as the source states it.
         low: Least value that the source allows, or None if the source states no range.
-        high: Greatest value that the source allows, or None.
         selector: The multiplexer that determines whether the signal is in a frame, or None for a
             signal that is in every frame.
         pages: Raw values of the selector with which the signal is in the frame.
@@ -353,9 +340,7 @@ class BusSignal:
     pages: frozenset[int] = frozenset()
 
     def present(self, frames: Frames) -> Mask:
-        """Return a mask of the frames that contain the signal, by their length and their
-        multiplexers.
-        """
+        """Return a mask of the frames that contain the signal, by their length and multiplexers."""
         there: Mask = frames.lengths > max(self.positions) // 8
         if self.selector is not None:
             there = there & self.selector.present(frames)
@@ -396,8 +381,6 @@ class BusMessage:
 
     Attributes:
         name: First part of the names of the columns; empty if the names of the signals suffice.
-        identifier: Identifier, with the flag for 29 bits.
-        signals: Signals in the order of the source.
         by_group: Whether frames with other priorities and source addresses are also this message,
             as in SAE J1939.
         left_out: Texts on the parts of the message that cannot be read.
@@ -414,9 +397,7 @@ class BusMessage:
 
 
 def big_endian(start: int, width: int) -> tuple[int, ...]:
-    """Return the bits of a big-endian signal whose most significant bit has the DBC number
-    ``start``, least significant first.
-    """
+    """Return the bits of a big-endian signal from the DBC number of its highest bit, lowest first."""
     positions = [start]
     while len(positions) < width:
         at = positions[-1]
@@ -468,9 +449,7 @@ def _obstacle(signal: Any) -> str:
 
 
 def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -> BusSignal | None:
-    """Return a signal, after its multiplexers were added to ``found``, or None if a multiplexer
-    cannot be read.
-    """
+    """Return a signal, and add it and its multiplexers to ``found``; None if one cannot be read."""
     if signal.name in found:
         return found[signal.name]
     selector = None
@@ -505,9 +484,7 @@ def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -
 _UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
 _COUNTER_BITS = 32
 _PDO_STEP = 0x100
-"""Difference of the identifiers of two successive PDOs of a node in the predefined connection
-set.
-"""
+"""Difference of the identifiers of two successive PDOs in the predefined connection set."""
 _Scale = tuple[str, float, float]
 """Name of a column, SI units per raw unit, and SI value at raw value 0."""
 
@@ -607,9 +584,7 @@ def _pdo(
 
 
 def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessage]:
-    """Yield the messages of the drive's DBC file; a signal that the map assigns to a channel has
-    the name of the channel.
-    """
+    """Yield the messages of the drive's DBC file; a mapped signal has the name of its channel."""
     gear = document.value.machine.gear_ratio
     channels = {
         "position": ("motor_angle", 1.0, gear * servo.drive(gear, 1.0).offset_rad),
@@ -655,15 +630,11 @@ STAMPS = "time"
 _OTHER_STAMPS = "frame_time"
 _MOST_NAMED = 6
 _DESTINATION_FORMATS = 240
-"""PDU format of SAE J1939 below which the PDU specific byte is a destination address, and not a
-group extension.
-"""
+"""PDU format of SAE J1939 below which the PDU specific byte is a destination address."""
 
 
 class _Base(NamedTuple):
-    """Frames that contain certain signals: all frames of a message, or the frames of some of its
-    pages.
-    """
+    """Frames that contain certain signals: all frames of a message, or those of some of its pages."""
 
     frames: Frames
     rows: Mask
@@ -683,14 +654,6 @@ class CanTable(Table):
     message also have their own time base (``Message.Signal.time``). All time bases are on the clock
     of the file. The name of a message that occurs on several buses begins with the bus. Error
     frames, remote frames and frames of unknown messages are left out and counted.
-
-    Args:
-        path: The file.
-        options: The DBC files or the bench file, and the bus.
-
-    Raises:
-        InputError: No DBC or bench file is given or can be read, none of its messages is in the
-            file, or the file is damaged.
     """
 
     def __init__(self, path: Path, options: ReadSection) -> None:
@@ -751,9 +714,7 @@ class CanTable(Table):
     def _named(
         self, frames: Mapping[Key, Frames], known: Mapping[int, BusMessage]
     ) -> list[tuple[str, BusMessage, Frames]]:
-        """Return name, message and frames of each message that is in the file, and note the frames
-        of unknown messages.
-        """
+        """Return name, message and frames of each message in the file; note the unknown frames."""
         groups = {_group(m.identifier): m for m in known.values() if m.by_group}
         found: list[tuple[str, int, BusMessage, Frames]] = []
         unknown: dict[Key, Frames] = {}
@@ -830,8 +791,8 @@ class CanTable(Table):
 
 
 def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
-    """Yield groups of signals that occur in equal sets of frames, each with a suffix for the name
-    of the group's time base.
+    """Yield signals that occur in equal sets of frames, with a suffix for the name of the time
+    base.
     """
     every = np.ones(len(frames.stamps), dtype=np.bool_)
     groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}

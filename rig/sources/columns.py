@@ -76,8 +76,6 @@ class Guess(NamedTuple):
     """Column that is guessed for a channel.
 
     Attributes:
-        column: Name, or index if the columns have no names.
-        scale: SI units per unit of the column.
         sure: Whether the column states its unit.
     """
 
@@ -108,9 +106,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def channel_unit(channel: str, linear: bool = False) -> str:
-    """Return the SI unit of a channel on a rotary or a linear bench; channels of the motor are
-    rotary on either kind of bench.
-    """
+    """Return a channel's SI unit; channels of the motor are rotary also on a linear bench."""
     if channel == "motor_angle":
         return CHANNELS[channel]
     return unit_on("linear" if linear else "rotary", CHANNELS[channel])
@@ -160,9 +156,7 @@ def guess_mass(stem: str) -> float:
 
 
 def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
-    """Yield a note for each channel with scale 1 whose unit, by the file's row of units, is not
-    SI.
-    """
+    """Yield a note for each channel with scale 1 whose unit in the file's row of units is not SI."""
     if not table.units:
         return
     for name, channel in section.channels.items():

@@ -15,9 +15,7 @@ from rig.sources.table import EXACT, Array, Table
 from rig.sources.text import encoding_of, nanoseconds, open_text
 
 LONGEST_LIST = 64
-"""Greatest length of a list whose elements become columns; longer lists, such as images, are left
-out.
-"""
+"""Greatest length of a list whose elements become columns; longer lists are left out."""
 _STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"}, {"seconds", "nanos"})
 _LARGEST = 2**64
 """Integers with at least this magnitude are not read as numbers."""
@@ -25,18 +23,11 @@ _DATE_LENGTHS = range(8, 41)
 
 
 class Stamp(int):
-    """Time stamp in nanoseconds; its column is read as seconds since the first stamp of the
-    topic.
-    """
+    """Time stamp, ns; its column is read as seconds since the first stamp of the topic."""
 
 
 def parse(text: str) -> Any:
-    """Parse a JSON text.
-
-    Raises:
-        ValueError: The text is not JSON, or an object has a key twice.
-        RecursionError: The text is nested too deeply.
-    """
+    """Parse JSON; a ValueError for other text or an object with a key twice, or a RecursionError."""
     return json.loads(text, object_pairs_hook=_object)
 
 
@@ -88,9 +79,7 @@ def number(value: object) -> float | None:
 
 
 def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp in an object of seconds and nanoseconds, or None if the object has no
-    time stamp.
-    """
+    """Return the time stamp in an object of seconds and nanoseconds, or None."""
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
         return None
@@ -168,9 +157,6 @@ class JsonTable(RowsTable):
     (``columns`` and ``data``), ``table``, ``index`` and ``columns``. Each form may be inside an
     object; if a file has several tables, the names of the columns begin with the place of the
     table. A date in text is read as seconds since the first date.
-
-    Raises:
-        InputError: The file is not JSON, or has no numbers.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -272,9 +258,7 @@ class JsonTable(RowsTable):
 
 
 def _transposed(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, float]]:
-    """Return one mapping for each row from columns of equal length; values that are not numbers are
-    left out.
-    """
+    """Return one mapping for each row of columns of equal length, without what is no number."""
     count = len(next(iter(columns.values()))) if columns else 0
     rows: list[dict[str, float]] = [{} for _ in range(count)]
     for name, cells in columns.items():
@@ -299,9 +283,6 @@ class JsonLinesTable(RowsTable):
     ``field[0]``.
 
     If a line lacks a field, the value is NaN.
-
-    Raises:
-        InputError: A line is not a JSON object, or no object contains a number.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:

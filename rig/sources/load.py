@@ -28,10 +28,6 @@ from rig.sources.table import format_of
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
     """Load a run folder or a campaign file.
 
-    Args:
-        path: Path of the run folder or campaign file.
-        partial: Whether to load a run's unfinished excitations as well.
-
     Raises:
         InputError: The path is neither a run folder nor a campaign file, or a part of the source
             cannot be used; the message lists all problems.

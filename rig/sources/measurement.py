@@ -37,9 +37,6 @@ class MdfTable(Table):
     applied; samples that are marked by invalidation bits are NaN. Labels (value to text) are read
     as raw numbers, with a note. Each channel group has its own time base; all time bases are on the
     clock of the file.
-
-    Raises:
-        InputError: asammdf is not installed, or the file is damaged or holds no samples.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -76,9 +73,7 @@ class MdfTable(Table):
         self.bases = tuple(where[found.group] for found in self._columns)
 
     def _require_inside(self, mdf: Any, groups: Sequence[int]) -> None:
-        """Check that each channel lies within the records of its group; asammdf reads beyond them,
-        which ends the process or returns other data.
-        """
+        """Check that each channel lies within its records; asammdf reads beyond them, or crashes."""
         for group in groups:
             record_bits = 8 * mdf.groups[group].channel_group.samples_byte_nr
             for channel in mdf.groups[group].channels:
@@ -109,9 +104,7 @@ class MdfTable(Table):
             return [self._values(mdf, self._columns[k], self.names[k]) for k in columns]
 
     def stamps(self, base: int) -> Array | None:
-        """Return the master channel of a group if it contains the time; see
-        :meth:`Table.stamps`.
-        """
+        """Return the master channel of a group if it is time; see :meth:`Table.stamps`."""
         group = self._groups[base]
         index = self._masters.get(group)
         if index is None:
@@ -183,9 +176,7 @@ def _group_names(mdf: Any, groups: Sequence[int]) -> list[str]:
 
 
 def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
-    """Yield a channel, or each element of an array channel; the members of a structure are
-    channels.
-    """
+    """Yield a channel, or each element of an array; the members of a structure are channels."""
     dependency = mdf.groups[group].channel_dependencies[index]
     if not dependency:
         yield _Channel(group, index, None)
@@ -206,9 +197,7 @@ def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
 
 
 def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
-    """Return factor and offset of a linear conversion, or None for a channel without a conversion
-    or with a conversion of another type.
-    """
+    """Return factor and offset of a linear conversion, else None."""
     if conversion is None:
         return None
     linear = _LINEAR.get(min(4, max(3, int(str(version)[0]))))
@@ -252,9 +241,6 @@ class TdmsTable(Table):
     Channels of one group with equal length and equal waveform properties have common rows; the time
     of a waveform is a further column, ``time``. Scales of the file are applied. A channel of time
     stamps is read as seconds since the first stamp.
-
-    Raises:
-        InputError: npTDMS is not installed, or the file is damaged or holds no channels.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -300,8 +286,8 @@ class TdmsTable(Table):
         return self._bases[column.base].group
 
     def _base_of(self, channel: Any, status: Any) -> int:
-        """Return the time base of a channel; in a file that is cut off, by the channel's length
-        before the cut.
+        """Return the time base of a channel, in a file that is cut off by its length before the
+        cut.
         """
         cut = (status.channel_statuses or {}).get(channel.path)
         lost = 0 if cut is None else cut.expected_length - cut.read_length
@@ -384,9 +370,7 @@ def _unit(properties: Mapping[str, Any]) -> str:
 
 
 def _waveform(channel: Any) -> _Waveform | None:
-    """Return the waveform properties of a channel, or None if the channel has none, or if its
-    waveform is not over time.
-    """
+    """Return the waveform properties of a channel, or None if it has none over time."""
     properties = channel.properties
     try:
         increment = float(properties["wf_increment"])

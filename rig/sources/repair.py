@@ -25,9 +25,7 @@ GAP_PERIODS = 5.0
 MIN_SAMPLES = 50
 """Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
-"""Difference of the 95th and 5th percentiles of the sample period, relative to the median, above
-which a note results.
-"""
+"""Relative range (5 to 95 %) of the sample period above which a note results."""
 UNEVEN = "uneven sampling kept as recorded"
 """Beginning of the note on uneven sampling."""
 SLOW_PERIOD_S = 0.5
@@ -65,9 +63,6 @@ class Timing:
 
 def examine_time(time: Array) -> Timing:
     """Check time stamps and find rows to drop and places to split.
-
-    Args:
-        time: Time stamps, s, shape (n,).
 
     Raises:
         UnusableError: Samples are too few, a time stamp is NaN, the time runs backwards, or

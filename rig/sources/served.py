@@ -33,10 +33,6 @@ _START = "import sys; sys.path[:] = sys.argv[1:]; from rig.sources.served import
 class ServedTable(Table):
     """A table that the second process reads.
 
-    Args:
-        path: The file.
-        options: Options of the reader that differ from their defaults.
-
     Raises:
         InputError: The second process cannot read the file, or it has ended.
     """
@@ -72,11 +68,7 @@ class ServedTable(Table):
 
 
 class Reader:
-    """The second process; it is started by the first request, and again after it has died.
-
-    Attributes:
-        process: The process that is running, or None.
-    """
+    """The second process; it is started by the first request, and again after it has died."""
 
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None

@@ -42,11 +42,7 @@ _QUOTED = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 
 
 def open_text(path: Path, encoding: str) -> TextIO:
-    """Open a text file; it is decompressed by gzip if its name ends in ``.gz``.
-
-    Raises:
-        OSError: The file cannot be opened.
-    """
+    """Open a text file, decompressed by gzip if its name ends in ``.gz``; OSError if it fails."""
     return io.TextIOWrapper(open_binary(path), encoding, errors="replace")
 
 
@@ -72,9 +68,7 @@ def encoding_of(path: Path) -> str:
 
 
 def _utf8(text: str) -> str:
-    """Return a line that was decoded as Latin-1; if the bytes of the line are UTF-8, return the
-    line decoded as UTF-8.
-    """
+    """Return a line that was decoded as Latin-1, decoded as UTF-8 if its bytes are UTF-8."""
     try:
         return text.encode("latin-1").decode("utf-8").lstrip("\ufeff")
     except UnicodeError:
@@ -171,9 +165,7 @@ def _without_comment(text: str) -> str:
 
 
 def _counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
-    """Return whether the first line is 0, 1, 2, ...: the header of a table whose columns have no
-    names.
-    """
+    """Return whether the first line is 0, 1, 2, ...: the header of columns without names."""
     if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
         return False
     return len(cells) > 2 or (len(cells) == 2 and any("." in cell for cell in below))
@@ -224,10 +216,6 @@ _HEAD_LINES = 6
 
 class DelimitedTable(Table):
     """A text file with one row of numbers per line, with or without a header line.
-
-    Args:
-        path: The file; it is decompressed by gzip if its name ends in ``.gz``.
-        options: Delimiter and lines to skip.
 
     Raises:
         InputError: The file contains no line after the skipped lines, or is damaged.
@@ -294,8 +282,8 @@ class DelimitedTable(Table):
     def _find_row_names(
         self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
     ) -> None:
-        """Detect row names: every row has one cell more than the header has names, and the first
-        cell is quoted or a word.
+        """Detect row names: a word or quoted cell before the cells that the header names, in every
+        row.
         """
         width = len(self.names)
         if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
@@ -344,9 +332,7 @@ class DelimitedTable(Table):
         return super().place(row)
 
     def _even(self) -> bool:
-        """Return whether each row has as many cells as the header, and no row has quotes or
-        comments.
-        """
+        """Return whether each row has as many cells as the header, without quotes and comments."""
         if self._first_row:
             return False
         delimiter, others = self._delimiter, 0
@@ -380,9 +366,7 @@ class DelimitedTable(Table):
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row. Rows without values count as missing samples, and
-        are dropped at the end of the file.
-        """
+        """Yield the required cells row by row; rows without values are missing samples, or the end."""
         empty: list[int] = []
         short = 0
         for line, text in self._rows(stream):
@@ -420,9 +404,7 @@ class DelimitedTable(Table):
         self.note(f"line {line} ({mark}) read as the end of the file")
 
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
-        """Reject a row that is longer than the header; return whether the row is shorter than the
-        header.
-        """
+        """Reject a row that is longer than the header; return whether it is shorter."""
         width = len(self.names) + self._first_row
         if not any(cells[width:]):
             return len(cells) < width
@@ -487,9 +469,7 @@ def _names_its_row(line: str, cell: str) -> bool:
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
-    """Return number (from 1) and text of the first lines with content; ``skip`` lines have been
-    read before.
-    """
+    """Return number (from 1) and text of the first lines with content after ``skip`` lines."""
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
         if found and (text.strip().lower() in END_MARKS or not _without_comment(text)):

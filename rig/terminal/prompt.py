@@ -59,10 +59,7 @@ class Prompt:
     """Asks on a screen and reads the answer from a stream.
 
     Args:
-        screen: Shows the question.
-        stream: Input stream, by default ``sys.stdin``, or None if the program has none.
         patience_s: Time to wait for an answer, s, or None to wait without limit.
-        clock: Clock for the time of the wait.
         control: Socket on which an answer may arrive as well, or None for none.
         only_there: Whether nobody is at the input, so that an answer can arrive only on
             ``control``.
@@ -125,11 +122,7 @@ class Prompt:
         return line.strip()
 
     def _from_descriptor(self, descriptor: int | None) -> str:
-        """Return the first answer, from the input or from the control socket.
-
-        Args:
-            descriptor: Descriptor of the input, or None to read no answer from the input.
-        """
+        """Return the first answer, from the input (None: not there) or from the control socket."""
         began_ns = self._clock.now_ns()
         while b"\n" not in self._rest or descriptor is None:
             answer = self._wait(descriptor, began_ns)
@@ -151,11 +144,7 @@ class Prompt:
         return line.decode(errors="replace").strip()
 
     def _wait(self, descriptor: int | None, began_ns: int) -> str | None:
-        """Wait for input; meanwhile write the queued output of a stalled terminal.
-
-        Returns:
-            None if the input can be read; the answer if one arrived on the control socket.
-        """
+        """Wait, and write queued output: None for input, else the answer on the control socket."""
         sources = [source for source in (descriptor, self._control) if source is not None]
         while True:
             wait_s = _LONGEST_WAIT_S

@@ -25,17 +25,11 @@ if TYPE_CHECKING:
     from rig.planning.reference import Reference
 
 EDGES = np.geomspace(2e-3, 4.0, 67)
-"""Edges of the speed bins, rad/s; all motions have these bins, so that levels can be compared bin
-by bin.
-"""
+"""Edges of the speed bins, rad/s, the same for all motions."""
 SPEED_WINDOW_S = 0.006
-"""Time over which the speed is computed, s: shorter than the slips of a loaded joint (about 20
-ms).
-"""
+"""Time over which speed is computed, s: shorter than the slips of a loaded joint (20 ms)."""
 SLOWEST_SHARE = 0.2
-"""Least speed that is used, as a share of the greatest speed; at lower speeds friction changes
-steeply with speed, and the encoder quantisation is large.
-"""
+"""Least share of the greatest speed; below, friction is steep and the encoder coarse."""
 FEWEST_SAMPLES = 100
 
 
@@ -93,9 +87,7 @@ def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLeve
 
 
 TOLERANCE = 0.075
-"""Tolerance of the measured mass as a share of the confirmed mass. The smallest error of the mass
-that the check must detect is twice this tolerance, 15 %.
-"""
+"""Tolerance of the mass as a share; the least error that must be detected is twice this."""
 EMPTY_TOLERANCE_KG = 1.0
 """Largest measured mass, kg, with which an empty lever counts as empty."""
 UNCERTAINTY_SHARE = 0.4
@@ -104,9 +96,7 @@ UNCERTAINTY_SHARE = 0.4
 
 _LEAST_FREEDOM = 0.5
 SIGMAS = 2.0
-"""Number of standard errors beyond the tolerance at which a finished stage contradicts the other
-stages; it is high, because a false alarm makes a whole run useless.
-"""
+"""Standard errors beyond the tolerance that contradict; a false alarm makes a run useless."""
 
 
 @dataclass(frozen=True)
@@ -154,9 +144,6 @@ def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[
     With a reference each stage is judged by itself. Without a reference, a stage is reported if the
     other stages are mutually consistent; if this holds for several stages, the data do not decide
     between them, and all are reported.
-
-    Returns:
-        The stages that are or may be wrong.
     """
     if reference is not None:
         return [
@@ -303,17 +290,12 @@ def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weig
     """Find the recordings of a run or campaign whose mass differs from their label.
 
     Without a reference, the check of a stage requires further stages of two different masses.
-
-    Returns:
-        The recordings whose label is or may be wrong; also empty if nothing can be compared.
     """
     return suspects(_levels(dataset.recordings), reference)
 
 
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
-    """Whether masses can be judged: by a reference, or by at least two loaded stages if the stages
-    have at least two different masses.
-    """
+    """Whether masses can be judged: by a reference, or by loaded stages of different masses."""
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
     return reference is not None or (
         len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
@@ -351,20 +333,14 @@ def joint_torque(recording: Recording) -> Array | None:
 
 
 class Scale:
-    """Friction levels of the stages of a run at low amplitude.
-
-    Args:
-        reference: An accepted identification of the bench, or None.
-    """
+    """Friction levels of the stages of a run at low amplitude."""
 
     def __init__(self, reference: Reference | None = None) -> None:
         self._reference = reference
         self._seen: dict[str, LoadedLevel] = {}
 
     def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
-        """Check the weight of a stage by the friction of its first pass; only the levels of weights
-        that are right or unchecked are stored.
-        """
+        """Check a weight by the first pass; the level is kept unless the weight is wrong."""
         if level is None:
             text = (
                 f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves "

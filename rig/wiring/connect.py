@@ -106,9 +106,7 @@ def _port(path: str) -> list[Resource]:
 def epos_link(
     bus: SerialBus, simulated: SimulatedBench | None, clock: Clock, guard: Guard | None
 ) -> EposSerialLink:
-    """Return the link of a drive on a serial line: a real port with its guard, or the simulated
-    bench's link in simulated time.
-    """
+    """Return the link of a serial drive: a real port with its guard, or the simulated bench's."""
     if simulated is None:
         assert guard is not None
         return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
@@ -126,16 +124,7 @@ def amt21_encoder(
     servo: Servo,
     gear_ratio: float,
 ) -> Amt21Encoder:
-    """Return an encoder on its line, real or simulated.
-
-    Args:
-        section: The encoder in the bench file.
-        middle_rad: Middle of the joint's travel, rad.
-        simulated: The simulated bench, if there is one.
-        clock: The host's clock.
-        servo: The drive; its position decides the number of turns after a long pause.
-        gear_ratio: Motor turns per joint turn.
-    """
+    """Return an encoder on its line, real or simulated."""
     connect: Callable[[], BytePort]
     if simulated is None:
         connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
@@ -171,9 +160,7 @@ TRANSMITTER_EDS = _EDS / "transmitter.eds"
 _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
 
 _ENCODER_NODES = (2, 3)
-"""Node identifier of the simulated CAN encoder on a bench that does not use this encoder: the first
-identifier that the drive does not occupy.
-"""
+"""Node of the unused simulated CAN encoder: the first that the drive does not occupy."""
 NO_BUS = (
     "this bench has no bus, so that only `rig paper` can simulate it; use another bench, such as "
     "`practical`, or add a bus"
@@ -183,9 +170,7 @@ _SPEED_SHARE = 2.0
 Hang = Callable[[float], None]
 """Function that hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
-"""Function that is called with a simulated bench before its bus is opened, and returns the clock
-for the host.
-"""
+"""Function that gets a simulated bench before its bus is opened; returns the host's clock."""
 
 
 @contextmanager
@@ -200,15 +185,6 @@ def connect(
     """Open the bus of a bench with its devices, and close the bus at the end. No device moves.
 
     A real bench is locked before its bus is opened, and released after its bus is closed.
-
-    Args:
-        document: The bench.
-        seed: Seed of the simulated bench's noise.
-        realtime: Run the simulated bench in real time.
-        attach: Injects faults into a simulated bench.
-        torque_offset: Map the torque offset of a CANopen drive (60B2h); see
-            :func:`rig.planning.feedforward.require_torque_offset`.
-        purpose: The command that connects, for the message to other users of the bench.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -321,8 +297,6 @@ class BareBench:
     """Drive and joint encoder of a real bench, only to stop the drive and to prove that it is off.
 
     Attributes:
-        link: Link of the drive, which has not been opened.
-        servo: The drive.
         encoder: The joint encoder, or None if its EDS file cannot be read.
     """
 
@@ -514,11 +488,7 @@ def nominal_of(bench: Bench) -> Nominal:
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the paths of the EDS and DBC files of the devices, by name.
-
-    Raises:
-        InputError: A real device has no EDS or DBC file.
-    """
+    """Return the EDS and DBC files of the devices by name; InputError if a real one has none."""
     bench = document.value
     found = {}
     if isinstance(bench.servo, DbcServoSection):
@@ -533,9 +503,7 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
 
 
 def servo_data(document: Document[Bench]) -> DeviceData | None:
-    """Return the known data of the maker of the bench's drive, or None if the program has no data
-    of this maker.
-    """
+    """Return the maker's data of the bench's drive, or None."""
     servo = document.value.servo
     return servo.device_data(document.path.parent) if isinstance(servo, ServoSection) else None
 

@@ -28,11 +28,8 @@ class Nominal:
     """Constants of the machine in the bench file, with which the first motion is compared.
 
     Attributes:
-        torque_constant_N_m_A: Motor torque per ampere.
-        gear_ratio: Motor turns per joint turn.
         rated_current_A: Rated motor current from the file or from the drive, or None if unknown.
         rated_torque_N_m: Rated motor torque from the file or from the drive, or None if unknown.
-        encoder_sign: Sign of the joint encoder.
         back_emf_constant_V_s_rad: Voltage per rad/s of the motor, or None if it is not stated.
     """
 
@@ -49,18 +46,13 @@ class Devices:
     """The devices of a run.
 
     Attributes:
-        link: The opened bus.
-        servo: The drive.
-        encoder: The joint encoder.
         hang: Function that puts a mass in kg on a simulated lever, or None if a person does.
         pacer: Real clock that slows simulated time to real time; None to run on the link's clock
             alone.
         observer: Called with stage name and phase at the start of every phase.
-        pressure: The transmitter on the gas generator's chamber, or None if there is none.
         ignite: Function that ignites a simulated gas generator, or None if a person does.
         guard: Process that stops a drive without a watchdog when this program dies, or None if
             there is none.
-        lock: Lock that prevents other programs from using the bench, or None for a simulated bench.
         nominal: Constants of the bench file with which motions are compared, or None for no
             comparison.
         suspension: Detects that this computer slept; None in simulated time.
@@ -87,10 +79,8 @@ class Devices:
         return OffProof(self.servo, clock, self.encoder, limits.speed, limits.current)
 
     def prepare(self, cycle_s: float) -> None:
-        """Check every device against the bench file and map its process data; nothing is energised.
-
-        Raises:
-            DeviceError: A device differs from the bench file, or does not answer.
+        """Check every device against the bench file and map its process data, or raise a
+        DeviceError.
         """
         self.servo.prepare(cycle_s)
         self.encoder.prepare(cycle_s)

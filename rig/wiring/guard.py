@@ -40,13 +40,6 @@ class Guard:
     :meth:`feed` raises an error. The guardian answers every sign of life. A guardian that has
     ended, does not read, or does not answer for :data:`ANSWER_S` is reported once; the program can
     then take the power off itself.
-
-    Args:
-        port: Device of this computer.
-        baud: Bit/s.
-        node: Node identifier of the drive.
-        eds: EDS file of the drive.
-        scales: Units of the drive.
     """
 
     def __init__(
@@ -88,8 +81,8 @@ class Guard:
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
-        """Pass the bench's lock, as file descriptors, to the guardian, which holds the lock as long
-        as it runs.
+        """Pass the bench's lock, as descriptors, to the guardian, which holds it as long as it
+        runs.
         """
         self._keep = tuple(descriptors)
 
@@ -234,10 +227,8 @@ class Guard:
         return line.decode(errors="replace").strip()
 
     def _says(self, words: bytes, patience_s: float) -> bytes | None:
-        """Return the guardian's output up to and including a text; None after a time-out.
-
-        Raises:
-            LinkError: The guardian has ended.
+        """Return the guardian's output up to a text; None after a time-out; LinkError if it has
+        ended.
         """
         assert self._process is not None
         descriptor = _pipe(self._process.stdout).fileno()

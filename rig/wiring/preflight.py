@@ -41,8 +41,6 @@ class Range:
     Attributes:
         usual: Range for benches of this kind; a value outside gives a warning.
         possible: Range for any bench; a run refuses a value outside.
-        unit: Unit of both ranges; empty for a ratio.
-        hint: What the user should check.
     """
 
     usual: tuple[float, float]
@@ -266,12 +264,7 @@ RESET_HINT = "; remove the cause of the fault, then clear the fault with --reset
 
 
 def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
-    """Return the errors of a bench in its file and in the files that it names.
-
-    Args:
-        document: The bench.
-        today: Date for the calibration check.
-    """
+    """Return the errors of a bench in its file and in the files that it names."""
     bench = document.value
     if bench.bus is None:
         return [Finding(Cause.BUS, document.problem(("bus",), NO_BUS), connectable=False)]
@@ -292,11 +285,6 @@ def require_startable(
 ) -> None:
     """Refuse a bench with errors in its files, before a connection to a device.
 
-    Args:
-        document: The bench.
-        today: Date for the calibration check.
-        warn: Receives warnings, which do not prevent a run.
-
     Raises:
         InputError: The bench has errors; the message lists each with its place in the file.
     """
@@ -312,12 +300,6 @@ def device_findings(
 ) -> Iterator[Finding]:
     """Yield the reasons for which a run with these limits would refuse the devices. Nothing is
     written.
-
-    Args:
-        devices: Devices on an opened link, before :meth:`Devices.prepare`.
-        wanted: The limits that the run would write into the drive.
-        cycle_s: Control cycle, s.
-        reset_fault: Whether the run may clear a fault.
 
     Raises:
         DeviceError: A device does not answer.
@@ -351,16 +333,7 @@ def device_findings(
 def require_ready(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> list[str]:
-    """Before the operator hangs a weight, refuse the devices that the run would refuse later.
-
-    Args:
-        devices: See :func:`device_findings`.
-        wanted: See :func:`device_findings`.
-        cycle_s: See :func:`device_findings`.
-        reset_fault: See :func:`device_findings`.
-
-    Returns:
-        Warnings for the operator.
+    """Before a weight is hung, refuse the devices that the run would refuse; return warnings.
 
     Raises:
         ConfigurationError: The run would refuse devices; the message lists every reason.
