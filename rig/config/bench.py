@@ -606,9 +606,7 @@ _HEAD = (
 
 
 def redacted(content: bytes) -> bytes:
-    """Return a valid bench file without the true values of the simulated machine; a file without a
-    ``mock`` section is unchanged.
-    """
+    """Return a valid bench file without the true values of the simulated machine."""
     tree, _ = parse(content.decode("utf-8"))
     bench: Any = tree.plain()
     if not isinstance(bench.get("mock"), dict):

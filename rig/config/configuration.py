@@ -72,9 +72,7 @@ class Document(Generic[M]):
         return list(found)
 
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
-        """Raise an InputError that lists the problems, each a location and a message, if there are
-        any.
-        """
+        """Raise an InputError that lists the problems, if any, each a location and a message."""
         lines = [self.problem(loc, message) for loc, message in problems]
         if lines:
             raise InputError(lines)

@@ -262,9 +262,7 @@ class Console:
     def _posted(
         self, act: Callable[[Page | None, Mapping[str, Any]], Awaitable[dict[str, Any]]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Return the endpoint of a command, which checks token, content and number, then calls
-        ``act``.
-        """
+        """Return the endpoint of a command: checks token, content, number, then ``act``."""
 
         async def endpoint(request: Request) -> Response:
             scheme, _, given = request.headers.get("authorization", "").partition(" ")
@@ -316,9 +314,7 @@ class Console:
                 self._calm.set()
 
     async def _sent(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a command to a run; `stop` needs neither controls nor page, nor a run (it stops
-        all).
-        """
+        """Send a command to a run; `stop` needs neither controls nor page nor run."""
         command = _COMMANDS.get(str(message.get("command")))
         if command is None:
             raise Refusal(f"unknown command; known are {', '.join(_COMMANDS)}")
@@ -357,9 +353,7 @@ class Console:
         return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
 
     async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Make a bench safe, as `rig off`; needs neither controls nor page: it only takes power
-        off.
-        """
+        """Make a bench safe, as `rig off`; it only takes power off, so that any page may."""
         bench = message.get("bench")
         known = {str(run.about["bench_file"]) for run in self._hub.runs.values()}
         if not isinstance(bench, str) or bench not in known | set(self._hub.starter.benches):

@@ -146,9 +146,7 @@ class Growing:
         self._offset: int | None = START
 
     def read(self) -> News:
-        """Read the records added since the last call, about :data:`READ_BYTES`; OSError,
-        DamageError.
-        """
+        """Read the records added since the last call; raises OSError, DamageError."""
         found: dict[str, list[bytes]] = {SAMPLE_TOPIC: [], EVENT_TOPIC: []}
         begun, more = self._offset, False
         with Tail(self._path) as tail:
@@ -197,9 +195,7 @@ class TorqueSpeed:
         self._rest: Array = np.empty((0, 3))
 
     def add(self, samples: Mapping[str, Array], torque_per_ampere: float) -> None:
-        """Add samples of excitations, arrays of shape (n,) by field; torque per current is in N
-        m/A.
-        """
+        """Add samples of excitations, arrays (n,) by field; torque per current in N m/A."""
         moving = samples["segment"] > 0
         if not moving.any():
             return
@@ -414,9 +410,7 @@ class Followed(Reached):
         return news.more or self._next_recording()
 
     def _next_recording(self) -> bool:
-        """Continue with the next recording, if there is one, at least a second later on the time
-        axis.
-        """
+        """Continue with the next recording, if any, at least 1 s later on the time axis."""
         if self._part + 1 >= self._parts:
             return False
         self._part += 1

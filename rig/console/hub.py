@@ -414,9 +414,7 @@ class Hub:
             page.kept, page.own, page.beyond = key, True, None
 
     def follow_up(self, page: Page, folder: Path) -> None:
-        """Let a page show the run started or continued in ``folder`` once it is found, until then
-        its own.
-        """
+        """Let a page show the run started or continued in ``folder``, once it is found."""
         shown = self.run_of(page)
         if shown is not None:
             self.claim(page, shown.key)
@@ -469,9 +467,7 @@ class Hub:
             self.note(words)
 
     def _look(self, now_s: float) -> int:
-        """Find new programs, drop the oldest ended runs that no page shows; return the number
-        asked.
-        """
+        """Find new programs, drop old ended runs that no page shows; return the number asked."""
         asked = 0
         for path in self._links.runs():
             known = path in self._by_path or path in self._ignored

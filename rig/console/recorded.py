@@ -76,9 +76,7 @@ class Recorded:
         ]
 
     async def known(self) -> Sequence[Entry]:
-        """Return the runs of the last list, the earliest first; the folder is read if there is
-        none.
-        """
+        """Return the runs of the last list, the earliest first; reads the folder without one."""
         if self._read_s < 0.0:
             await self._refresh()
         return self._entries

@@ -139,7 +139,7 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Set the limits of all further samples, without those on values that the drive does not
+        """Set the limits of further samples, without those on values that the drive does not
         report.
         """
         self._limits = self._checkable(limits)

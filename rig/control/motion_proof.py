@@ -66,9 +66,7 @@ class Motion:
 
     @classmethod
     def of(cls, rows: Array) -> Motion:
-        """Return the motion of rows in the order of the attributes, shape (n, 7); NaN rows are
-        dropped.
-        """
+        """Return the motion of rows (n, 7) in the order of the attributes, without NaN rows."""
         return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
 
 
@@ -237,9 +235,7 @@ def _by_torque(motion: Motion) -> float:
 
 
 def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
-    """Return the back-EMF constant by eq. 1, V s/rad, R free (NaN if unknown), and if it is
-    certain.
-    """
+    """Return the back-EMF constant by eq. 1, V s/rad (NaN if unknown), and if it is certain."""
     size = _block(motion)
     ends = motion.motor[::size]
     if len(ends) < 12 or np.isnan(motion.voltage).any() or np.ptp(motion.motor) < LEAST_RAD:
@@ -358,9 +354,7 @@ class Contradiction:
 def wrong_speed(
     factor: float, servo: Servo, rough: bool = False, other: float | None = None
 ) -> Contradiction:
-    """Return the contradiction of a speed ``factor`` times the true one; ``other`` may be right
-    too.
-    """
+    """Return the contradiction of a speed ``factor``, or perhaps ``other``, times the true one."""
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position; it "
         f"must be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
@@ -469,9 +463,7 @@ class Proof:
 
     @property
     def unproven(self) -> str:
-        """What a motion without load cannot determine, for the operator; empty if all is
-        determined.
-        """
+        """What a motion without load cannot determine, for the operator; empty for nothing."""
         return NO_TORQUE if math.isnan(self.found[CONSTANT]) else ""
 
     @property
@@ -647,9 +639,7 @@ class MotionWitness:
         return surer(found, motion, self._servo)
 
     def explanation(self, too_fast: bool = False, too_strong: bool = False) -> str:
-        """Return what explains a fault, or a trip of speed or torque, as text; empty if nothing
-        does.
-        """
+        """Return what explains a fault, or a trip of speed or torque; empty if nothing does."""
         try:
             found = self.hint(too_fast, too_strong)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
@@ -696,9 +686,7 @@ class SpeedWitness:
         self._left = STEPS
 
     def decided(self, sample: Sample) -> bool:
-        """Return whether the unit of the speed is known to be right; raise ConfigurationError if
-        wrong.
-        """
+        """Return whether the unit of the speed is known; raise a ConfigurationError if wrong."""
         angle = sample.motor_angle / self._gear_ratio
         travel = self._travel
         if not sample.fresh or travel is None or sample.time - travel.begun_s > LONGEST_S:

@@ -234,9 +234,7 @@ class _Others:
 
     @contextmanager
     def ended(self) -> Iterator[tuple[User, ...]]:
-        """End the other processes and hold the bench; if this fails, go on without the lock, and
-        say so.
-        """
+        """End the other processes and hold the bench; if this fails, go on without the lock."""
         users = tuple(self._end_all())
         with self._lock(HOLD_S if all(user.ended != "stays" for user in users) else 0.0):
             yield users

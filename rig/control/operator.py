@@ -95,9 +95,7 @@ class AutomaticOperator:
         return self._hung.get(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the next pause signal, or an answer on the control socket, which may stop the
-        run.
-        """
+        """Wait for the next pause signal, or an answer on the control socket."""
         control = self._control
         if control is not None:
             control.begin(Topic.PAUSE)
@@ -124,9 +122,7 @@ class AutomaticOperator:
         return verb
 
     def tell(self, words: str, typed: str = "") -> None:
-        """Show a message, and what can be ``typed`` at the terminal; keep it for programs that
-        watch.
-        """
+        """Show a message, and what can be ``typed`` at the terminal; keep it for watchers."""
         self._screen.say(words + typed)
         if self._control is not None:
             self._control.tell(words)
@@ -240,9 +236,7 @@ def operator_for(
     control: ControlSocket | None = None,
     only_there: bool = False,
 ) -> AutomaticOperator:
-    """Return who answers the prompts of a run; with ``only_there`` answers arrive on the socket
-    only.
-    """
+    """Return who answers the prompts of a run; ``only_there``: only on the control socket."""
     if yes:
         return AutomaticOperator(screen=screen, control=control)
     asker = Prompt(screen, patience_s=patience_s, control=control, only_there=only_there)

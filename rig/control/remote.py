@@ -76,9 +76,7 @@ def reachable(
 def stoppable(
     stop: StopButton, screen: Screen, bench: Bench, name: str
 ) -> Iterator[ControlSocket | None]:
-    """Open the control socket of a program that moves a bench without a run, such as a jog, so that
-    STOP in `rig console` reaches it.
-    """
+    """Open the control socket of a program that moves a bench without a run, such as a jog."""
     about = {"name": name, "bench": bench.name, "real": not bench.simulated}
     with _opened(stop, screen, about, False) as control:
         yield control

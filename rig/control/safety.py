@@ -230,9 +230,7 @@ class Latch:
         self._asked = True
 
     def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Close the latch if this was requested and the sample is inside every limit; else say why
-        not.
-        """
+        """Close the latch if this was requested and the sample is inside every limit."""
         if self._asked:
             self._trip = check(sample, age, late, limits)
             self._asked = False

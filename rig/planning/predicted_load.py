@@ -39,9 +39,7 @@ _LOAD_FRICTION = ("mu_c", "mu_s")
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Friction and inertia of a bench for predictions, SI, at the joint; ``from_paper`` names
-    assumed.
-    """
+    """Friction and inertia of a bench, SI, at the joint; ``from_paper`` were not measured."""
 
     values: Mapping[str, float]
     alpha: float
@@ -135,9 +133,7 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
 WARNING_SHARE = 0.8
 """Predicted peak, as a share of its limit, above which the program warns."""
 LOOP_S = 0.005
-"""Time in which a drive with stiff gains follows a step of the speed, s; soft gains need less
-torque.
-"""
+"""Time in which a drive with stiff gains follows a step of the speed, s."""
 FIRST_PASS = "first pass"
 LESS = "use less weight, or a slower or smaller motion"
 _HIGHER = "a greater limit_share of first_pass in the sequence"

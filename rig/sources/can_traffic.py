@@ -94,9 +94,7 @@ class Lines:
 
 
 def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the frames of a ``candump -L`` file, with times since the first; InputError with the
-    line.
-    """
+    """Yield the frames of ``candump -L``, with times since the first, or raise an InputError."""
     begin: int | None = None
     for text in lines.whole(stream):
         if not text.strip():
@@ -195,9 +193,7 @@ class Frames:
 
 
 def _read_traffic(path: Path) -> tuple[dict[Key, Frames], list[str]]:
-    """Return data frames by bus and identifier, in order of appearance, and notes on those left
-    out.
-    """
+    """Return data frames by bus and identifier, in order of appearance, and notes."""
     kind = format_of(path)
     lines = Lines(path)
     notes = lines.notes
@@ -791,9 +787,7 @@ class CanTable(Table):
 
 
 def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
-    """Yield signals that occur in equal sets of frames, with a suffix for the name of the time
-    base.
-    """
+    """Yield signals that occur in equal sets of frames, with a suffix for their time base."""
     every = np.ones(len(frames.stamps), dtype=np.bool_)
     groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}
     for signal in message.signals:

@@ -214,9 +214,7 @@ class JsonTable(RowsTable):
             self._left_out.append(f"{place or 'the file'} mixes objects, lists and values")
 
     def _of_object(self, value: dict[str, Any], place: str, depth: int) -> Iterator[_Rows]:
-        """Yield the columns of an object, grouped by their length, then the tables inside its
-        values.
-        """
+        """Yield the columns of an object by their length, then the tables inside its values."""
         lengths: dict[int, dict[str, list[Any]]] = {}
         rest: dict[str, Any] = {}
         for key, child in value.items():

@@ -130,9 +130,7 @@ class Decoders:
         self._factories: dict[str, Any] = {}
 
     def of(self, encoding: str, schema: Schema | None) -> Decoder | None:
-        """Return the decoder of a channel, or None without one; InputError if its library is
-        missing.
-        """
+        """Return the decoder of a channel, or None; InputError if its library is missing."""
         if encoding == "json":
             return lambda data: dict(numbers(parse(data.decode("utf-8")), ""))
         if encoding not in _LIBRARIES:

@@ -286,9 +286,7 @@ class TdmsTable(Table):
         return self._bases[column.base].group
 
     def _base_of(self, channel: Any, status: Any) -> int:
-        """Return the time base of a channel, in a file that is cut off by its length before the
-        cut.
-        """
+        """Return the time base of a channel, by its length before the cut of a file."""
         cut = (status.channel_statuses or {}).get(channel.path)
         lost = 0 if cut is None else cut.expected_length - cut.read_length
         whole = _Base(channel.group_name, len(channel) + lost, _waveform(channel))

@@ -82,9 +82,7 @@ class Table(ABC):
         return f"{self.path}: {name}row {row + 1}"
 
     def stamps(self, base: int) -> Array | None:
-        """Return the stamps of a time base, s, shape (n,), on the file's clock; None without a
-        clock.
-        """
+        """Return the stamps of a time base on the file's clock, s, shape (n,), or None."""
         return None
 
     def note(self, text: str) -> None:
@@ -93,9 +91,7 @@ class Table(ABC):
             self.notes = (*self.notes, text)
 
     def doubles(self, name: str, values: NDArray[Any], kind: str = "channel") -> Array:
-        """Return a column as doubles, with a note if this changed it; InputError if not real
-        numbers.
-        """
+        """Return a column as doubles, with a note on changes; InputError if not real numbers."""
         try:
             found, note = as_doubles(values)
         except NotNumbersError as error:
@@ -127,9 +123,7 @@ def damaged(path: Path, error: Exception | str, remedy: str) -> InputError:
 
 
 def open_binary(path: Path) -> IO[bytes]:
-    """Open a file for reading, decompressed by gzip if its name ends in ``.gz``; OSError if it
-    fails.
-    """
+    """Open a file for reading; it is decompressed by gzip if its name ends in ``.gz``."""
     require_plain(path)
     zipped = path.suffix.lower() == ".gz"
     return cast("IO[bytes]", gzip.open(path, "rb")) if zipped else path.open("rb")

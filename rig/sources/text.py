@@ -282,9 +282,7 @@ class DelimitedTable(Table):
     def _find_row_names(
         self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
     ) -> None:
-        """Detect row names: a word or quoted cell before the cells that the header names, in every
-        row.
-        """
+        """Detect row names: a word or quoted cell before the cells that the header names."""
         width = len(self.names)
         if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
             return

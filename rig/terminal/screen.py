@@ -193,9 +193,7 @@ class Screen:
         self._shared = self._err.terminal
 
     def silence(self) -> None:
-        """Switch off the echo of keys until :meth:`close`, except in answers, so that no ``^C``
-        appears.
-        """
+        """Switch off the echo of keys, as ``^C``, until :meth:`close`, except in answers."""
         self._silent = True
         self._err.echo(False)
 

@@ -244,9 +244,7 @@ class _Braking:
         return error
 
     def _note_order(self, error: BaseException | None, since_ns: int) -> None:
-        """End the cycles to a watched drive that did not answer an order by request at
-        ``since_ns``.
-        """
+        """End the cycles to a watched drive without an answer to an order at ``since_ns``."""
         waited_s = (self._clock.now_ns() - since_ns) / NS
         unheard = isinstance(error, LinkError) and waited_s >= UNHEARD_S
         if self._prepared and self._watched and unheard:

@@ -79,9 +79,7 @@ class Devices:
         return OffProof(self.servo, clock, self.encoder, limits.speed, limits.current)
 
     def prepare(self, cycle_s: float) -> None:
-        """Check every device against the bench file and map its process data, or raise a
-        DeviceError.
-        """
+        """Check every device against the bench file and map its data, or raise a DeviceError."""
         self.servo.prepare(cycle_s)
         self.encoder.prepare(cycle_s)
         if self.pressure is not None:

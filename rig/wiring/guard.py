@@ -81,9 +81,7 @@ class Guard:
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
-        """Pass the bench's lock, as descriptors, to the guardian, which holds it as long as it
-        runs.
-        """
+        """Pass the bench's lock, as descriptors, to the guardian, which holds it while it runs."""
         self._keep = tuple(descriptors)
 
     def record_in(self, folder: Path) -> None:
@@ -227,9 +225,7 @@ class Guard:
         return line.decode(errors="replace").strip()
 
     def _says(self, words: bytes, patience_s: float) -> bytes | None:
-        """Return the guardian's output up to a text; None after a time-out; LinkError if it has
-        ended.
-        """
+        """Return the guardian's output up to a text; None after a time-out, or a LinkError."""
         assert self._process is not None
         descriptor = _pipe(self._process.stdout).fileno()
         deadline_ns = time.monotonic_ns() + patience_s * NS
