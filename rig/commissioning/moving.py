@@ -147,7 +147,7 @@ def _require_slow(setup: Setup) -> None:
 
 
 def large_move(setup: Setup, step: StepRecord) -> None:
-    """Move the joint further, to measure the ratio more accurately; raises as :func:`small_move`."""
+    """Move the joint further, for a more accurate ratio; raises as :func:`small_move`."""
     if not _move(setup, step, LARGE_DEG, _fastest_deg_s(setup), LARGE_TOLERANCE):
         raise WrongError(
             f"the joint hardly moves within {LARGE_DEG:g} deg: check that the joint is free"

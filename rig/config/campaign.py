@@ -47,7 +47,7 @@ class Campaign(Schema):
 
 
 def load_campaign(path: Path) -> Document[Campaign]:
-    """Read and check a campaign file without opening the recordings; InputError lists every error."""
+    """Read and check a campaign file but not the recordings; InputError lists every error."""
     document = load_located(path, Campaign, lambda root: _merge_defaults(_rows(root, path)))
     document.require(_cross_check(document.value))
     return document

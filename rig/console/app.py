@@ -102,10 +102,7 @@ class View:
         if version != found.version:
             version, count = found.version, 0
         if len(found.points) > count or self._points != (version, count):
-            changed["points"] = {
-                "from": count,
-                "rows": np.round(found.points[count:], 3).tolist(),
-            }
+            changed["points"] = {"from": count, "rows": np.round(found.points[count:], 3).tolist()}
         self._points = (version, len(found.points))
 
     def charts(self) -> bytes | None:
@@ -444,7 +441,7 @@ class Console:
             self._hub.controls.close(page)
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
-        """Send state and charts to a page every few ticks, without delay by pages that do not read."""
+        """Send state and charts to a page every few ticks, without delay by other pages."""
         view = View(self._hub, page)
         while not reading.done():
             async with self._turn:

@@ -220,7 +220,7 @@ class TorqueSpeed:
 
 
 def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
-    """Return friction curves by the newest identification in the folders beside the run, or None."""
+    """Return friction curves by the newest identification beside the run folder, or None."""
     try:
         model = friction_model(recorded_bench(record), runs=folder.parent)
     except InputError:
@@ -327,7 +327,7 @@ class Followed(Reached):
 
     @property
     def closed(self) -> bool:
-        """Whether the program of the run has ended, which writes the page of the run after its end."""
+        """Whether the program of the run has ended, which writes the page after the run."""
         return self.gone or not os.path.exists(self.path)
 
     @property

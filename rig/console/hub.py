@@ -174,7 +174,7 @@ class Links:
         return sorted(found)
 
     def ask(self, path: str, what: str) -> None:
-        """Ask a run for ``status`` or ``about``, answered to ``heard``; Unreachable if it is gone."""
+        """Ask a run for ``status`` or ``about``, answered to ``heard``, or Unreachable."""
         self._send(path, {"ask": what})
 
     async def command(
@@ -433,7 +433,7 @@ class Hub:
     async def command(
         self, key: str, command: Command, who: str, prompt: int = 0, text: str = ""
     ) -> str:
-        """Send a command to a run, return its answer; Refusal if it refuses, is silent, or is over."""
+        """Send a command to a run, return its answer; or a Refusal if there is none."""
         run = self.runs.get(key)
         if run is None:
             raise Refusal("this run is unknown; choose a run that the page shows")

@@ -32,7 +32,7 @@ _UNSET_RAD = 2000.0 * math.pi
 
 
 def require_connectable(document: Document[Bench]) -> list[Finding]:
-    """Return the faults of a bench file that permit a connection; the InputError lists the others."""
+    """Return the faults of a bench file that permit a connection; InputError for others."""
     found = bench_findings(document, utc_now().date())
     in_the_way = [finding.text for finding in found if not finding.connectable]
     if in_the_way:

@@ -170,7 +170,7 @@ class Cycle:
             raise TripError(trip)
 
     def resume(self) -> None:
-        """Continue after work that took longer than a cycle; its time does not count as lateness."""
+        """Continue after work that took longer than a cycle; its time is no lateness."""
         self._fresh_ns = self._clock.now_ns()
         self._start_grid(self._fresh_ns)
         if self._suspension is not None:

@@ -46,7 +46,7 @@ class Jog:
 
 
 def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) -> Jog:
-    """Check the requested moves against the bench; the InputError lists every value out of range."""
+    """Check the requested moves against the bench; the InputError lists every value beyond."""
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
     problems = [

@@ -475,7 +475,7 @@ class Proof:
 def prove(
     motion: Motion, nominal: Nominal, servo: Servo, tolerance: float = RATIO_TOLERANCE
 ) -> Proof:
-    """Make all comparisons that the motion permits; ``tolerance`` is that of the encoders' travels."""
+    """Make all comparisons that the motion permits; ``tolerance`` is of the encoders' travels."""
     speed, shaft, sense = speed_factor(motion), shaft_factor(motion), current_sense(motion)
     constant, source = torque_constant(motion, nominal)
     found = {
@@ -497,11 +497,7 @@ def prove(
 
 
 def hint(
-    motion: Motion,
-    nominal: Nominal,
-    servo: Servo,
-    too_fast: bool = False,
-    too_strong: bool = False,
+    motion: Motion, nominal: Nominal, servo: Servo, too_fast: bool = False, too_strong: bool = False
 ) -> Contradiction | None:
     """Return the explanation of a trip or a fault early in a motion, or None if the samples do not
     explain it.
@@ -549,7 +545,7 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
 
 
 def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
-    """Return the contradiction of the speed by the whole motion, if it shows one, else ``found``."""
+    """Return the contradiction of the speed by the whole motion, if any, else ``found``."""
     factor = speed_factor(motion, least=0.0)
     if math.isnan(factor) or _same(factor, SPEED_BAND) or (factor > 1.0) is not found.above:
         return found
@@ -631,7 +627,7 @@ class MotionWitness:
         return proof
 
     def hint(self, too_fast: bool = False, too_strong: bool = False) -> Contradiction | None:
-        """Return what explains a trip or fault, or None; see :func:`rig.control.motion_proof.hint`."""
+        """Return what explains a fault, or None; see :func:`rig.control.motion_proof.hint`."""
         found = hint(self.motion, self._nominal, self._servo, too_fast, too_strong)
         if found is None or found.what != SPEED or not self._braking:
             return found

@@ -128,7 +128,7 @@ class AutomaticOperator:
             self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended, on stdout if the ending is good, else on stderr, and on the socket."""
+        """Show how a run ended, on stdout if it is good, else on stderr, and on the socket."""
         if self._control is not None:
             self._control.ended(words, good)
         self._screen.say(words, err=not good)
@@ -244,7 +244,7 @@ def operator_for(
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Return a typed mass in kg (``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``), or None for none."""
+    """Return a typed mass in kg (``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``), or None."""
     found = _MASS.fullmatch(text.strip())
     if found is None:
         return None

@@ -220,10 +220,7 @@ def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
 
 
 def _start_recording(
-    folder: RunFolder,
-    inputs: Inputs,
-    identities: dict[str, Any],
-    start: Callable[[Path], Recorder],
+    folder: RunFolder, inputs: Inputs, identities: dict[str, Any], start: Callable[[Path], Recorder]
 ) -> Recorder:
     """Create the recording; if this fails, ``run.json`` says that nothing was energised."""
     recorder = None
@@ -405,8 +402,7 @@ def run_simulated(
     if not bench.value.simulated:
         raise InputError(
             bench.problem(
-                ("bus",),
-                "this command runs without an operator, so the bench must be simulated",
+                ("bus",), "this command runs without an operator, so the bench must be simulated"
             )
         )
     plan = make_plan(sequence, bench, feedforward=feedforward)

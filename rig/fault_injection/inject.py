@@ -47,7 +47,7 @@ class FileLimit:
         self._before: tuple[int, int] | None = None
 
     def fill(self) -> None:
-        """Make every write to a file fail, as on a full disk; InputError where this is impossible."""
+        """Make every write to a file fail, as on a full disk; InputError if impossible."""
         try:
             import resource
         except ImportError as error:
@@ -320,7 +320,7 @@ def fault_injector(
     sequence: Document[Sequence],
     patience_s: float | None = None,
 ) -> FaultInjector:
-    """Read a schedule for a simulated bench; the run waits ``patience_s`` for answers; InputError."""
+    """Read a schedule for a simulated bench; the run waits ``patience_s`` for answers."""
     schedule = load_faults(path)
     if not bench.value.simulated:
         text = "faults can only be injected on a simulated bench; set bus.interface to mock"

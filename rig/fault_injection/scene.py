@@ -91,7 +91,7 @@ class Scene:
         self._lines: dict[str, LineFaults] = {}
 
     def watch(self, told: Callable[[str, bool], None]) -> None:
-        """Set a callback for every new state of the drive: its name, and whether it is energised."""
+        """Set a callback for every new state of the drive: name, and whether energised."""
         drive = self.bench.drive
         if isinstance(drive, DbcDrive):
             drive.entered.append(lambda state: told(_DBC_STATES[state], state in dbc_drive.POWERED))
@@ -112,7 +112,7 @@ class Scene:
         ACTIONS[row.target, row.fault](self, row)
 
     def line(self, device: str) -> LineFaults:
-        """Return the fault injector of a line, which exists after the host made the line's driver."""
+        """Return the fault injector of a line, which exists once the host has made its driver."""
         if device not in self._lines:
             assert isinstance(self.bench, SimulatedBench)
             self._lines[device] = LineFaults(self.bench.lines[device], self.clock)

@@ -14,14 +14,7 @@ from rig.common.errors import InputError
 from rig.common.tables import table
 from rig.config.bench import NOT_REPORTED, Bench
 from rig.config.configuration import Document
-from rig.config.sequence import (
-    Array,
-    FirstPass,
-    Sequence,
-    SequenceLimits,
-    StageSection,
-    excitation,
-)
+from rig.config.sequence import Array, FirstPass, Sequence, SequenceLimits, StageSection, excitation
 from rig.planning.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.planning.first_pass import PlannedPass, plan_passes
 from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow

@@ -84,7 +84,7 @@ def friction_model(
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
-    """Return a warning if an identification is of a run on a bench with other constants, else None."""
+    """Return a warning if an identification is of a run on a bench with other constants."""
     try:
         recorded = recorded_bench(read_record(path.parent))
     except InputError:

@@ -175,7 +175,7 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
 
 
 def _grid(time: Array) -> tuple[Array, Rows] | None:
-    """Return the times on the line through the stamps, and sample numbers; None if it does not fit."""
+    """Return the times on the line through the stamps, and sample numbers; None without a fit."""
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
     # Jitter may look like a lost sample; therefore lost samples are assumed only if necessary.
@@ -404,9 +404,7 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
     return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
 
 
-def _without_other_topics(
-    channels: dict[str, Array],
-) -> tuple[dict[str, Array], list[str], Rows]:
+def _without_other_topics(channels: dict[str, Array]) -> tuple[dict[str, Array], list[str], Rows]:
     """Drop rows that contain a time but no channel; a log of several topics has such rows.
 
     If there are few such rows, they count as missing samples, which are interpolated instead.
@@ -443,7 +441,7 @@ def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per piece without gaps, each on one clock; several are numbered from 1."""
+    """Return one recording per piece without gaps, each on one clock, numbered from 1."""
     n = len(whole.time)
     if timing.pieces == ((0, n),):
         return [_on_one_clock(whole, stamps)]
@@ -460,7 +458,7 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
-    """Return a recording whose channels have common times, which are made even if the samples are."""
+    """Return a recording with common times, made even if the samples are."""
     if stamps is None:
         return _on_even_stamps(recording)
     channels, words = aligned(

@@ -393,7 +393,7 @@ class BusMessage:
 
 
 def big_endian(start: int, width: int) -> tuple[int, ...]:
-    """Return the bits of a big-endian signal from the DBC number of its highest bit, lowest first."""
+    """Return the bits of a big-endian signal by the DBC number of its highest, lowest first."""
     positions = [start]
     while len(positions) < width:
         at = positions[-1]
@@ -630,7 +630,7 @@ _DESTINATION_FORMATS = 240
 
 
 class _Base(NamedTuple):
-    """Frames that contain certain signals: all frames of a message, or those of some of its pages."""
+    """Frames with certain signals: all of a message, or those of some of its pages."""
 
     frames: Frames
     rows: Mask

@@ -156,7 +156,7 @@ def guess_mass(stem: str) -> float:
 
 
 def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
-    """Yield a note for each channel with scale 1 whose unit in the file's row of units is not SI."""
+    """Yield a note for each channel with scale 1 whose unit in the row of units is not SI."""
     if not table.units:
         return
     for name, channel in section.channels.items():

@@ -27,7 +27,7 @@ class Stamp(int):
 
 
 def parse(text: str) -> Any:
-    """Parse JSON; a ValueError for other text or an object with a key twice, or a RecursionError."""
+    """Parse JSON; ValueError also for a key that an object has twice, or RecursionError."""
     return json.loads(text, object_pairs_hook=_object)
 
 

@@ -73,7 +73,7 @@ class MdfTable(Table):
         self.bases = tuple(where[found.group] for found in self._columns)
 
     def _require_inside(self, mdf: Any, groups: Sequence[int]) -> None:
-        """Check that each channel lies within its records; asammdf reads beyond them, or crashes."""
+        """Check that each channel lies within its records; asammdf reads beyond."""
         for group in groups:
             record_bits = 8 * mdf.groups[group].channel_group.samples_byte_nr
             for channel in mdf.groups[group].channels:

@@ -145,7 +145,7 @@ def unit_hints(
 
 
 def _gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
-    """Compare motor and joint angle; if they disagree, return a text, and whether it is an error."""
+    """Compare motor and joint angle; return None, or a text, and whether it is an error."""
     motor, joint = _finite(motor_angle, angle)
     motor, joint = motor - motor.mean(), joint - joint.mean()
     energy = float(joint @ joint)
@@ -216,7 +216,7 @@ _FACTORS = (
 def doubts(
     channels: Mapping[str, Array], gear_ratio: float, *, driven_by_weight: bool
 ) -> Iterator[str]:
-    """Yield a note for each channel that contradicts another channel or has contradictory samples."""
+    """Yield a note for each channel that contradicts another one or itself."""
     time = channels["time"]
     position = "angle" if "angle" in channels else "motor_angle"
     if position in channels:

@@ -215,7 +215,7 @@ _MOST_WORDS = 200
 
 
 def library(name: str, path: Path, format_name: str, extra: str) -> Any:
-    """Import an optional library of a format; the InputError names the ``extra`` that installs it."""
+    """Import an optional library of a format; the InputError names the ``extra``."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -238,7 +238,7 @@ class _Heard(logging.Handler):
 
 @contextmanager
 def heard(logger: str) -> Iterator[list[str]]:
-    """Keep the warnings of a library from the terminal; the yielded list contains them at the end."""
+    """Keep the warnings of a library from the terminal; the list contains them at the end."""
     log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
     propagate, handlers = log.propagate, log.handlers
     # Some libraries install their own handlers, which print the warnings.

@@ -364,7 +364,7 @@ class DelimitedTable(Table):
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row; rows without values are missing samples, or the end."""
+        """Yield the required cells row by row; rows without values are missing samples."""
         empty: list[int] = []
         short = 0
         for line, text in self._rows(stream):

@@ -167,7 +167,7 @@ def bound_socket(path: Path) -> socket.socket:
 
 
 def require_own_folder(folder: Path) -> None:
-    """Create the folder of the sockets if it is missing; SocketFolderError if others can enter it."""
+    """Create the folder of the sockets if it is missing; SocketFolderError if open to others."""
     with suppress(FileExistsError):
         os.mkdir(folder, _FOLDER_MODE)
     status = os.lstat(folder)

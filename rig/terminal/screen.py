@@ -111,7 +111,7 @@ class Outlet:
             del self._pending[:written]
 
     def echo(self, shown: bool) -> None:
-        """Switch the echo of keys, of a terminal that is there and in whose foreground job this is."""
+        """Switch the echo of keys, unless the terminal is gone or of another job."""
         if not self.terminal or self._descriptor is None:
             return
         # Imported here, because systems without POSIX terminals do not have this module.
@@ -149,10 +149,7 @@ class Screen:
     """The operator's view of a run."""
 
     def __init__(
-        self,
-        clock: Clock | None = None,
-        out: TextIO | None = None,
-        err: TextIO | None = None,
+        self, clock: Clock | None = None, out: TextIO | None = None, err: TextIO | None = None
     ) -> None:
         self._clock = clock or RealClock()
         self._err = Outlet(err if err is not None else sys.stderr)

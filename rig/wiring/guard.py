@@ -42,14 +42,7 @@ class Guard:
     then take the power off itself.
     """
 
-    def __init__(
-        self,
-        port: str,
-        baud: int,
-        node: int,
-        eds: Path,
-        scales: ServoScales,
-    ) -> None:
+    def __init__(self, port: str, baud: int, node: int, eds: Path, scales: ServoScales) -> None:
         self.name = f"EPOS4 at {port}"
         self._path, self._baud = port, baud
         self._drive = {

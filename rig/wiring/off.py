@@ -160,7 +160,7 @@ def energised_doubt(state: ServoState) -> str:
 
 
 def seen_words(current_A: float | None, motion_rad_s: float | None, joint_read: bool | None) -> str:
-    """Return current and motion of a drive that is off as the end of a sentence; empty if unknown."""
+    """Return current and motion of a drive that is off as the end of a sentence."""
     if motion_rad_s is None:
         return ""
     current = "current not reported" if current_A is None else f"{abs(current_A):.2f} A"
@@ -359,8 +359,7 @@ class OffProof:
         """Greatest rms current, A, of a drive that is off, about the zero of its sensor."""
         measuring = self._servo.measuring()
         rated = min(
-            (x for x in (measuring.rated_current_A, self._current_limit) if x > 0.0),
-            default=0.0,
+            (x for x in (measuring.rated_current_A, self._current_limit) if x > 0.0), default=0.0
         )
         share = OFFSET_SHARE if self.zero_A is None else DRIFT_SHARE
         step = measuring.current_step_A
