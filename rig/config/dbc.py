@@ -210,7 +210,7 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return data bytes and cycles per frame of each frame; a 29-bit identifier counts as 3 bytes."""
+    """Return data bytes and period in cycles of each frame; 29-bit identifiers count 3 bytes."""
     frames = [
         (
             message.size + (_EXTENDED_BYTES if message.identifier & EXTENDED_FLAG else 0),

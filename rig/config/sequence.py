@@ -87,9 +87,8 @@ class FlowSection(Schema):
         for earlier, later in pairwise(times):
             if later <= earlier + self.ramp_s:
                 raise ValueError(
-                    f"the step at {later:g} s begins before the step at {earlier:g} s ends "
-                    f"(ramp_s {self.ramp_s:g}); "
-                    "list the steps in order of time, further apart than ramp_s"
+                    f"the step at {later:g} s begins before the step at {earlier:g} s ends (ramp_s "
+                    f"{self.ramp_s:g}); list the steps in order of time, further apart than ramp_s"
                 )
         return self
 

@@ -291,10 +291,9 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     advised = _ADVISED_SHARE * _greatest_stable_gain(machine)
     return (
         f"with {motor.inductance_H:g} H and {motor.resistance_ohm:g} ohm at {loops.rate_Hz:g} Hz "
-        f"the current loop of "
-        f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each "
-        f"period), and may stop a run by its limits of current or torque; lower the gain to "
-        f"{advised:.2g} or less, or raise rate_Hz"
+        "the current loop of the simulated drive is unstable (its error grows by a factor of "
+        f"{radius:.3g} each period), and may stop a run by its limits of current or torque; lower "
+        f"the gain to {advised:.2g} or less, or raise rate_Hz"
     )
 
 

@@ -40,9 +40,8 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
     )
     raise InputError(
         f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, which a person hangs "
-        f"on this bench: "
-        "run at a terminal without --yes; only if a hoist hangs the weights and reports their "
-        "mass, set `weights_hung_by: hoist`"
+        "on this bench: run at a terminal without --yes; only if a hoist hangs the weights and "
+        "reports their mass, set `weights_hung_by: hoist`"
     )
 
 

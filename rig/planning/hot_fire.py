@@ -198,8 +198,7 @@ def hot_objections(
         yield (
             ("stage",),
             f"contact force {force:.0f} N is above the bench limit contact_force_N "
-            f"{bench.limits.contact_force_N:g} N; "
-            "keep the valve further open",
+            f"{bench.limits.contact_force_N:g} N; keep the valve further open",
             section.stage,
         )
     if section.flow is not None:

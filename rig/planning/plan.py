@@ -297,9 +297,8 @@ def _motion_objections(
             yield (
                 way,
                 f"the joint would go to {math.degrees(extreme):.4g} deg, outside "
-                f"{math.degrees(limits.angle_min):.4g} "
-                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or "
-                f"move center_deg",
+                f"{math.degrees(limits.angle_min):.4g} to {math.degrees(limits.angle_max):.4g} "
+                "deg; reduce amplitude or travel, or move center_deg",
                 math.degrees(extreme),
             )
     if stage.peak_speed_rad_s > limits.speed:
@@ -483,8 +482,7 @@ def _plan_text_first_pass(stage: PlannedStage) -> str:
     )
     return (
         f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} "
-        f"amplitude{again} within "
-        f"{math.degrees(limits.angle_min):z.1f} to {math.degrees(limits.angle_max):z.1f} deg, "
-        f"{math.degrees(limits.speed):.3g} deg/s, {limits.torque:.3g} N m, then the weight is "
-        f"checked"
+        f"amplitude{again} within {math.degrees(limits.angle_min):z.1f} to "
+        f"{math.degrees(limits.angle_max):z.1f} deg, {math.degrees(limits.speed):.3g} deg/s, "
+        f"{limits.torque:.3g} N m, then the weight is checked"
     )

@@ -95,10 +95,8 @@ def _sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> It
     if correlation < OPPOSED:
         yield (
             f"`{effort}` opposes the motion (correlation {correlation:.2f} with velocity while "
-            f"moving), as if the load"
-            f" drove the motor: negate the scale of `{effort}` or of `{mover}`; a weight that "
-            f"turns with the joint is"
-            " declared by `gravity`"
+            f"moving), as if the load drove the motor: negate the scale of `{effort}` or of "
+            f"`{mover}`; a weight that turns with the joint is declared by `gravity`"
         )
 
 
@@ -139,8 +137,7 @@ def unit_hints(
         if turns > 1.0:
             yield (
                 f"`{name}` turns the joint {turns:.3g} times, which a lever with weights cannot: "
-                f"if it is in degrees,"
-                " set its scale to 0.017453292519943295"
+                "if it is in degrees, set its scale to 0.017453292519943295"
             )
 
 

@@ -344,9 +344,8 @@ class Scale:
         if level is None:
             text = (
                 f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves "
-                f"the joint, even at "
-                f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
-                f"first_pass.duration_s or stiffen the drive"
+                f"the joint, even at {stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
+                "first_pass.duration_s or stiffen the drive"
             )
             return Weighing(stage.name, stage.weight_kg, Verdict.UNCHECKED, None, None, text)
         item = LoadedLevel(stage.name, stage.weight_kg, level)
