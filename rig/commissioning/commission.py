@@ -68,7 +68,6 @@ def _set(text: str, change: Change) -> str:
 
 
 def _without(text: str, section: yaml.MappingNode, name: yaml.Node, value: yaml.Node) -> str:
-    """Return the text without a key of a section."""
     begin, end = name.start_mark.index, value.end_mark.index
     if section.flow_style:
         rest = text[end:]
@@ -261,7 +260,6 @@ def _session(
     record_in: Callable[[int], Recorder],
     result: Commissioning,
 ) -> WrongError | None:
-    """Perform the steps on one connection; return the error that found a wrong value."""
     steps: list[StepRecord] = []
     result.sessions.append(steps)
     wrong: WrongError | None = None
@@ -284,7 +282,6 @@ def _session(
 
 
 def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
-    """Perform the steps until one finds an error; store how the session ended."""
     for step in steps_of(setup):
         record = StepRecord(step.name, step.announced)
         steps.append(record)

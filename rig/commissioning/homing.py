@@ -116,12 +116,10 @@ def homing(setup: Setup, step: StepRecord) -> None:
 
 
 def _tolerance(home: HomeRequest) -> float:
-    """Return the distance from the home position at which a homing may end, rad."""
     return math.radians(ZERO_TOLERANCE_DEG if home.in_place else NEAR_DEG)
 
 
 def _home_rad(setup: Setup, home: HomeRequest) -> float:
-    """Return the joint angle of the home position, or at which the drive reads zero."""
     if home.home_deg is not None:
         return math.radians(home.home_deg)
     if home.in_place:
@@ -164,7 +162,6 @@ def _homed(
 
 
 def _fault(setup: Setup, tripped: TripError) -> str:
-    """Return the fault of a drive that left its state; empty if the drive reports no fault."""
     if tripped.trip.check is Check.DRIVE_STATE:
         with suppress(DeviceError):
             if setup.devices.servo.state() is ServoState.FAULT:
@@ -198,7 +195,6 @@ class _Travels:
         self._travel = 0.0
 
     def require_same(self, sample: Sample) -> None:
-        """Compare the travels up to the sample of a cycle; raise a TripError if they differ."""
         change = (sample.motor_angle - self._last.motor_angle) / self._ratio
         if abs(change) <= self._fastest * (sample.time - self._last.time):
             self._travel += change
@@ -263,7 +259,6 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
 
 
 def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
-    """Check that the joint stands still in a homing without motion, by the joint encoder."""
     moved = math.degrees(sample.angle - begun.angle)
     if home.in_place and not abs(moved) <= MOVED_DEG:
         raise WrongError(
@@ -274,7 +269,6 @@ def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
 
 
 def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint: float) -> None:
-    """Compare the angles of drive and joint encoder with the home position."""
     near = _tolerance(home)
     zero = math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
     if not abs(drive - home_rad) <= near:

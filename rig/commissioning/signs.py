@@ -68,11 +68,9 @@ class _Push:
         return now
 
     def rest(self, _: object = None) -> None:
-        """Take a sample before the command."""
         self._rest.append(self._look())
 
     def take(self, _: object = None) -> None:
-        """Take a sample of the command."""
         self.last_A = self.side * self._servo.sample().current_A
         self.current_A += self.last_A
         found = [
@@ -96,7 +94,6 @@ class _Push:
         return bool(self.moved) or (dead and bool(self.joint) and way > math.radians(DEAD_DEG))
 
     def targets(self, course: list[float]) -> Iterator[float]:
-        """Yield the targets until the joint moves."""
         for target in course:
             if self.ended:
                 return
@@ -174,7 +171,6 @@ def signs(setup: Setup, step: StepRecord) -> None:
 
 
 def _cause(up: _Push, down: _Push) -> str:
-    """Return what makes a joint move against the command."""
     found = "the joint moves against the command"
     if up.current_A < 0.0 and down.current_A < 0.0:
         return (

@@ -218,7 +218,6 @@ def _stated(section: object, key: str, default: str | None = None) -> object:
 
 
 def _bus_kind(section: object) -> str:
-    """Return the kind of bus of a section: CAN (with many interface names) or serial."""
     return "serial" if _stated(section, "interface") == "epos_serial" else "can"
 
 

@@ -299,7 +299,6 @@ _UNSIGNED: Mapping[str, str] = {
 def _check_known_load(
     recording: RecordingSection, bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the problems of a hoisted mass or a constant torque."""
     linear = bench.motion == "linear"
     if (hoisted := recording.hoisted) is not None:
         if linear and hoisted.radius is not None:
@@ -321,7 +320,6 @@ def _check_known_load(
 def _check_burn(
     channels: Mapping[str, ChannelSection], bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the channels that a recording of a gas generator lacks."""
     if "pressure" not in channels:
         yield (
             ("channels",),

@@ -189,7 +189,6 @@ def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[
 
 @cache
 def _described(schema: type[Any]) -> _Described:
-    """Return the JSON Schema of a record."""
     return TypeAdapter(schema).json_schema()
 
 

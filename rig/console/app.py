@@ -88,7 +88,6 @@ class View:
         return changed
 
     def _add_new(self, changed: dict[str, Any], run: Followed | None) -> None:
-        """Add the events, notes and points that the page has not received."""
         if notes := [words for number, words in self._hub.notes if number > self._notes]:
             changed["notes"] = notes
             self._notes = self._hub.notes[-1][0]
@@ -330,7 +329,6 @@ class Console:
         return {"words": words}
 
     async def _stop(self, page: Page | None, who: str) -> dict[str, Any]:
-        """Stop everything in progress; the page shows the end of a run that was stopped."""
         shown = None if page is None else self._hub.run_of(page)
         sent, failed = await self._hub.stop(who)
         runs = [each.key for each in sent if each.key in self._hub.runs]
@@ -407,7 +405,6 @@ class Console:
             raise Refusal(f"{who} holds the controls; take the controls first")
 
     async def _live(self, socket: WebSocket) -> None:
-        """Send the state and the charts to a page until the page is closed."""
         if self._greeting >= MOST_GREETING:
             await socket.close(1013)
             return
@@ -541,7 +538,6 @@ class _Server(uvicorn.Server):
     """Server whose queue in the system is longer than the burst that it accepts at once."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start to serve."""
         await super().startup(sockets)
         for listener in sockets or ():
             listener.listen(QUEUE)

@@ -457,7 +457,6 @@ def _stamp_of(path: Path) -> tuple[int, int] | None:
 
 
 def _shown_record(record: RunRecord) -> dict[str, Any]:
-    """Return the part of ``run.json`` that a page shows."""
     held = record.parts[-1].devices.get("limits")
     return {
         "state": record.state,

@@ -492,7 +492,6 @@ class Hub:
             run.gone = True
 
     def _heard(self, path: str, message: dict[str, Any]) -> None:
-        """Process a message of a run."""
         self._questions.answered(path)
         known = self._by_path.get(path)
         about = message.get("about")

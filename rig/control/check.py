@@ -130,7 +130,6 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return a table of the limits of drive and bench file."""
     held = found["limits"]
     note = ["* stated under servo.held, not read from the drive"] * bool(found["limits_stated"])
     rows = table(

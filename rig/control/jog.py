@@ -78,8 +78,6 @@ def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
 
 
 class _Discard:
-    """Discards all samples, because a jog makes no recording."""
-
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Discard the sample."""
 

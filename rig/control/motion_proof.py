@@ -261,7 +261,6 @@ def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
 
 
 def _block(motion: Motion) -> int:
-    """Return the number of samples in a block."""
     if len(motion.time) < 2:
         return 1
     return max(2, round(BLOCK_S / max(float(np.median(np.diff(motion.time))), 1e-6)))

@@ -223,8 +223,6 @@ def given_up(document: Document[Bench], seconds: float) -> Off:
 
 
 class _Others:
-    """The other processes on a bench, and how they are ended."""
-
     def __init__(
         self, bench: Bench, say: Callable[[str], None], clock: Clock, processes: Processes
     ) -> None:
@@ -234,7 +232,6 @@ class _Others:
 
     @contextmanager
     def ended(self) -> Iterator[tuple[User, ...]]:
-        """End the other processes and hold the bench; if this fails, go on without the lock."""
         users = tuple(self._end_all())
         with self._lock(HOLD_S if all(user.ended != "stays" for user in users) else 0.0):
             yield users
@@ -279,7 +276,6 @@ class _Others:
     def _end(
         self, number: int, name: str, ask: signal.Signals, patience_s: float, ended: str
     ) -> str:
-        """Ask a process to leave the bench, then kill it; return how it left."""
         who = f"{self._bench.name} is used by {name} (process {number})"
         if self._processes.frozen(number):
             self._say(f"{who}, which is suspended: it is killed")
@@ -296,7 +292,6 @@ class _Others:
         return "stays"
 
     def _gone(self, numbers: set[int], patience_s: float) -> bool:
-        """Wait until none of the processes uses the bench; return whether this is so."""
         deadline_ns = self._clock.now_ns() + round(patience_s * NS)
         while numbers & set(self._using()):
             now_ns = self._clock.now_ns()

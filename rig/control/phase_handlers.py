@@ -348,7 +348,6 @@ class PhaseHandlers:
         return Event.DONE
 
     def _boundary(self) -> Event:
-        """Pause after a stage if requested; the drive is de-energised."""
         verb = Verb.GO_ON
         if self._stop.pausing:
             self._recorder.event(self.cycle.now_ns, "paused", stage=self.stage.name)

@@ -122,7 +122,6 @@ class Sequencer:
         return outcome
 
     def _wait_cycle(self) -> None:
-        """Let the time of one cycle pass."""
         clock = self._devices.link.clock
         clock.sleep_until_ns(clock.now_ns() + self._plan.cycle_ns)
 

@@ -127,7 +127,6 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
 
 
 def _record_of(inputs: Inputs, plan: Plan) -> RunRecord:
-    """Return ``run.json`` at the start of a new or resumed run."""
     record = inputs.resumed or new_record(inputs, plan)
     if inputs.acceptance is not None:
         record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
@@ -241,7 +240,6 @@ def _start_recording(
 
 
 def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
-    """Add a recording to the record of a run."""
     record.state, record.message, record.trip, record.de_energised = "running", "", None, None
     record.drive_state = record.drive = None
     part = PartRecord(

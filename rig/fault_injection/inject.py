@@ -154,7 +154,6 @@ class FaultInjector:
             self._disk.restore()
 
     def _observe(self, stage: str, phase: Phase) -> None:
-        """Note the start of a phase, and trigger the faults that wait for it."""
         if self._observer is not None:
             self._observer(stage, phase)
         name = _PHASES.get(phase, phase.value)
@@ -168,11 +167,9 @@ class FaultInjector:
                 self._schedule(number, self._ramp_out[stage])
 
     def _hang(self, mass_kg: float) -> None:
-        """Hang the right weight, or the wrong weight of the schedule."""
         self._scene.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
 
     def _start_recording(self, path: Path) -> Recorder:
-        """Create the recording on a file that can fail."""
         self._file = _DyingFile(path, "xb")
         return Recorder(io.BufferedWriter(self._file), path)
 
@@ -360,8 +357,6 @@ def describe(findings: list[Finding]) -> str:
 
 
 class _Unreliable:
-    """An operator with scheduled faults."""
-
     def __init__(self, inner: Operator, answer: Callable[[str], None]) -> None:
         self._inner = inner
         self._answer = answer
@@ -376,21 +371,16 @@ class _Unreliable:
         return self._inner.hangs(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the end of a pause as the real operator does."""
         return self._inner.paused(stage, stop)
 
     def tell(self, words: str) -> None:
-        """Show a message to the real operator."""
         self._inner.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show a result to the real operator."""
         self._inner.result(words, good)
 
 
 class _DyingFile(io.FileIO):
-    """A file whose medium can fail."""
-
     dead = False
 
     def write(self, data: Any) -> int:

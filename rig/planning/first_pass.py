@@ -53,7 +53,6 @@ def plan_passes(
 def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Return one first pass: the tones smaller and shorter, or the ramp with less travel."""
     if section.ramp is not None:
         ramp = section.ramp.model_copy(
             update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1}
@@ -81,7 +80,6 @@ def _plan_pass(
 def _judged(
     targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Return a first pass with the limits that follow from its targets."""
     moving = _tighter(limits, low.limit_share)
     return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
 
@@ -107,7 +105,6 @@ def _tighter(limits: Limits, share: float) -> Limits:
 
 
 def _around(targets: Array, limits: Limits) -> Limits:
-    """Return limits with the angle range of the pass, widened by the allowed following error."""
     slack = limits.following_error
     return dataclasses.replace(
         limits,

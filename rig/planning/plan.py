@@ -223,7 +223,6 @@ def _plan_stage(
 
 
 def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float:
-    """Return the greatest contact force of a stage, N."""
     if section.stage == "hot_fire":
         return expected_force(targets, bench)
     return bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2

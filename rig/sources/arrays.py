@@ -381,7 +381,6 @@ def _holds_numbers(kind: np.dtype[Any]) -> bool:
 
 
 def _text(attributes: Any, keys: Iterable[str]) -> str:
-    """Return the first of these attributes that is a text; empty if none is a text."""
     for key in keys:
         value = attributes.get(key)
         if isinstance(value, bytes):

@@ -274,7 +274,6 @@ def build(
 def _doubts(
     file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
 ) -> list[str]:
-    """Return notes on channels with implausible values."""
     problems, notes = findings(
         channels,
         bench.gear_ratio,
@@ -321,7 +320,6 @@ def _windowed(
 
 
 def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
-    """Return notes on the known loads of a recording that do not depend on the angle."""
     unit = "N" if bench.motion == "linear" else "N m"
     notes = []
     if section.constant_torque:

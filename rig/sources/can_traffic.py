@@ -255,8 +255,6 @@ def _messages(path: Path, kind: str, lines: Lines) -> Iterator[can.Message]:
 
 
 class _Source:
-    """File object of filtered lines, from which python-can reads."""
-
     def __init__(self, lines: Iterator[str]) -> None:
         self._lines = lines
 
@@ -272,7 +270,6 @@ class _Source:
 
 
 def _mf4(path: Path) -> Iterator[can.Message]:
-    """Yield the frames of the bus logging of an MF4 file, with times since its start."""
     library("asammdf", path, "MDF", "mdf")
     with heard("asammdf"), open_binary(path) as stream:
         reader = can.io.MF4Reader(cast(BinaryIO, stream))
@@ -282,7 +279,6 @@ def _mf4(path: Path) -> Iterator[can.Message]:
 
 
 def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
-    """Yield the frames of a BLF file, with times since the start of the file."""
     with open_binary(path) as stream:
         reader = can.io.BLFReader(cast(BinaryIO, stream))
         # Seconds since 1970 leave a double a quarter of a microsecond.
@@ -405,7 +401,6 @@ _FLOAT_WIDTHS = (16, 32, 64)
 
 
 def _messages_of(path: Path) -> list[BusMessage]:
-    """Return the messages of a DBC file."""
     try:
         database, faults = load_dbc(path)
     except ConfigurationError as error:
@@ -436,7 +431,6 @@ def _message(message: Any, fault: str) -> BusMessage:
 
 
 def _obstacle(signal: Any) -> str:
-    """Return the reason why a signal cannot be read; empty if it can be read."""
     if signal.length > MOST_BITS:
         return f"{signal.length} bits, at most {MOST_BITS} are read"
     if signal.is_float and signal.length not in _FLOAT_WIDTHS:
@@ -506,7 +500,6 @@ def _messages_of_bench(path: Path) -> list[BusMessage]:
 
 
 def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessage]:
-    """Yield the PDOs of a CiA 402 drive as messages."""
     data = servo.device_data(document.path.parent)
     scales = servo_scales(servo, document.value.machine, data)
     motion = servo_motion(servo, scales, data)
@@ -801,7 +794,6 @@ def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, li
 
 
 def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, BusMessage]:
-    """Return messages by identifier."""
     found: dict[int, BusMessage] = {}
     for message in messages:
         other = found.setdefault(message.identifier, message)

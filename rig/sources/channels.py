@@ -295,7 +295,6 @@ def on_one_time(
 def _columns(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
 ) -> tuple[dict[str, int], list[str]]:
-    """Return the index of the column of each channel, and notes on completed names."""
     columns: dict[str, int] = {}
     problems: list[str] = []
     notes: list[str] = []

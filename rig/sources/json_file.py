@@ -124,7 +124,6 @@ class RowsTable(Table):
     def _lay_out(
         self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
     ) -> None:
-        """Set rows and columns."""
         names, self._bases = zip(*bases, strict=True)
         self._columns = [
             (base, name)
@@ -187,7 +186,6 @@ class JsonTable(RowsTable):
         )
 
     def _tables(self, value: Any, place: str, depth: int) -> Iterator[_Rows]:
-        """Yield the tables inside a JSON value."""
         if depth > _DEEPEST:
             return
         if isinstance(value, list):

@@ -43,7 +43,6 @@ Found = tuple[Schema | None, Channel, Message]
 
 
 def _until_cut(stream: IO[bytes]) -> Iterator[Found]:
-    """Yield the messages of an incomplete file."""
     data = _rest(stream)
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
@@ -257,7 +256,6 @@ class McapTable(RowsTable):
         self._lay_out(self._rows.items(), True)
 
     def _take(self, messages: Iterable[tuple[Schema | None, Channel, Message]]) -> None:
-        """Store the numbers of messages, and why topics are left out."""
         decoders = Decoders(self.path)
         known: dict[int, Decoder] = {}
         for schema, channel, message in messages:

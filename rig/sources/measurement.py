@@ -90,7 +90,6 @@ class MdfTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with asammdf, and close it at the end; note its warnings."""
         zipped = self.path.suffix.lower() == ".gz"
         with heard("asammdf") as said:
             source: Any = open_binary(self.path) if zipped else str(self.path)
@@ -306,7 +305,6 @@ class TdmsTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with npTDMS, and close it at the end; note its warnings."""
         with (
             heard("nptdms") as said,
             open_binary(self.path) as stream,
@@ -390,7 +388,6 @@ def _is_dated(channel: Any) -> bool:
 
 
 def _dated_channels(file: Any) -> Iterator[Any]:
-    """Yield the channels of a file that contain time stamps."""
     for group in file.groups():
         yield from (channel for channel in group.channels() if len(channel) and _is_dated(channel))
 
@@ -401,13 +398,11 @@ def _exact(channel: Any) -> tuple[int, int]:
 
 
 def _since(stamp: tuple[int, int], first: tuple[int, int]) -> float:
-    """Return the time between two stamps, s."""
     whole = ((stamp[0] - first[0]) << 64) + stamp[1] - first[1]
     return whole / 2**64
 
 
 def _stamp_seconds(stamps: Any) -> Array:
-    """Return time stamps as seconds since the first stamp."""
     seconds = np.asarray(stamps.seconds, np.int64)
     fractions = np.asarray(stamps.second_fractions, np.uint64)
     first = fractions[0]

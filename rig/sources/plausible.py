@@ -285,7 +285,6 @@ def _signless(
 
 
 def _single(name: str, values: Array, time: Array) -> Iterator[str]:
-    """Yield a note if single samples are far from both neighbours."""
     known = np.isfinite(values)
     x, t = values[known], time[known]
     if len(x) < 10:

@@ -140,7 +140,6 @@ def _is_empty(cell: str) -> bool:
 
 
 def _is_number(cell: str) -> bool:
-    """Return whether a cell contains a number, or a word for a missing number."""
     text = cell.strip(' "\t')
     if _is_empty(text):
         return text != ""
@@ -393,7 +392,6 @@ class DelimitedTable(Table):
             self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
-        """Add a note on the line that marks the end of the file."""
         if any(text.strip() for text in stream):
             raise InputError(
                 f"{self.path}:{line}: {mark}, but more lines follow; if the file ends here, remove "
@@ -452,7 +450,6 @@ class DelimitedTable(Table):
         return f"{name!r}" if name else f"{column}"
 
     def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
-        """Yield line number and text of each line with a row of numbers."""
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
                 content = _without_comment(text)

@@ -314,7 +314,6 @@ class ControlSocket:
             self._handle(data, peer if isinstance(peer, str) else "")
 
     def _handle(self, data: bytes, peer: str) -> None:
-        """Answer a question, or execute a command."""
         try:
             if len(data) > LONGEST_BYTES:
                 raise MessageError(f"longer than {LONGEST_BYTES} bytes")
@@ -333,7 +332,6 @@ class ControlSocket:
         self._send({"to": order.number, "taken": refused is None, "words": refused or ""}, peer)
 
     def _carry_out(self, order: Order) -> str | None:
-        """Execute a command; return the reason if it is refused, or None."""
         who = valid(order.who).strip() or "the console"
         if order.command is Command.STOP:
             self._stop.press(f"STOP by {who}")

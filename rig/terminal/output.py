@@ -161,7 +161,6 @@ def _encoding(stream: object) -> str:
 
 
 def _shown(error: UnicodeError) -> tuple[bytes, int]:
-    """Encode characters that a stream's encoding lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = bytearray()

@@ -103,7 +103,6 @@ class Prompt:
                 self._control.close_prompt()
 
     def _flush(self) -> None:
-        """Drop what was typed before the question."""
         if self._descriptor is None or not os.isatty(self._descriptor):
             return
         import termios
@@ -115,7 +114,6 @@ class Prompt:
             raise InputEndedError("the terminal is gone") from error
 
     def _from_stream(self) -> str:
-        """Read a line of a stream without descriptor, without a time-out."""
         line = "" if self._stream is None else self._stream.readline()
         if not line:
             raise InputEndedError("the input has ended")

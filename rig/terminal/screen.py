@@ -227,7 +227,6 @@ class Screen:
         self._shown = len(line)
 
     def _begin_line(self) -> None:
-        """Move the cursor to an empty line."""
         if self._shown:
             self._err.put(self._erase())
             self._shown = 0

@@ -119,12 +119,10 @@ class _HalfCycle:
 
     @property
     def path(self) -> float:
-        """Commanded distance, rad."""
         return float(self.travelled[self.last - 1] - self.travelled[self.first])
 
     @property
     def time_s(self) -> float:
-        """Start since the start of the recording, s."""
         time = self.recording.channels["time"]
         return float(time[self.first] - time[0])
 

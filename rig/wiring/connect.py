@@ -78,7 +78,6 @@ def bus_resources(bench: Bench) -> tuple[Resource, ...]:
 
 
 def _channel(bus: Bus) -> list[Resource]:
-    """Return the channel of a CAN interface, or its serial port."""
     channel = bus.channel or ""
     if bus.interface == _IN_PROCESS:
         return []
@@ -224,8 +223,6 @@ def connect(
 
 @dataclass(frozen=True)
 class _Wired:
-    """Devices on a link that has not been opened."""
-
     link: Link
     servo: Servo
     encoder: Encoder
@@ -343,7 +340,6 @@ def bare_bench(document: Document[Bench]) -> BareBench:
 
 
 def _bare_drive(document: Document[Bench]) -> tuple[Link, Servo]:
-    """Return the drive of a real bench on a link that has not been opened."""
     bench = document.value
     bus, section = bench.bus, bench.servo
     assert bus is not None

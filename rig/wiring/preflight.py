@@ -163,7 +163,6 @@ def device_file_findings(document: Document[Bench]) -> list[Finding]:
 
 
 def _nodes(bench: Bench) -> Iterator[tuple[Role, int]]:
-    """Yield the devices that have a node identifier."""
     if isinstance(bench.servo, ServoSection):
         yield "servo", bench.servo.node
     if isinstance(bench.encoder, EncoderSection):
@@ -188,7 +187,6 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device on the link as `connect` does; yield each error."""
     bench = document.value
     link: CanopenLink | EposSerialLink
     if isinstance(bench.bus, SerialBus):
