@@ -117,12 +117,8 @@ def _devices(found: dict[str, Any]) -> str:
             [
                 role,
                 who["name"],
-                f"{who['vendor_id']:08X}h",
-                f"{who['product_code']:08X}h",
-                f"{who['revision']:08X}h",
-                str(who["serial_number"]),
-                who["hardware_version"],
-                who["software_version"],
+                *(f"{who[key]:08X}h" for key in ("vendor_id", "product_code", "revision")),
+                *(str(who[k]) for k in ("serial_number", "hardware_version", "software_version")),
             ]
             for role, who in ((role, found[role]) for role in DEVICES if role in found)
         ],

@@ -151,9 +151,14 @@ def _moves(
         own.append(held)
         servo.write_limits(wanted)
         require_written(servo, wanted, bench.cycle_s)
-        here = _enable(cycle, devices, bench)
+        servo.enable()
+        here = servo.sample().motor_angle_rad / bench.machine.gear_ratio
+        cycle.ask_reset()
+        cycle.begin(here)
         for angle in jog.angles:
-            _go(cycle, here, angle, jog.speed, bench.cycle_s)
+            course = approach(here, angle, jog.speed, bench.cycle_s).tolist()
+            cycle.follow(course, 0, f"to {math.degrees(angle):g} deg")
+            cycle.follow([angle] * round(REST_S / bench.cycle_s), 0, "rest")
             here = angle
         servo.disable()
     except TripError as trip:
@@ -165,17 +170,3 @@ def _moves(
     except BaseException as defect:  # noqa: BLE001 - raised again after the drive is made safe
         return Ending.CRASHED, f"the program failed ({words_of(defect)})", defect
     return Ending.DONE, f"{len(jog.angles)} moves done", None
-
-
-def _enable(cycle: Cycle, devices: Devices, bench: Bench) -> float:
-    """Energise the drive and hold the present position; return the joint angle, rad."""
-    devices.servo.enable()
-    here = devices.servo.sample().motor_angle_rad / bench.machine.gear_ratio
-    cycle.ask_reset()
-    cycle.begin(here)
-    return here
-
-
-def _go(cycle: Cycle, start: float, end: float, speed: float, cycle_s: float) -> None:
-    cycle.follow(approach(start, end, speed, cycle_s).tolist(), 0, f"to {math.degrees(end):g} deg")
-    cycle.follow([end] * round(REST_S / cycle_s), 0, "rest")

@@ -15,11 +15,11 @@ from drivers.clock import NS, RealClock
 from identification.recording import Dataset
 from rig.common.errors import InputError, StorageError
 from rig.common.provenance import sha256, sha256_file, utc_now, versions
-from rig.common.sample import Phase, Sample
+from rig.common.sample import Phase
 from rig.config.bench import Bench, calibration_records, overdue, redacted
 from rig.config.configuration import Document
 from rig.config.sequence import Sequence
-from rig.control.cycle import Cycle, Progress
+from rig.control.cycle import Progress
 from rig.control.operator import AutomaticOperator, Operator
 from rig.control.phase_handlers import Console, StartingPoint
 from rig.control.safety import Check, Trip, remedy
@@ -98,6 +98,8 @@ class Inputs:
 def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
     """Return the initial ``run.json``, before any motion."""
     paths = (inputs.bench.path, inputs.sequence.path)
+    model = inputs.feedforward
+    offset = {} if model is None else {FEEDFORWARD_INPUT: input_entry(model.source, model.sha256)}
     calibrations = calibration_records(inputs.bench.value, utc_now().date())
     return RunRecord(
         name=plan.name,
@@ -115,7 +117,7 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
             name: input_entry(path, sha256_file(path))
             for name, path in device_files(inputs.bench).items()
         }
-        | _feedforward_entry(inputs.feedforward),
+        | offset,
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
         operator=inputs.operator,
@@ -124,19 +126,6 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
             f"{warning}; the results depend on this value" for warning in overdue(calibrations)
         ],
     )
-
-
-def _record_of(inputs: Inputs, plan: Plan) -> RunRecord:
-    record = inputs.resumed or new_record(inputs, plan)
-    if inputs.acceptance is not None:
-        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
-    return record
-
-
-def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
-    if feedforward is None:
-        return {}
-    return {FEEDFORWARD_INPUT: input_entry(feedforward.source, feedforward.sha256)}
 
 
 def execute(
@@ -159,7 +148,9 @@ def execute(
     """
     wall = RealClock()
     began_ns = wall.now_ns()
-    record = _record_of(inputs, plan)
+    record = inputs.resumed or new_record(inputs, plan)
+    if inputs.acceptance is not None:
+        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
     folder = RunFolder(path, record, _warn(inputs, plan, record, devices, operator))
@@ -177,12 +168,20 @@ def execute(
             recorder,
             folder,
             Scale(inputs.reference),
-            _starting_point(record, inputs.reset_fault),
+            StartingPoint(
+                stage=first_unfinished(record) or 0,
+                segment=max((segment.index for segment in record.segments), default=0),
+                reset_fault=inputs.reset_fault,
+            ),
         )
         outcome = sequencer.run()
         if outcome.trip is not None:
             record.trip = _trip_record(outcome.trip, inputs.load, sequencer)
-        _count(record, part, sequencer.cycle)
+        cycle = sequencer.cycle
+        part.cycles, part.timing = cycle.count, cycle.timing.record()
+        record.cycles += cycle.count
+        record.overruns += cycle.overruns
+        record.stale += cycle.stale
     finally:
         outcome = _close(recorder, outcome)
         part.seconds = (wall.now_ns() - began_ns) / NS
@@ -207,15 +206,6 @@ def _warn(
         if words not in record.warnings:
             record.warnings.append(words)
     return frozenset(told)
-
-
-def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
-    """Return the first unfinished stage, and the number of finished excitations."""
-    return StartingPoint(
-        stage=first_unfinished(record) or 0,
-        segment=max((segment.index for segment in record.segments), default=0),
-        reset_fault=reset_fault,
-    )
 
 
 def _start_recording(
@@ -252,13 +242,6 @@ def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]
     )
     record.parts.append(part)
     return part
-
-
-def _count(record: RunRecord, part: PartRecord, cycle: Cycle) -> None:
-    part.cycles, part.timing = cycle.count, cycle.timing.record()
-    record.cycles += cycle.count
-    record.overruns += cycle.overruns
-    record.stale += cycle.stale
 
 
 def describe_devices(devices: Devices) -> dict[str, Any]:
@@ -351,14 +334,12 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
     part.ended = utc_now().isoformat(timespec="seconds")
     if outcome is None:
         record.state, record.message = Ending.CRASHED.value, "the program failed"
-        part.state, part.message = record.state, record.message
-        record.stage_ended(record.state)
-        return
-    record.state, record.message = outcome.ending.value, outcome.message
+    else:
+        record.state, record.message = outcome.ending.value, outcome.message
+        record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
+        record.drive = outcome.safe.record()
     part.state, part.message = record.state, record.message
     record.stage_ended(record.state)
-    record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
-    record.drive = outcome.safe.record()
 
 
 def _trip_record(trip: Trip, load: PredictedLoad | None, sequencer: Sequencer) -> dict[str, Any]:
@@ -409,7 +390,9 @@ def run_simulated(
         create_folder(folder, "rig"),
         connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices,
     ):
-        _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
+        _, outcome = execute(
+            inputs, plan, devices, folder, _Unattended(), StopButton(), lambda *_: None
+        )
     if outcome.error is not None:
         raise outcome.error
     if outcome.ending is Ending.STOPPED:
@@ -417,7 +400,3 @@ def run_simulated(
     if outcome.ending is not Ending.DONE:
         raise InputError(f"{sequence.value.name} on {bench.value.name}: {outcome.message}")
     return load_run(folder)
-
-
-def _silent(stage: str, cycles: int, sample: Sample) -> None:
-    pass
