@@ -269,19 +269,15 @@ class FaultInjector:
             )
 
     def _kill(self, row: FaultRow) -> None:
-        clock = self._scene.clock
-        clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
+        self._wait(row)
         self.conclude(None, "")
         os.kill(os.getpid(), signal.SIGKILL)
 
-    def _hang_up(self, row: FaultRow) -> None:
+    def _wait(self, row: FaultRow) -> None:
         clock = self._scene.clock
         clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
 
-    def _fill_disk(self) -> None:
-        self._disk.fill()
-
-    def _break_recorder(self) -> None:
+    def _break_recorder(self, _: FaultRow) -> None:
         if self._file is not None:
             self._file.dead = True
 
@@ -290,21 +286,18 @@ class FaultInjector:
         if self._off_ns is not None and self._weight_kg is not None:
             self._scene.machine.hang(self._weight_kg)
 
-    def _be_silent(self, row: FaultRow) -> None:
-        self._answer_after_s = row.amount
-
 
 _Action = Callable[[FaultInjector, FaultRow], None]
 
 
 ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("host", "killed"): FaultInjector._kill,
-    ("host", "hangs"): FaultInjector._hang_up,
+    ("host", "hangs"): FaultInjector._wait,
     ("host", "clock_step"): lambda s, r: s._clock.step(r.amount or 0.0),
-    ("host", "recorder_fails"): lambda s, _: s._break_recorder(),
-    ("disk", "full"): lambda s, _: s._fill_disk(),
+    ("host", "recorder_fails"): FaultInjector._break_recorder,
+    ("disk", "full"): lambda s, _: s._disk.fill(),
     ("operator", "stop"): lambda s, _: s._stop.press(),
-    ("operator", "unanswered"): FaultInjector._be_silent,
+    ("operator", "unanswered"): lambda s, r: setattr(s, "_answer_after_s", r.amount),
     ("operator", "weight_removed"): lambda s, r: s._scene.machine.hang(r.amount or 0.0),
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }

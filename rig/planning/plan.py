@@ -18,7 +18,7 @@ from rig.config.sequence import Array, FirstPass, Sequence, SequenceLimits, Stag
 from rig.planning.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.planning.first_pass import PlannedPass, plan_passes
 from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
-from rig.planning.limits import GasLimits, Limits
+from rig.planning.limits import Limits
 from rig.runs.run_record import Load, Role, StageRecord
 
 SAMPLES_PER_PERIOD = 20
@@ -280,13 +280,9 @@ def _motion_objections(
     section: StageSection, stage: PlannedStage, limits: Limits
 ) -> Iterator[_Objection]:
     """Yield key, message and value if targets exceed the angle range or the speed limit."""
-    way: tuple[str, ...]
-    pace: tuple[str, ...]
-    way, pace, slower = (
-        ("tones",),
-        ("tones",),
-        "reduce amplitude or frequency, or lengthen the ramps",
-    )
+    way: tuple[str, ...] = ("tones",)
+    pace: tuple[str, ...] = ("tones",)
+    slower = "reduce amplitude or frequency, or lengthen the ramps"
     if section.ramp is not None:
         way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
     elif section.flow is not None:
@@ -322,18 +318,14 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
             problems.append(sequence.problem(("limits", name), text, asked))
         elif asked is not None and name in bench.unreported:
             problems.append(sequence.problem(("limits", name), NOT_REPORTED, asked))
-    if values["angle_min_deg"] >= values["angle_max_deg"]:
-        text = (
-            f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is "
-            "empty; angle_min_deg must be below angle_max_deg"
-        )
-        problems.append(sequence.problem(("limits",), text))
-    if values["supply_min_V"] >= values["supply_max_V"]:
-        text = (
-            f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; "
-            "supply_min_V must be below supply_max_V"
-        )
-        problems.append(sequence.problem(("limits",), text))
+    for what, unit in (("angle", "deg"), ("supply", "V")):
+        least, most = f"{what}_min_{unit}", f"{what}_max_{unit}"
+        if values[least] >= values[most]:
+            text = (
+                f"{what} range {values[least]:g} to {values[most]:g} {unit} is empty; {least} must "
+                f"be below {most}"
+            )
+            problems.append(sequence.problem(("limits",), text))
     return values, problems
 
 
@@ -408,15 +400,15 @@ def describe(plan: Plan) -> str:
         ],
         right=range(2, 8),
     )
-    limits = plan.limits
+    limits, gas = plan.limits, list[list[str]]()
+    if limits.gas is not None:
+        gas.append(["chamber pressure", f"{limits.gas.pressure * 1e-6:g}", "MPa"])
+        gas.append(["contact force", f"{limits.gas.contact_force:g}", "N"])
+    low, high = (f"{math.degrees(angle):g}" for angle in (limits.angle_min, limits.angle_max))
     held = table(
         ["limit", "value", "unit"],
         [
-            [
-                "joint angle",
-                f"{math.degrees(limits.angle_min):g} to {math.degrees(limits.angle_max):g}",
-                "deg",
-            ],
+            ["joint angle", f"{low} to {high}", "deg"],
             ["joint speed", f"{math.degrees(limits.speed):g}", "deg/s"],
             ["joint torque", f"{limits.torque:g}", "N m"],
             ["motor current", f"{limits.current:g}", "A"],
@@ -424,7 +416,7 @@ def describe(plan: Plan) -> str:
             ["encoder against drive", f"{math.degrees(limits.encoder_disagreement):g}", "deg"],
             ["motor temperature", _stated(f"{limits.temperature:g}"), "deg C"],
             ["DC link", _stated(f"{limits.supply_min:g} to {limits.supply_max:g}"), "V"],
-            *(_gas_rows(limits.gas) if limits.gas else []),
+            *gas,
             ["sample age", f"{limits.sample_age * 1e3:g}", "ms"],
             ["lateness of a cycle", f"{limits.lateness * 1e3:g}", "ms"],
         ],
@@ -442,13 +434,6 @@ def describe(plan: Plan) -> str:
 
 def _stated(value: str) -> str:
     return "not reported" if "inf" in value else value
-
-
-def _gas_rows(limits: GasLimits) -> list[list[str]]:
-    return [
-        ["chamber pressure", f"{limits.pressure * 1e-6:g}", "MPa"],
-        ["contact force", f"{limits.contact_force:g}", "N"],
-    ]
 
 
 def _feedforward(stage: PlannedStage) -> list[str]:

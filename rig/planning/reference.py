@@ -52,14 +52,7 @@ def moment_per_kg(bench: Bench) -> float:
 
 def load_reference(path: Path, bench: Bench) -> Reference:
     """Read a result of ``rig identify`` as reference; InputError without what the check needs."""
-    raw = read_identification(path)
-    keys = ("value", "low", "high")
-    try:
-        stated = {n: [raw["parameters"].get(n, {}).get(key) for key in keys] for n in NEEDED}
-        found = {n: [float(v) for v in row] for n, row in stated.items() if None not in row}
-        alpha = float(raw["alpha"])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    found, alpha = _stated(path, NEEDED, ("value", "low", "high"))
     problems = [
         f"{path}: parameters.{name}: not identified; the weight check needs the result of a run "
         f"with an unloaded and a loaded stage"
@@ -102,11 +95,18 @@ def read_identification(path: Path) -> dict[str, Any]:
 
 def read_values(path: Path, names: Iterable[str]) -> tuple[dict[str, float], float]:
     """Return determined values, SI units, and the Stribeck exponent of a result, or InputError."""
+    found, alpha = _stated(path, names, ("value",))
+    return {name: value for name, (value,) in found.items() if math.isfinite(value)}, alpha
+
+
+def _stated(
+    path: Path, names: Iterable[str], keys: tuple[str, ...]
+) -> tuple[dict[str, list[float]], float]:
+    """Return these keys of the parameters that have all of them, and the Stribeck exponent."""
     raw = read_identification(path)
     try:
-        stated = {name: raw["parameters"].get(name, {}).get("value") for name in names}
-        values = {name: float(value) for name, value in stated.items() if value is not None}
-        alpha = float(raw["alpha"])
+        stated = {n: [raw["parameters"].get(n, {}).get(key) for key in keys] for n in names}
+        found = {n: [float(v) for v in row] for n, row in stated.items() if None not in row}
+        return found, float(raw["alpha"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
-    return {name: value for name, value in values.items() if math.isfinite(value)}, alpha

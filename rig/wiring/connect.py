@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -102,19 +103,6 @@ def _port(path: str) -> list[Resource]:
     return [Resource(key, label) for key in dict.fromkeys((real, name))]
 
 
-def epos_link(
-    bus: SerialBus, simulated: SimulatedBench | None, clock: Clock, guard: Guard | None
-) -> EposSerialLink:
-    """Return the link of a serial drive: a real port with its guard, or the simulated bench's."""
-    if simulated is None:
-        assert guard is not None
-        return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
-    station = SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive)
-    return EposSerialLink(
-        clock, _simulated(simulated, "drive", bus.baud, station), "simulated EPOS4"
-    )
-
-
 def amt21_encoder(
     section: Amt21Section,
     middle_rad: float,
@@ -202,34 +190,12 @@ def connect(
         link.open()
         try:
             pacer = RealClock() if realtime and bench.simulated else None
-            yield Devices(
-                link,
-                wired.servo,
-                wired.encoder,
-                wired.hang,
-                pacer,
-                guard=guard,
-                pressure=wired.pressure,
-                ignite=wired.ignite,
-                lock=lock,
-                nominal=nominal_of(bench),
-                suspension=Suspension() if realtime or not bench.simulated else None,
-            )
+            suspension = Suspension() if realtime or not bench.simulated else None
+            yield dataclasses.replace(wired, pacer=pacer, lock=lock, suspension=suspension)
         finally:
             link.close()
             if guard is not None:
                 guard.close()
-
-
-@dataclass(frozen=True)
-class _Wired:
-    link: Link
-    servo: Servo
-    encoder: Encoder
-    pressure: PressureTransmitter | None
-    hang: Hang | None
-    ignite: Callable[[], None] | None
-    guard: Guard | None
 
 
 def _wire(
@@ -238,7 +204,7 @@ def _wire(
     seed: int,
     attach: Attach | None,
     torque_offset: bool,
-) -> _Wired:
+) -> Devices:
     """Choose the drivers of a bench, and create its link without opening it."""
     bench = document.value
     simulated: SimulatedBench | None = None
@@ -258,13 +224,11 @@ def _wire(
         axis = servo_axis(bench.servo, data)
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"), axis)
         scales = servo_scales(bench.servo, bench.machine, data)
-        servo = Cia402Servo(
-            drive,
-            link,
-            scales,
-            motion=servo_motion(bench.servo, scales, data, torque_offset),
-            stops_alone=bench.servo.stops_alone,
+        motion, alone = (
+            servo_motion(bench.servo, scales, data, torque_offset),
+            bench.servo.stops_alone,
         )
+        servo = Cia402Servo(drive, link, scales, motion=motion, stops_alone=alone)
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
         pressure = bench.pressure.transmitter(
@@ -272,21 +236,24 @@ def _wire(
         )
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
-        encoder = amt21 = amt21_encoder(
-            bench.encoder,
-            bench.limits.middle_rad,
-            simulated,
-            link.clock,
-            servo,
-            bench.machine.gear_ratio,
-        )
+        middle, gear = bench.limits.middle_rad, bench.machine.gear_ratio
+        encoder = amt21 = amt21_encoder(bench.encoder, middle, simulated, link.clock, servo, gear)
         at_instant = link.call_at_instant if isinstance(link, EposSerialLink) else None
         link = EncoderLink(link, amt21, at_instant)
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
     ignite = None if simulated is None or pressure is None else simulated.machine.ignite
-    return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
+    return Devices(
+        link,
+        servo,
+        encoder,
+        hang,
+        guard=guard,
+        pressure=pressure,
+        ignite=ignite,
+        nominal=nominal_of(bench),
+    )
 
 
 @dataclass(frozen=True)
@@ -382,8 +349,14 @@ def _epos(
     simulated, clock = _simulated_bench(document, bench.servo, 1_000_000, seed, attach)
     eds, node = eds_path(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine, servo_data(document))
-    guard = Guard(bus.port, bus.baud, node, eds, scales) if simulated is None else None
-    link = epos_link(bus, simulated, clock, guard)
+    guard = None
+    if simulated is None:
+        guard = Guard(bus.port, bus.baud, node, eds, scales)
+        link = EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
+    else:
+        station = SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive)
+        line = _simulated(simulated, "drive", bus.baud, station)
+        link = EposSerialLink(clock, line, "simulated EPOS4")
     speed = _SPEED_SHARE * math.radians(bench.limits.speed_deg_s)
     channel = link.add_node(node, eds, speed / abs(scales.joint_rad_per_count))
     return link, Cia402Servo(channel, link, scales), simulated, guard
@@ -476,8 +449,8 @@ def nominal_of(bench: Bench) -> Nominal:
     return Nominal(
         machine.torque_constant_N_m_A,
         machine.gear_ratio,
-        servo.rated_current_A if own and isinstance(servo, ServoSection) else None,
-        servo.rated_torque_N_m if own and isinstance(servo, ServoSection) else None,
+        getattr(servo, "rated_current_A", None) if own else None,
+        getattr(servo, "rated_torque_N_m", None) if own else None,
         bench.encoder.sign,
         machine.back_emf_constant_V_s_rad,
     )
