@@ -30,11 +30,7 @@ from rig.wiring.teardown import SafeState
 
 
 def patched(text: str, changes: tuple[Change, ...]) -> str:
-    """Return the text of a bench file with these values set; a value of None removes its key.
-
-    Raises:
-        InputError: A section is not a mapping, so that no key can be set in the section.
-    """
+    """Return the text of a bench file with these values set (or InputError); None removes a key."""
     for change in changes:
         text = _set(text, change)
     return text

@@ -28,13 +28,7 @@ class Measured:
 
 @dataclass
 class StepRecord:
-    """Record of one step.
-
-    Attributes:
-        announced: Message before the step: what moves, and what is under power.
-        consent: Form of the operator's consent: `typed`, `--yes`, or empty if nothing was asked.
-        changes: Values to set in the bench file.
-    """
+    """Record of one step."""
 
     name: str
     announced: str
@@ -66,11 +60,7 @@ class StepRecord:
 
 
 class WrongError(Exception):
-    """A step found a wrong value or reaction.
-
-    Args:
-        changes: Values to set in the bench file; none if the bench or the drive must be changed.
-    """
+    """A step found a wrong value or reaction; ``changes`` of the bench file may correct it."""
 
     def __init__(self, words: str, changes: tuple[Change, ...] = ()) -> None:
         super().__init__(words)

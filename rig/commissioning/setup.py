@@ -39,11 +39,7 @@ class Interview(Protocol):
         ...
 
     def agrees(self, words: str) -> bool:
-        """Ask for consent to an action; only an explicit yes counts as consent.
-
-        Raises:
-            OperatorStopError: The operator aborted the commissioning.
-        """
+        """Ask for consent to an action, which only an explicit yes is; may stop all."""
         ...
 
     def angle_deg(self, words: str) -> float | None:
@@ -75,11 +71,7 @@ class AutomaticInterview:
 
 
 class TypedInterview:
-    """Asks the operator at the terminal.
-
-    Args:
-        stop: Stop button; a stop signal interrupts a question.
-    """
+    """Asks the operator at the terminal; a stop signal interrupts a question."""
 
     how = "typed"
 
@@ -145,13 +137,7 @@ REST_S: Final = 0.2
 
 @dataclass(frozen=True)
 class HomeRequest:
-    """A homing that the operator requests.
-
-    Attributes:
-        method: Value of 6098h.
-        home_deg: True joint angle of the home position, or None if it is not known.
-        time_limit_s: Longest time of a homing, or None for the default.
-    """
+    """A homing by a method of 6098h, with the true angle there and the longest time, or None."""
 
     method: int
     home_deg: float | None = None
@@ -241,11 +227,7 @@ class Setup:
         return servo_limits(self.limits, self.bench)
 
     def prepare(self, share: float = 1.0) -> None:
-        """Map process data and write the low limits, torque and current times ``share``; no power.
-
-        Raises:
-            DeviceError: A device differs from the bench file, or rejects a limit.
-        """
+        """Map process data and write the low limits, torque and current times ``share``."""
         servo, bench, low = self.devices.servo, self.bench, self.wanted
         wanted = dataclasses.replace(
             low, torque_N_m=share * low.torque_N_m, current_A=share * low.current_A

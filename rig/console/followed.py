@@ -180,12 +180,7 @@ _SPEEDS = 121
 
 
 class TorqueSpeed:
-    """Points of torque against speed.
-
-    Attributes:
-        version: Number that increases when points are dropped, so that pages fetch all points
-            again.
-    """
+    """Points of torque against speed; a new ``version`` if some were dropped."""
 
     def __init__(self) -> None:
         self.points: Array = np.empty((0, 3))
@@ -256,11 +251,7 @@ _STATE_MASK: Final = 0x6F
 
 
 class Reached:
-    """A program that a control socket reaches: a run, a jog or a commissioning.
-
-    Attributes:
-        status: Newest state that the program reported; None before the first report.
-    """
+    """A run, jog or commissioning that a control socket reaches, and the state it reported."""
 
     def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
         self.path = path
@@ -290,11 +281,9 @@ class Followed(Reached):
     """A run that the console follows.
 
     Attributes:
-        decimation: Minima and maxima of the channels, over the recorded time of all recordings.
         continued_s: Starts of the recordings after the first, on the time axis of the charts, s.
         values: Value of each channel in the latest sample that was read, or None if it is not
             known.
-        drive: State of the drive in this sample, as text.
         current: Whether this sample is the newest sample of this program: not while the program
             connects and its recording does not exist yet, and not while older samples are read.
         trouble: Reason why the recording cannot be read, or None if it can be read.

@@ -310,8 +310,6 @@ class Hub:
     Attributes:
         runs: Runs by key, in the order in which they were found.
         others: Other programs that can move a bench, by key: jogs and commissionings.
-        notes: Number and text of messages to all pages.
-        ticked: Set at every tick, after which pages are informed.
     """
 
     def __init__(self, starter: Starter, only: frozenset[str] = frozenset()) -> None:

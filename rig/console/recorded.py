@@ -202,15 +202,7 @@ class Made:
         self.routes = [Route("/made/{key}", self._page, methods=["GET"])]
 
     async def compare(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Compare runs of the list (``runs``, folders as listed) with the earliest of them.
-
-        Returns:
-            ``page``, the address of the page, and ``words``, the name of the page.
-
-        Raises:
-            Refusal: The request does not name 2 to :data:`MOST_COMPARED` runs of the list, or the
-                runs cannot be compared.
-        """
+        """Compare runs of the list (folders) with the earliest; return the address of the page."""
         given = message.get("runs")
         if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
             raise Refusal("runs must be a list of folders")
@@ -226,14 +218,7 @@ class Made:
         return await self._make(f"Comparison of {', '.join(folders)}", "compare", "--", *runs)
 
     async def trend(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Follow one ``constant`` over the runs that ``bench`` and ``last`` list.
-
-        Returns:
-            ``page``, the address of the page, and ``words``, the name of the page.
-
-        Raises:
-            Refusal: No listed run has this constant, or the choice of runs is not valid.
-        """
+        """Follow one ``constant`` over listed runs; return the address of the page."""
         constant = message.get("constant")
         try:
             choice = Choice.of(message)

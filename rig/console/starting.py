@@ -33,11 +33,9 @@ _LONGEST_NAME: Final = 100
 async def output_of(
     command: Sequence[str], timeout_s: float | None = None, nice: int = 0, keep: bool = False
 ) -> tuple[int, str]:
-    """Run a command, longer than this console if ``keep``; return exit status and output.
+    """Run a command, which may outlive this console; return exit status and output.
 
-    Raises:
-        TimeoutError: The command took too long, and was killed.
-        OSError: The command cannot be started.
+    Raises TimeoutError (it was killed) or OSError.
     """
     child = await asyncio.create_subprocess_exec(
         *command,
@@ -65,13 +63,7 @@ class StartError(Exception):
 
 @dataclass(frozen=True)
 class Wish:
-    """Run that a page requests: bench, sequence, operator and options.
-
-    Attributes:
-        realtime: Whether a simulated bench runs in real time.
-        yes: Whether the prompts of a simulated bench are answered as planned.
-        acceptance: Path of a file of limits; empty for the limits of the sequence.
-    """
+    """Run that a page requests: bench, sequence, operator and options of ``rig run``."""
 
     bench: str
     sequence: str
@@ -130,15 +122,7 @@ class Starter:
         self.choices = {"benches": list(self.benches), "sequences": names("sequences")}
 
     async def dry_run(self, wish: Wish) -> dict[str, Any]:
-        """Run ``rig run --dry-run``, and store the digests of the files for the start.
-
-        Returns:
-            ``shown``, the key that a start needs, or None if the run cannot be started; ``words``,
-            the terminal output; ``status``, the exit status; ``real`` and ``bench``.
-
-        Raises:
-            StartError: The bench is not a bench of this console, or the dry run takes too long.
-        """
+        """Run ``rig run --dry-run``; ``shown`` is the key of a start, or None (or a StartError)."""
         if wish.bench not in self.benches:
             raise StartError(
                 f"{wish.bench}: this console was started without this bench; "

@@ -26,11 +26,7 @@ _INHIBIT_S: Final = 2.0
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
-    """Reject a run that hangs weights on a real bench if no person would confirm their mass.
-
-    Raises:
-        InputError: The run hangs weights on a real bench, and no person would be asked.
-    """
+    """Reject (InputError) a run that hangs weights on a real bench if nobody would confirm them."""
     value = bench.value
     heavy = [stage.name for stage in plan.stages if stage.weight_kg]
     if value.simulated or not heavy or value.weights_hung_by == "hoist" or (terminal and not yes):
@@ -55,9 +51,9 @@ def connected(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open a bench with :func:`rig.wiring.connect.connect`; a stop signal interrupts the opening,
-    because no drive is energised yet. The computer of a real bench is kept awake, where this is
-    possible.
+    """Open a bench with :func:`rig.wiring.connect.connect`, so that a stop signal interrupts it.
+
+    The computer of a real bench is kept awake, where this is possible.
     """
     with ExitStack() as stack:
         with stop.interruptible():

@@ -309,11 +309,7 @@ NO_TORQUE: Final = (
 
 @dataclass(frozen=True)
 class Change:
-    """Value that the operator should set in the bench file.
-
-    Attributes:
-        value: Value to set; None removes the key.
-    """
+    """Value to set in the bench file; None removes the key."""
 
     section: str
     key: str
@@ -444,13 +440,7 @@ _BY_MOTION: Final = (SPEED, SHAFT, WORK)
 
 @dataclass(frozen=True)
 class Proof:
-    """Result of the comparison of a motion.
-
-    Attributes:
-        found: Factor of each quantity, found over expected value, or NaN if the motion did not
-            determine it.
-        contradictions: The comparisons whose factor is outside its tolerance.
-    """
+    """Result of the comparison of a motion; a factor that it did not determine is NaN."""
 
     found: dict[str, float]
     contradictions: tuple[Contradiction, ...]

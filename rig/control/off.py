@@ -106,12 +106,7 @@ class User:
 
 @dataclass(frozen=True)
 class Off:
-    """What came of :func:`make_off`.
-
-    Attributes:
-        simulated: Whether the bench is a simulation, which has nothing to switch off.
-        safe: Final state of the drive, or None for a simulation.
-    """
+    """What came of :func:`make_off`; ``safe`` is None for a simulation."""
 
     bench: str
     file: Path

@@ -36,16 +36,7 @@ class Operator(Protocol):
     """Interface of the person or program that hangs the weights."""
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
-        """Ask the operator to hang a weight and to confirm its mass. The caller verifies before
-        that the drive is off.
-
-        Returns:
-            The mass on the lever, kg, which force and fit use, or :attr:`Verb.REPEAT` to repeat the
-            previous stage.
-
-        Raises:
-            OperatorStopError: The operator stopped the run.
-        """
+        """Return the confirmed mass, kg, or :attr:`Verb.REPEAT`; the drive is off."""
         ...
 
     def hangs(self, stage: str, weight_kg: float) -> float:

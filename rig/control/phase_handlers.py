@@ -83,13 +83,7 @@ class Console:
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """The point at which a run starts.
-
-    Attributes:
-        segment: Number of the last excitation of an earlier part of the run.
-        reset_fault: Whether to clear a drive fault after the operator has answered the weight
-            prompt.
-    """
+    """The point at which a run starts: stage, last excitation before, clearing of a fault."""
 
     stage: int = 0
     segment: int = 0
@@ -97,12 +91,7 @@ class StartingPoint:
 
 
 class PhaseHandlers:
-    """The handlers of the phases of a run, with its present stage.
-
-    Attributes:
-        own_limits: The limits that were stored in the drive before the run; None until the limits
-            are read.
-    """
+    """The handlers of the phases of a run; ``own_limits`` of the drive are None until read."""
 
     def __init__(
         self,

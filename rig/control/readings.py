@@ -25,7 +25,6 @@ class Readings:
 
     Attributes:
         motor_encoder_at_joint_rad: Angle of the drive's encoder, divided by the gear ratio.
-        speed_rad_s: Joint speed as estimated by the drive.
         pressure_Pa: Pressure in the gas generator's chamber; None on a bench without a pressure
             transmitter.
     """

@@ -25,11 +25,7 @@ _BAR = 12
 
 
 class RunProgress:
-    """Shows elapsed and remaining run time, stage, angle error and current.
-
-    Run time is the time of the control cycles, without the wait at a prompt. Nothing is shown if
-    the output is not a terminal.
-    """
+    """Shows elapsed and remaining time in motion, stage, angle error and current at a terminal."""
 
     def __init__(self, cycle_s: float, duration_s: float, screen: Screen | None = None) -> None:
         self._cycle_s = cycle_s
@@ -141,10 +137,7 @@ def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
 
 
 def limit_records(limits: Limits) -> list[dict[str, Any]]:
-    """Return the limits of the channels against which every cycle is checked, in SI units.
-
-    An upper or lower limit is None if there is no limit, or if the drive does not report the value.
-    """
+    """Return the limits that every cycle checks, SI units; an end without a limit is None."""
     both: Mapping[str, tuple[float, float]] = {
         "angle": (limits.angle_min, limits.angle_max),
         "velocity": (-limits.speed, limits.speed),

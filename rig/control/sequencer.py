@@ -30,11 +30,7 @@ from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run: ending, reason, remedy and final state of the drive.
-
-    ``error`` is an unexpected exception, which is a defect of this program; it is raised after all
-    data are recorded.
-    """
+    """Outcome of a run; ``error`` is a defect of this program, raised after all is recorded."""
 
     ending: Ending
     message: str

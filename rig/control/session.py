@@ -64,15 +64,12 @@ class Inputs:
     """The inputs of a run.
 
     Attributes:
-        seed: Seed of a simulated bench's noise.
         operator: Name of the person who runs the bench, as stated by the user.
-        reference: Accepted identification of the bench, for the weight check.
         feedforward: Model of the feed-forward torque that the drive adds, or None for none.
         resumed: ``run.json`` of a stopped run to continue at its first unfinished stage, or None
             for a new run.
         acceptance: File of the limits by which the complete run is judged, or None for the limits
             in the sequence file.
-        load: Predicted peaks of the stages to run, or None if nothing was predicted.
     """
 
     bench: Document[Bench]
@@ -372,12 +369,7 @@ def run_simulated(
     folder: Path,
     feedforward: Feedforward | None = None,
 ) -> Dataset:
-    """Run a sequence on a simulated bench with the planned weights, and return its recordings.
-
-    Raises:
-        InputError: The bench is a real bench, or the run did not end regularly.
-        KeyboardInterrupt: The run was stopped.
-    """
+    """Run a sequence on a simulated bench with the planned weights, and return its recordings."""
     if not bench.value.simulated:
         raise InputError(
             bench.problem(

@@ -80,10 +80,8 @@ class Finding:
     """Result of one fault.
 
     Attributes:
-        applied_s: Bench time of the fault, or None if it was never triggered.
         off_after_s: Time from the fault to the final de-energised state; None while energised, or
             if current flows or the joint moves in the simulated machine at the end.
-        as_expected: Whether the reaction was as expected; None without an expectation.
         peak_deg_s: Greatest true speed of the joint since the last fault, deg/s.
         travel_deg: True travel of the joint since then, deg.
     """
@@ -174,9 +172,8 @@ class FaultInjector:
         return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices run on without the host, judge the schedule, and write the findings.
-
-        ``status`` is the exit status, or None if the process is about to be killed.
+        """Let the devices run on, judge the schedule, write the findings; status None: being
+        killed.
         """
         clock = self._scene.clock
         if self._off_ns is None or self._scene.live:

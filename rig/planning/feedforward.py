@@ -102,12 +102,7 @@ class Compensator:
         self._before: float | None = None
 
     def __call__(self, sample: Sample | None) -> float:
-        """Return the next torque offset, N m, within its limit.
-
-        Args:
-            sample: Sample of the previous cycle; None in the first cycle. An incomplete sample
-                gives no feedback; damping needs two successive complete samples.
-        """
+        """Return the next torque offset, N m; feedback needs complete samples, damping two."""
         torque, stiffness, damping, commanded, speed = next(self._rows)
         angle = (
             sample.motor_angle / self._gear_ratio if sample is not None and sample.fresh else None

@@ -21,12 +21,7 @@ GROWTH = 2.0
 
 @dataclass(frozen=True)
 class PlannedPass:
-    """A first pass, ready to run.
-
-    Attributes:
-        amplitude: Amplitude as a share of the stage's amplitude.
-        move_limits: Limits during the move to the start of the pass.
-    """
+    """A first pass, with its share of the amplitude, and limits also of the move to its start."""
 
     targets: Array
     amplitude: float

@@ -124,12 +124,7 @@ NEEDS_PRESSURE = (
 
 @dataclass(frozen=True)
 class FlowPlan:
-    """A closed-loop excitation, ready to run.
-
-    Attributes:
-        pressures: Pressure command of each cycle, Pa, shape (n,).
-        angles: Expected valve angles, rad, shape (n,).
-    """
+    """A closed-loop excitation: pressure commands, Pa, and expected valve angles, rad, (n,)."""
 
     law: FlowLaw
     pressures: Array
@@ -160,10 +155,7 @@ def expected_force(targets: Array, bench: Bench) -> float:
 
 
 def steady_force(targets: Array, bench: Bench) -> Array:
-    """Return the contact force at these joint angles at steady pressure, N, shape (n,).
-
-    The force is zero on a bench without a gas generator.
-    """
+    """Return the contact force at steady pressure, N, shape (n,); zero without a gas generator."""
     generator = nominal_generator(bench)
     if generator is None or not len(targets):
         return np.zeros(len(targets))

@@ -62,14 +62,7 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole run, ready to start.
-
-    Attributes:
-        limits: The limits that apply: limits of the bench, tightened by the sequence.
-        servo_limits: The limits to be written into the drive.
-        approach_speed: Peak speed of moves to a start angle, rad/s.
-        feedforward: Source of the stages' torque offsets, or None for none.
-    """
+    """A whole run, ready to start, with the bench's limits as tightened by the sequence."""
 
     name: str
     stages: tuple[PlannedStage, ...]

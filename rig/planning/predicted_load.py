@@ -60,9 +60,6 @@ def friction_model(
 ) -> FrictionModel:
     """Return the friction ``named``, else the newest result in ``runs`` of such a bench, or the
     paper.
-
-    Raises:
-        InputError: ``named`` cannot be read, or is not a result of ``rig identify``.
     """
     if named is not None:
         return _identified(named, bench)
@@ -284,10 +281,7 @@ def _peaks(
 
 
 def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
-    """Return the joint angles of each move to the start of a part of a stage, rad.
-
-    The first move starts at angle 0. A part that starts at the present angle has no move.
-    """
+    """Return the angles of each move to the start of a part, rad, from 0 on."""
     parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
     moves, here = [], 0.0
     for targets in parts:

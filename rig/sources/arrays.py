@@ -28,7 +28,7 @@ class _Column(NamedTuple):
 
 
 class ArrayTable(Table):
-    """Named arrays as a table. Each series of a matrix is one column: ``name[0]``, ``name[1]``, ...
+    """Named arrays as a table; the series of a matrix are ``name[0]``, ``name[1]``, ...
 
     The longer side of a matrix counts as time. Single numbers and text are not columns.
     """

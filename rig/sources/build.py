@@ -37,12 +37,7 @@ from rig.sources.table import Table
 
 @dataclass(frozen=True)
 class Read:
-    """The recordings of one file, and the time span of the file.
-
-    Attributes:
-        first: First time stamp of the whole file, s.
-        last: Last time stamp of the whole file, s.
-    """
+    """The recordings of one file, its entry in the campaign, and its first and last stamp, s."""
 
     recordings: tuple[Recording, ...]
     first: float
@@ -153,12 +148,9 @@ NEIGHBOURS = (-2, -1, 1, 2)
 
 
 def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
-    """Return the times of evenly taken samples and the rms jitter of their stamps, s, or None if
-    the stamps are even, no grid fits them, or the samples themselves are uneven.
+    """Return the times of evenly taken samples and the rms jitter of their stamps, s, shape (n,).
 
-    Args:
-        time: Time stamps, s, shape (n,), increasing.
-        angle: Angle or position, shape (n,).
+    The result is None if stamps are even, no grid fits them, or the samples are uneven.
     """
     found = _grid(time)
     if found is None:
@@ -198,10 +190,7 @@ def _with_neighbours(index: Rows, time: Array) -> Rows:
 
 
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
-    """Return the median distance of samples from the cubic polynomial through their neighbours.
-
-    A mean would be determined by the few samples whose stamps nearly coincide.
-    """
+    """Return the median distance, robust to near stamps, from the cubic through the neighbours."""
     apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
     predicted = np.zeros(len(rows))
     for j, k in enumerate(NEIGHBOURS):

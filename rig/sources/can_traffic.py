@@ -66,13 +66,7 @@ _TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")
 
 @dataclass
 class Lines:
-    """State of the filtering of a file: the current line, and the counts of dropped lines.
-
-    Attributes:
-        number: Number of the line that was read last, from 1.
-        stamped: Number of lines with a time stamp.
-        errors: Number of dropped error frames.
-    """
+    """State of the filtering of a file: the current line, and the counts of dropped lines."""
 
     path: Path
     number: int = 0
@@ -369,16 +363,7 @@ class BusSignal:
 
 @dataclass(frozen=True)
 class BusMessage:
-    """One CAN message with its signals.
-
-    Attributes:
-        name: First part of the names of the columns; empty if the names of the signals suffice.
-        by_group: Whether frames with other priorities and source addresses are also this message,
-            as in SAE J1939.
-        left_out: Texts on the parts of the message that cannot be read.
-        fault: Text on wrong places of bits in the source, which are read nevertheless; empty for
-            none.
-    """
+    """One CAN message with its signals."""
 
     name: str
     identifier: int

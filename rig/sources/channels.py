@@ -26,11 +26,7 @@ HELD = frozenset({"enabled"})
 
 @dataclass(frozen=True)
 class Base:
-    """One time base of a file.
-
-    Attributes:
-        stamps: Time stamps of the rows by the file's clock, s, shape (n,).
-    """
+    """One time base of a file, with the stamps of its rows by the file's clock, s, shape (n,)."""
 
     name: str
     stamps: Array
@@ -270,14 +266,9 @@ def read_channels(
 def on_one_time(
     table: Table, columns: Mapping[str, int], data: Mapping[int, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Unwrap counters, and resample the channels at the time stamps of the column of time.
+    """Unwrap counters, resample the channels at the stamps of the time, in units of the file.
 
-    Returns:
-        Channels in the units of the file, the number of rows of the file before the first used
-        row, and notes.
-
-    Raises:
-        InputError: The columns cannot be brought to common times.
+    Returns as well the number of rows before the first used one, and notes.
     """
     raw: dict[str, Array] = {}
     notes: list[str] = []

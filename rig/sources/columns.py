@@ -73,11 +73,7 @@ _NAMES: Final[Mapping[str, str]] = {
 
 
 class Guess(NamedTuple):
-    """Column that is guessed for a channel.
-
-    Attributes:
-        sure: Whether the column states its unit.
-    """
+    """Column that is guessed for a channel; ``sure`` if it states its unit."""
 
     column: str | int
     scale: float
@@ -119,12 +115,7 @@ def scale_of(name: str, channel: str, linear: bool = False) -> float:
 
 
 def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Guess]:
-    """Return the channels that columns with these names may contain, each column at most once.
-
-    Args:
-        names: Column names in the order of the file; empty for a column without a name.
-        linear: Whether the bench is linear: positions in m, forces in N.
-    """
+    """Return the channels of columns with these names, a column at most once; "" has no name."""
     columns = [(name, *split_unit(name)) for name in names if name]
     found: dict[str, Guess] = {}
     taken: set[str] = set()

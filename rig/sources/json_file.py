@@ -64,10 +64,7 @@ def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]
 
 
 def number(value: object) -> float | None:
-    """Return a JSON value as a number, or None if it is not a number.
-
-    Integers stay integers, dates become :class:`Stamp`.
-    """
+    """Return a JSON value as a number, integer or :class:`Stamp` (date), or None."""
     if isinstance(value, bool | float):
         return float(value)
     if isinstance(value, int):
@@ -116,10 +113,7 @@ _Rows = tuple[str, Sequence[Mapping[str, float]]]
 
 
 class RowsTable(Table):
-    """Rows of numbers by name, in one or several time bases, as a table.
-
-    A row that lacks a name has NaN in its column.
-    """
+    """Rows of numbers by name, in one or several time bases, with NaN for what a row lacks."""
 
     def _lay_out(
         self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
@@ -275,11 +269,7 @@ def _are_labels(value: Mapping[str, Any]) -> bool:
 
 
 class JsonLinesTable(RowsTable):
-    """Table with one column for each number in the objects, named ``field``, ``field.inner`` or
-    ``field[0]``.
-
-    If a line lacks a field, the value is NaN.
-    """
+    """Table of the numbers in one object a line: ``field``, ``field.inner`` or ``field[0]``."""
 
     def __init__(self, path: Path, _: object = None) -> None:
         self.path = path

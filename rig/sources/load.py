@@ -98,10 +98,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _exported(
     file: Path, section: RecordingSection, document: Document[Campaign], index: int
 ) -> Read:
-    """Read a file of ``rig export``, which contains its own description.
-
-    Constants and the role that the campaign states replace those of the file.
-    """
+    """Read a file of ``rig export``; what the campaign states replaces its constants and role."""
     given = document.value.bench
     bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
     try:

@@ -39,11 +39,9 @@ class Column:
 
     Attributes:
         scale: SI units per unit of the column; 1 if the unit is unknown.
-        low: Least value; NaN without values.
         step: Quantisation step of a coarse column; 0 if none was found.
         flicker: Share of steps to a neighbouring value that the next step reverses.
         wrap: Text on a counter that overflows; empty for none.
-        problem: Reason why the column cannot be read as numbers; empty if it can be read.
         strip: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
     """
 
@@ -65,17 +63,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Clock:
-    """Time base of a log, s.
-
-    Attributes:
-        scale: Seconds per unit of the column.
-        period: Median step.
-        low: 5th percentile of the steps.
-        high: 95th percentile of the steps.
-        gaps: Number of steps longer than five median periods.
-        backwards: Number of negative steps, after the overflows of a counter were corrected.
-        repeated: Number of steps of zero.
-    """
+    """Time base of a log, s; percentiles 5, 50 and 95 of the steps, and counts of odd ones."""
 
     column: int
     scale: float
@@ -90,14 +78,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Look:
-    """Content of a log.
-
-    Attributes:
-        clock: Time base by the column that may be time, or None without such a column.
-        guesses: Column that may contain a channel, by channel.
-        notes: Messages on what was recognised on reading.
-        doubts: Guessed channels that contradict each other or themselves.
-    """
+    """Content of a log, with the guessed channels, and their contradictions as doubts."""
 
     name: str
     format: str

@@ -35,11 +35,7 @@ Mask = NDArray[np.bool_]
 
 
 class UnusableError(Exception):
-    """The data cannot be used.
-
-    Attributes:
-        row: The first bad row, or None for the whole recording.
-    """
+    """The data cannot be used, from a row on, or (None) the whole recording."""
 
     def __init__(self, message: str, row: int | None = None) -> None:
         super().__init__(message)
@@ -53,7 +49,6 @@ class Timing:
     Attributes:
         keep: Mask of the rows that are used, shape (n,), or None for all rows.
         pieces: (start, stop) of each piece without a gap, as numbers of the used rows.
-        notes: Message on each correction.
     """
 
     keep: Mask | None

@@ -31,11 +31,7 @@ _START = "import sys; sys.path[:] = sys.argv[1:]; from rig.sources.served import
 
 
 class ServedTable(Table):
-    """A table that the second process reads.
-
-    Raises:
-        InputError: The second process cannot read the file, or it has ended.
-    """
+    """A table that the second process reads; InputError if it cannot, or has ended."""
 
     def __init__(self, path: Path, options: dict[str, Any]) -> None:
         self.path = path

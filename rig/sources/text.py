@@ -47,14 +47,7 @@ def open_text(path: Path, encoding: str) -> TextIO:
 
 
 def encoding_of(path: Path) -> str:
-    """Return the encoding of a file: UTF-16 if its first bytes show this, else Latin-1.
-
-    Latin-1 decodes every byte, so that a degree sign in the header of a file cannot prevent the
-    reading of numbers.
-
-    Raises:
-        OSError, EOFError, zlib.error: The file cannot be read.
-    """
+    """Return the encoding: UTF-16 if the first bytes show this, else Latin-1, which never fails."""
     with open_binary(path) as stream:
         head = stream.read(64)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -171,10 +164,7 @@ def _counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def _are_units(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line below the names is a line of units: only short words and no number.
-
-    A dash means no unit if another cell has a unit.
-    """
+    """Return whether a line below the names has units: short words, no number, dashes for none."""
     given = [cell.strip(' "\t') for cell in cells]
     words = [word for word in given if word != "-"]
     return (
@@ -214,11 +204,7 @@ _HEAD_LINES = 6
 
 
 class DelimitedTable(Table):
-    """A text file with one row of numbers per line, with or without a header line.
-
-    Raises:
-        InputError: The file contains no line after the skipped lines, or is damaged.
-    """
+    """A text file with one row of numbers per line, with or without a header line."""
 
     def __init__(self, path: Path, options: ReadSection) -> None:
         self.path = path

@@ -24,14 +24,7 @@ _GONE: Final = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENXIO})
 
 
 class Outlet(io.FileIO):
-    """The raw end of an output stream.
-
-    After the first failure all further output is discarded.
-
-    Attributes:
-        failure: Reason why output cannot be stored, or None if output can be stored or only the
-            reader has closed the stream.
-    """
+    """The raw end of an output stream; after a ``failure`` further output is discarded."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)

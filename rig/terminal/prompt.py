@@ -29,12 +29,8 @@ class Asker(Protocol):
     """Puts questions to the operator."""
 
     def ask(self, words: str) -> str:
-        """Show a question and return the line that answers it, stripped.
-
-        Raises:
-            InputEndedError: The input has ended.
-            OperatorStopError: The operator did not answer in time.
-            KeyboardInterrupt: The operator asked to stop.
+        """Show a question and return the stripped answer; InputEndedError, or a stop of the
+        operator.
         """
         ...
 

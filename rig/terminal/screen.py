@@ -35,10 +35,6 @@ class Outlet:
 
     A terminal is opened again for this purpose, because the non-blocking mode belongs to the open
     file, which other programs share. A stream without descriptor (in tests) is written directly.
-
-    Attributes:
-        trouble: Reason why the stream cannot be written any more, or None if it can be written.
-        terminal: Whether the stream is a terminal.
     """
 
     def __init__(self, stream: TextIO | None) -> None:

@@ -44,8 +44,6 @@ class Change:
             magnitude is a lower bound, because the whole friction is then taken as that of the
             weight.
         sigma_kg: Standard error of ``mass_kg`` by the scatter of the half cycles.
-        half_cycle: Number of the half cycle in which it happened, from 1.
-        time_s: Start of this half cycle, since the start of the recording that contains it.
     """
 
     mass_kg: float
@@ -59,12 +57,7 @@ class Change:
 def changed_loads(
     dataset: Dataset, stages: Sequence[str], reference: Reference | None = None
 ) -> dict[str, tuple[Change, Weighing]]:
-    """Find the loaded stages of a run during which the load changed.
-
-    Returns:
-        The change, and a wrong weighing, by stage. A stage with fewer than
-        :data:`FEWEST_HALF_CYCLES` equal half cycles is not judged.
-    """
+    """Find the loaded stages during which the load changed: change, and weighing, by stage."""
     found = {}
     for name in stages:
         recordings = [

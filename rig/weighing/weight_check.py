@@ -49,16 +49,7 @@ class FrictionLevel:
 
 
 def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLevel | None:
-    """Measure the friction of a motion.
-
-    Args:
-        angle: Joint angle at evenly spaced instants, rad, shape (n,).
-        torque: Mean torque at the joint over the period that ends at each instant, N m, shape (n,).
-        period_s: Sampling period, s.
-
-    Returns:
-        The level, or None if there is too little motion.
-    """
+    """Measure the friction, N m, of samples (n,) of an even period; None with too little motion."""
     half = max(1, round(0.5 * SPEED_WINDOW_S / period_s))
     if len(angle) < 2 * half + FEWEST_SAMPLES:
         return None
@@ -287,10 +278,7 @@ def _mean(weighted: Array, count: Array) -> Array:
 
 
 def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
-    """Find the recordings of a run or campaign whose mass differs from their label.
-
-    Without a reference, the check of a stage requires further stages of two different masses.
-    """
+    """Find the recordings whose mass differs from their label; two other masses, or a reference."""
     return suspects(_levels(dataset.recordings), reference)
 
 

@@ -258,22 +258,14 @@ def _wire(
 
 @dataclass(frozen=True)
 class BareBench:
-    """Drive and joint encoder of a real bench, only to stop the drive and to prove that it is off.
-
-    Attributes:
-        encoder: The joint encoder, or None if its EDS file cannot be read.
-    """
+    """Drive of a real bench, to stop it, and its joint encoder, or None without an EDS file."""
 
     link: Link
     servo: Servo
     encoder: Encoder | None
 
     def open(self) -> None:
-        """Open what is not open. An encoder whose own line cannot be opened fails when it is read.
-
-        Raises:
-            LinkError: The link of the drive cannot be opened.
-        """
+        """Open what is not open; without the link of the drive, raise a LinkError."""
         self.link.open()
         if isinstance(self.encoder, Amt21Encoder):
             with suppress(LinkError):

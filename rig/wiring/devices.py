@@ -25,13 +25,7 @@ from rig.wiring.off import OffProof
 
 @dataclass(frozen=True)
 class Nominal:
-    """Constants of the machine in the bench file, with which the first motion is compared.
-
-    Attributes:
-        rated_current_A: Rated motor current from the file or from the drive, or None if unknown.
-        rated_torque_N_m: Rated motor torque from the file or from the drive, or None if unknown.
-        back_emf_constant_V_s_rad: Voltage per rad/s of the motor, or None if it is not stated.
-    """
+    """Constants of the bench file with which the first motion is compared; None if not stated."""
 
     torque_constant_N_m_A: float
     gear_ratio: float
@@ -94,12 +88,7 @@ def bench_line(document: Document[Bench]) -> str:
 
 @dataclass(frozen=True)
 class Watcher:
-    """Device or process that takes the power off when this program stops commanding the drive.
-
-    Attributes:
-        kind: ``drive``, ``guardian`` or ``nobody``.
-        after_s: Time, s, that drive or guardian waits for this program, or None for ``nobody``.
-    """
+    """What takes the power off when this program stops commanding: drive, guardian or nobody."""
 
     kind: str
     after_s: float | None = None

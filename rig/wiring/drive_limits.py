@@ -187,13 +187,7 @@ def require_held(
 
 
 def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
-    """Read the limits back from the drive, and refuse a drive that has not stored a limit that the
-    drive accepts.
-
-    Raises:
-        ConfigurationError: See :func:`require_held`.
-        DeviceError: The drive does not answer.
-    """
+    """Read the limits back; refuse, as :func:`require_held`, a drive without one that it takes."""
     taken = servo.limits_taken - servo.lacks(cycle_s).limits
     require_held(servo.read_limits(), wanted, servo.limit_steps(), servo.limit_places, taken)
 
@@ -238,10 +232,7 @@ def _looser(field: str, first: float | None, second: float | None, step: float) 
 
 
 def show(field: str, value: float | None) -> str:
-    """Return a limit as the bench file states it: angles in degrees, with the unit.
-
-    Four digits are enough to distinguish limits that count as different.
-    """
+    """Return a limit as the bench file states it: angles in degrees, with the unit."""
     if value is None:
         return "off"
     if field == "quick_stop_option":

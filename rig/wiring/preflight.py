@@ -36,12 +36,7 @@ from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_sc
 
 @dataclass(frozen=True)
 class Range:
-    """Plausible range of a quantity.
-
-    Attributes:
-        usual: Range for benches of this kind; a value outside gives a warning.
-        possible: Range for any bench; a run refuses a value outside.
-    """
+    """Plausible range; outside ``usual`` a bench gets a warning, outside ``possible`` no run."""
 
     usual: tuple[float, float]
     possible: tuple[float, float]
@@ -281,11 +276,7 @@ def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
 def require_startable(
     document: Document[Bench], today: date, warn: Callable[[str], object]
 ) -> None:
-    """Refuse a bench with errors in its files, before a connection to a device.
-
-    Raises:
-        InputError: The bench has errors; the message lists each with its place in the file.
-    """
+    """Refuse (InputError, with places) a bench with errors in its files, before any connection."""
     found = bench_findings(document, today)
     for text in warnings(found):
         warn(f"warning: {text}")
@@ -296,12 +287,7 @@ def require_startable(
 def device_findings(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> Iterator[Finding]:
-    """Yield the reasons for which a run with these limits would refuse the devices. Nothing is
-    written.
-
-    Raises:
-        DeviceError: A device does not answer.
-    """
+    """Yield why a run with these limits would refuse the devices; writes nothing to them."""
     servo = devices.servo
     state = servo.state()
     if state.energised:
@@ -331,12 +317,7 @@ def device_findings(
 def require_ready(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> list[str]:
-    """Before a weight is hung, refuse the devices that the run would refuse; return warnings.
-
-    Raises:
-        ConfigurationError: The run would refuse devices; the message lists every reason.
-        DeviceError: A device does not answer.
-    """
+    """Before a weight is hung, refuse the devices that the run would refuse; return warnings."""
     found = list(device_findings(devices, wanted, cycle_s, reset_fault))
     if problems := refusals(found):
         raise ConfigurationError("; ".join(problems))
