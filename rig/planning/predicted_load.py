@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,7 +64,10 @@ def friction_model(
     """
     if named is not None:
         return _identified(named, bench)
-    for path in _newest_first(runs):
+    newest: list[tuple[float, Path]] = []
+    with suppress(OSError):
+        newest += sorted((p.stat().st_mtime, p) for p in runs.glob(f"*/{RESULT_FILE}"))
+    for _, path in reversed(newest):
         try:
             if recorded_bench(read_record(path.parent)) == bench:
                 return _identified(path, bench)
@@ -73,11 +77,7 @@ def friction_model(
         f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
         f"because there is no identification of this bench; give a result with --identification"
     )
-    arm = bench.moment_arm or 0.0
-    per_kg = moment_per_kg(bench)
-    return FrictionModel(
-        NOMINAL, NOMINAL_ALPHA, arm, per_kg, words, measured=False, from_paper=tuple(NOMINAL)
-    )
+    return _model(bench, {}, NOMINAL_ALPHA, words, measured=False)
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
@@ -106,25 +106,21 @@ def _shown(value: object) -> str:
     )
 
 
-def _newest_first(runs: Path) -> list[Path]:
-    try:
-        found = [(path.stat().st_mtime, path) for path in runs.glob(f"*/{RESULT_FILE}")]
-    except OSError:
-        return []
-    return [path for _, path in sorted(found, reverse=True)]
-
-
 def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     known, alpha = read_values(path, NOMINAL)
     missing = [name for name in NOMINAL if name not in known]
     words = f"the identification {path}"
     if missing:
         words += f"; {', '.join(missing)}, not determined by the result, from the paper"
-    arm = bench.moment_arm or 0.0
-    per_kg = moment_per_kg(bench)
-    return FrictionModel(
-        {**NOMINAL, **known}, alpha, arm, per_kg, words, measured=True, from_paper=tuple(missing)
-    )
+    return _model(bench, known, alpha, words, measured=True)
+
+
+def _model(
+    bench: BenchConstants, known: Mapping[str, float], alpha: float, source: str, measured: bool
+) -> FrictionModel:
+    missing = tuple(name for name in NOMINAL if name not in known)
+    values, arm = {**NOMINAL, **known}, bench.moment_arm or 0.0
+    return FrictionModel(values, alpha, arm, moment_per_kg(bench), source, measured, missing)
 
 
 WARNING_SHARE = 0.8

@@ -109,24 +109,25 @@ def weigh(
 ) -> Weighing:
     """Compare a stage's friction with its confirmed mass, by the best reference available."""
     if reference is not None:
-        return _against_reference(item, reference)
+        mass = _mass(item.level, reference)
+        errors = (_mass(item.level, reference.shifted(name)) - mass for name in reference.values)
+        return _judge(item, mass, math.hypot(*errors), f"the identification {reference.source}")
     if len({other.weight_kg for other in earlier}) < 2:
         text = (
-            "the weight cannot be checked yet: the check needs an accepted identification of this "
-            "bench (--identification), "
-            "or earlier stages of two different masses; look at the weight again"
+            " yet: the check needs an accepted identification of this bench (--identification), or "
+            "earlier stages of two different masses; look at the weight again"
         )
-        return Weighing(
-            item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, f"stage {item.stage}: {text}"
-        )
+        return _unchecked(item.stage, item.weight_kg, text)
     found = _from_line(item.level, earlier)
     if found is None:
-        text = (
-            f"stage {item.stage}: the weight cannot be checked: the stages before it moved at "
-            f"other speeds"
-        )
-        return Weighing(item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, text)
+        text = ": the stages before it moved at other speeds"
+        return _unchecked(item.stage, item.weight_kg, text)
     return _judge(item, *found, f"the stages {', '.join(other.stage for other in earlier)}")
+
+
+def _unchecked(stage: str, weight_kg: float, text: str) -> Weighing:
+    words = f"stage {stage}: the weight cannot be checked{text}"
+    return Weighing(stage, weight_kg, Verdict.UNCHECKED, None, None, words)
 
 
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
@@ -156,25 +157,17 @@ def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[
 def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence[str]) -> Weighing:
     others = [other for other in items if other is not item]
     mass, sigma = _from_line(item.level, others) or (None, None)
-    alone = len(candidates) == 1
     words = (
-        f"stage {item.stage}: its friction is that of {mass or math.nan:.3g} kg, its label says "
-        f"{item.weight_kg:g} kg"
-        if alone
-        else (
-            f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; the "
-            f"label of one of {', '.join(candidates)} is wrong, and an identification or a stage "
-            "with one more mass would show which label"
+        f"its friction is that of {mass or math.nan:.3g} kg, its label says {item.weight_kg:g} kg"
+    )
+    if len(candidates) > 1:
+        words = (
+            f"its mass may not be the {item.weight_kg:g} kg of its label; the label of one of "
+            f"{', '.join(candidates)} is wrong, and an identification or a stage with one more "
+            "mass would show which label"
         )
-    )
-    return Weighing(
-        item.stage,
-        item.weight_kg,
-        Verdict.WRONG,
-        mass,
-        sigma,
-        f"{words}; weigh it before using the data",
-    )
+    words = f"stage {item.stage}: {words}; weigh it before using the data"
+    return Weighing(item.stage, item.weight_kg, Verdict.WRONG, mass, sigma, words)
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
@@ -189,13 +182,6 @@ def _consistent(items: Sequence[LoadedLevel]) -> bool:
         if abs(found[0] - item.weight_kg) > allowed + SIGMAS * found[1]:
             return False
     return True
-
-
-def _against_reference(item: LoadedLevel, reference: Reference) -> Weighing:
-    mass = _mass(item.level, reference)
-    errors = (_mass(item.level, reference.shifted(name)) - mass for name in reference.values)
-    sigma = math.hypot(*errors)
-    return _judge(item, mass, sigma, f"the identification {reference.source}")
 
 
 def _mass(level: FrictionLevel, reference: Reference) -> float:
@@ -213,10 +199,8 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, reference: str) -> Weig
         f"{item.weight_kg:g} kg were confirmed, and {allowed:.2g} kg of difference is the limit"
     )
     if not sigma <= UNCERTAINTY_SHARE * allowed:
-        verdict, rest = (
-            Verdict.UNCHECKED,
-            f"but that is uncertain by {sigma:.2g} kg: the weight cannot be checked",
-        )
+        verdict = Verdict.UNCHECKED
+        rest = f"but that is uncertain by {sigma:.2g} kg: the weight cannot be checked"
     elif abs(mass - item.weight_kg) <= allowed:
         verdict, rest = Verdict.RIGHT, "the weight is taken as right"
     else:
