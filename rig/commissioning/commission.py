@@ -189,10 +189,7 @@ class Commissioning:
         return {
             "state": self.ending.value,
             "message": self.words,
-            "changes": [
-                {"key": f"{change.section}.{change.key}", "value": change.value}
-                for change in self.changes
-            ],
+            "changes": [change.record() for change in self.changes],
             "sessions": [[step.record() for step in steps] for steps in self.sessions],
             "drive": None if self.safe is None else self.safe.record(),
         }
@@ -229,7 +226,12 @@ def commission(
         if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
             result.words += "; this value was already corrected once: check the machine itself"
             break
-        if not _agreed(interview, changes, result):
+        shown = ", ".join(map(str, changes))
+        try:
+            if not interview.agrees(f"Go on from the start with {shown} in a new bench file?"):
+                break
+        except OperatorStopError as stopped:
+            result.ending, result.words = Ending.STOPPED, f"{result.words}; {stopped}"
             break
         text = patched(result.text, changes)
         document = bench_from_text(text, document.path)
@@ -237,16 +239,6 @@ def commission(
         result.changes += changes
         result.ending, result.words = Ending.DONE, ""
     return result
-
-
-def _agreed(interview: Interview, changes: tuple[Change, ...], result: Commissioning) -> bool:
-    """Ask whether to repeat the steps with corrected values."""
-    shown = ", ".join(map(str, changes))
-    try:
-        return interview.agrees(f"Go on from the start with {shown} in a new bench file?")
-    except OperatorStopError as stopped:
-        result.ending, result.words = Ending.STOPPED, f"{result.words}; {stopped}"
-        return False
 
 
 def _session(
@@ -284,7 +276,16 @@ def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> Wron
         setup.recorder.event(setup.cycle.now_ns, "step", step=step.name)
         try:
             setup.stop.check()
-            _one(setup, step, record)
+            setup.interview.tell(f"Step {step.name}. {step.announced}")
+            if step.asks:
+                if not setup.interview.agrees("Go on with this step?"):
+                    raise OperatorStopError(
+                        "the operator did not agree to this step; the following steps depend on it"
+                    )
+                record.consent = setup.interview.how
+            step.do(setup, record)
+        except SkippedError as skipped:
+            record.verdict, record.words = Verdict.SKIPPED, str(skipped)
         except (WrongError, TripError, DeviceError) as error:
             record.verdict, record.words = Verdict.WRONG, str(error)
             record.changes = error.changes if isinstance(error, WrongError) else ()
@@ -304,21 +305,6 @@ def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> Wron
             return None
         _say(setup, record)
     return None
-
-
-def _one(setup: Setup, step: Step, record: StepRecord) -> None:
-    """Announce a step, ask for consent, without which all ends, and perform the step."""
-    setup.interview.tell(f"Step {step.name}. {step.announced}")
-    if step.asks:
-        if not setup.interview.agrees("Go on with this step?"):
-            raise OperatorStopError(
-                "the operator did not agree to this step; the following steps depend on it"
-            )
-        record.consent = setup.interview.how
-    try:
-        step.do(setup, record)
-    except SkippedError as skipped:
-        record.verdict, record.words = Verdict.SKIPPED, str(skipped)
 
 
 def _say(setup: Setup, record: StepRecord) -> None:

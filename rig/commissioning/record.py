@@ -52,10 +52,7 @@ class StepRecord:
             "measured": [vars(item) for item in self.measured],
             "verdict": self.verdict.value,
             "words": self.words,
-            "changes": [
-                {"key": f"{change.section}.{change.key}", "value": change.value}
-                for change in self.changes
-            ],
+            "changes": [change.record() for change in self.changes],
         }
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from drivers.errors import DeviceError
 from drivers.homing import IN_PLACE, NO_HOMING, Homes, HomingOffer, HomingOrder
@@ -27,6 +27,8 @@ from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.off import OffProof
 from rig.wiring.teardown import SafeState, give_back, make_safe
+
+_T = TypeVar("_T")
 
 
 class Interview(Protocol):
@@ -182,7 +184,6 @@ class Setup:
     cycle: Cycle
     own: ServoLimits | None = None
     safe: SafeState | None = None
-    steps: list[StepRecord] = field(default_factory=list)
     home: HomeRequest | None = None
     true_deg: float | None = None
     stiffness_N_m_rad: float | None = None
@@ -267,15 +268,9 @@ class Setup:
         """
         servo = self.devices.servo
         assert isinstance(servo, Homes)  # the homing is offered
-        held: Mapping[str, int] = {}
-
-        def energise() -> None:
-            nonlocal held
-            held = servo.begin_homing(order)
-
         ended = False
         try:
-            with self._energised("homing", energise):
+            with self._energised("homing", lambda: servo.begin_homing(order)) as held:
                 known = {(item.name, item.value) for item in step.measured}
                 for name, value in held.items():
                     words = f"written and read back, {name}"
@@ -295,17 +290,14 @@ class Setup:
                 step.measure("mode of operation afterwards, 6061h", f"{shown}{later}")
 
     @contextmanager
-    def _energised(
-        self, what: str, energise: Callable[[], None], share: float = 1.0
-    ) -> Iterator[None]:
+    def _energised(self, what: str, energise: Callable[[], _T], share: float = 1.0) -> Iterator[_T]:
         """Energise, and take the power off at the end, also after an error; verify that."""
         cycle, servo = self.cycle, self.devices.servo
         self.recorder.event(cycle.now_ns, "power on", step=what)
         done = False
         try:
             self.prepare(share)
-            energise()
-            yield
+            yield energise()
             done = True
         finally:
             self.safe = make_safe(

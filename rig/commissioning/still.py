@@ -76,7 +76,12 @@ def zero(setup: Setup, step: StepRecord) -> None:
             known.
     """
     bench = setup.bench
-    _say_offer(setup)
+    offer, home = setup.homing_offer, setup.home
+    if home is None:
+        then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"
+        setup.interview.tell(f"  note: {offer.words}; {then}")
+    elif why := offer.problem(home.method):
+        setup.interview.tell(f"  note: {why}; the zero is typed in instead")
     taken = take_readings(setup.devices, bench.machine.gear_ratio)
     both = (
         ("servo", "drive", math.degrees(taken.motor_encoder_at_joint_rad)),
@@ -116,16 +121,6 @@ def zero(setup: Setup, step: StepRecord) -> None:
         )
     which = "the joint encoder is" if later else "both angles are"
     step.words = f"{which} within {ZERO_TOLERANCE_DEG:g} deg of the true angle{later}"
-
-
-def _say_offer(setup: Setup) -> None:
-    """Show whether the drive can home, and whether this commissioning will start a homing."""
-    offer, home = setup.homing_offer, setup.home
-    if home is None:
-        then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"
-        setup.interview.tell(f"  note: {offer.words}; {then}")
-    elif why := offer.problem(home.method):
-        setup.interview.tell(f"  note: {why}; the zero is typed in instead")
 
 
 def limits(setup: Setup, step: StepRecord) -> None:

@@ -221,14 +221,6 @@ def _bus_kind(section: object) -> str:
     return "serial" if _stated(section, "interface") == "epos_serial" else "can"
 
 
-def _servo_kind(section: object) -> object:
-    return _stated(section, "kind", "canopen")
-
-
-def _encoder_kind(section: object) -> object:
-    return _stated(section, "kind", "cia406")
-
-
 class Calibration(Schema):
     """A calibration on which the results of this bench depend.
 
@@ -291,7 +283,7 @@ class Bench(Schema):
     encoder: Annotated[
         Annotated[EncoderSection, Tag("cia406")] | Annotated[Amt21Section, Tag("amt21")],
         Discriminator(
-            _encoder_kind,
+            lambda section: _stated(section, "kind", "cia406"),
             "encoder_kind",
             "kind is unknown; known are cia406 (the default) and amt21",
         ),

@@ -267,8 +267,5 @@ class Made:
         if content is None:
             words = f"no such page; only the latest {KEPT} pages are kept: make the page again"
             return Response(words, status_code=404, media_type="text/plain")
-        return Response(
-            content,
-            media_type="text/html; charset=utf-8",
-            headers={"Content-Security-Policy": SANDBOX},
-        )
+        policy = {"Content-Security-Policy": SANDBOX}
+        return Response(content, media_type=_KINDS[".html"], headers=policy)

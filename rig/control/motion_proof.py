@@ -315,6 +315,10 @@ class Change:
     key: str
     value: str | float | None
 
+    def record(self) -> dict[str, str | float | None]:
+        """Return the record for a result file."""
+        return {"key": f"{self.section}.{self.key}", "value": self.value}
+
     def __str__(self) -> str:
         if self.value is None:
             return f"no {self.section}.{self.key}"

@@ -238,8 +238,20 @@ def build(
     )
     stamps = channels.pop(ANGLE_TIME, None)
     found += [*cut, *mended, *unit_row_doubts(table, section)]
-    doubted = _doubts(file, channels, section, bench)
-    notes = [*table.notes, *found, *doubted, *_load_notes(section, bench)]
+    problems, doubts = findings(
+        channels,
+        bench.gear_ratio,
+        driven_by_weight=section.known_load,
+        has_lever=bench.moment_arm is not None,
+    )
+    if problems:
+        raise InputError(f"{file}: {problem}" for problem in problems)
+    doubts += [
+        f"`{name}` is constant ({values[0]:.6g})"
+        for name, values in channels.items()
+        if name != "enabled" and np.all(values == values[0])
+    ]
+    notes = [*table.notes, *found, *doubts, *_load_notes(section, bench)]
     whole = Recording(
         name=(file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem,
         channels=channels,
@@ -258,25 +270,6 @@ def build(
         notes=tuple(notes),
     )
     return Read(tuple(_cut(whole, timing, stamps)), first, last, section, index)
-
-
-def _doubts(
-    file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
-) -> list[str]:
-    problems, notes = findings(
-        channels,
-        bench.gear_ratio,
-        driven_by_weight=section.known_load,
-        has_lever=bench.moment_arm is not None,
-    )
-    if problems:
-        raise InputError(f"{file}: {problem}" for problem in problems)
-    constant = [
-        name
-        for name, values in channels.items()
-        if name != "enabled" and np.all(values == values[0])
-    ]
-    return [*notes, *(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)]
 
 
 def _windowed(

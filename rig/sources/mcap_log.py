@@ -70,11 +70,9 @@ def _until_cut(stream: IO[bytes]) -> Iterator[Found]:
 def _rest(stream: IO[bytes]) -> bytes:
     """Return the readable bytes of a file, which may be an incomplete gzip file."""
     parts = []
-    try:
+    with suppress(EOFError, zlib.error):
         while part := stream.read(1 << 16):
             parts.append(part)
-    except (EOFError, zlib.error):
-        pass
     return b"".join(parts)
 
 

@@ -129,12 +129,8 @@ def unit_hints(
                 f"scale to 0.001"
             )
     for name, gear in (("angle", 1.0), ("motor_angle", gear_ratio)):
-        turns = (
-            float(np.ptp(channels[name])) / (2.0 * np.pi * gear)
-            if name in channels and has_lever
-            else 0.0
-        )
-        if turns > 1.0:
+        way = float(np.ptp(channels[name])) if name in channels and has_lever else 0.0
+        if (turns := way / (2.0 * np.pi * gear)) > 1.0:
             yield (
                 f"`{name}` turns the joint {turns:.3g} times, which a lever with weights cannot: "
                 "if it is in degrees, set its scale to 0.017453292519943295"

@@ -315,11 +315,11 @@ class Scale:
         """Check a weight by the first pass; the level is kept unless the weight is wrong."""
         if level is None:
             text = (
-                f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves "
-                f"the joint, even at {stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
+                ": its first pass hardly moves the joint, even at "
+                f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
                 "first_pass.duration_s or stiffen the drive"
             )
-            return Weighing(stage.name, stage.weight_kg, Verdict.UNCHECKED, None, None, text)
+            return _unchecked(stage.name, stage.weight_kg, text)
         item = LoadedLevel(stage.name, stage.weight_kg, level)
         others = [other for name, other in self._seen.items() if name != stage.name]
         weighing = weigh(item, self._reference, others)
