@@ -1,6 +1,4 @@
-"""A whole commissioning: performs all steps, and starts again with a corrected bench file if a step
-finds a wrong value.
-"""
+"""A whole commissioning: all steps, again from the start after each corrected value."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The step in which the drive sets its zero by its own homing, at low limits and monitored by this
-program.
-"""
+"""The step in which the drive sets its zero by its own homing, watched at low limits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The step that proves the signs of motor, motor encoder and the drive's own loops, at a torque
-that just moves the joint, before the drive holds a position.
-"""
+"""Proves the signs of motor, encoder and loops at a torque that just moves the joint."""
 
 from __future__ import annotations
 

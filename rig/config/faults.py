@@ -1,7 +1,4 @@
-"""Schema of the fault schedule: faults to inject on a simulated bench, and expected reactions.
-
-The file is YAML or CSV.
-"""
+"""Schema of the fault schedule (YAML or CSV): simulated faults, and expected reactions."""
 
 from __future__ import annotations
 

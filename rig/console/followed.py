@@ -1,9 +1,4 @@
-"""Follows one run: reads its state from its answers on the control socket, its record and its
-recordings.
-
-A continued run has several recordings. All are read, one after the other, so that a page keeps the
-charts and events of the time before a stop.
-"""
+"""Follows one run, also a continued one: by its answers, its record and its recordings."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Follows all runs of the user who started the console, and passes the commands of pages to the
-runs.
-"""
+"""Follows all runs of one user, and passes the commands of pages to the runs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Steps before a run: rejects a run whose weights no person would confirm, and opens the bench so
-that a stop signal interrupts the opening.
-"""
+"""Rejects a run whose weights nobody would confirm; opens the bench so that STOP interrupts it."""
 
 from __future__ import annotations
 

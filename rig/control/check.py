@@ -1,8 +1,4 @@
-"""Reads identities, values and limits of a bench, and judges whether a run would start (``rig
-check``).
-
-The module writes nothing to the devices, and neither energises nor moves the drive.
-"""
+"""Reads a bench without a write or a motion, and judges whether a run would start."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Compares the reports of a drive and of a joint encoder in a motion with each other and with the
-bench file: units, signs, gear ratio, torque constant.
-
-The functions depend only on their arguments.
-"""
+"""Compares what drive and joint encoder report of a motion with each other and the bench file."""
 
 from __future__ import annotations
 

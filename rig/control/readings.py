@@ -1,6 +1,4 @@
-"""Reads the values of all devices before a run, and finds values that would prevent the run from
-starting.
-"""
+"""Reads the values of all devices before a run, and finds those that would prevent it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Plans the first passes before a stage: the stage's motion, smaller, under tighter limits.
-
-If the joint does not move, passes with larger amplitude follow.
-"""
+"""Plans the first passes before a stage: its motion, smaller, under tighter limits."""
 
 from __future__ import annotations
 

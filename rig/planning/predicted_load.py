@@ -1,8 +1,4 @@
-"""Predicts peak torque and current of the stages of a plan from friction, load and inertia, and
-judges them before any motion.
-
-Friction and load follow eq. 9 to 13.
-"""
+"""Predicts peak torque and current of a plan (eq. 9 to 13), and judges them before any motion."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Describes the content of a log for ``rig look``: columns, units, ranges, sample rate and gaps.
-
-This module converts and repairs nothing; it only states the repairs that are made when a campaign
-is loaded.
-"""
+"""Describes the content of a log for ``rig look``; converts and repairs nothing."""
 
 from __future__ import annotations
 

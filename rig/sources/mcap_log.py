@@ -1,6 +1,4 @@
-"""Reads MCAP logs with JSON, CDR (ROS 2) and protobuf messages, which robot and vehicle loggers
-write.
-"""
+"""Reads MCAP logs with JSON, CDR (ROS 2) and protobuf messages."""
 
 from __future__ import annotations
 

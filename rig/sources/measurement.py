@@ -1,6 +1,4 @@
-"""Readers of measurement files: ASAM MDF (MF4, and MDF versions 2 and 3) with the optional library
-asammdf, and TDMS of LabVIEW and DIAdem with the optional library npTDMS.
-"""
+"""Reads ASAM MDF (asammdf) and TDMS of LabVIEW and DIAdem (npTDMS)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Checks the channels of a recording for plausible sizes, units and mutual signs.
-
-The functions depend only on their arguments, and return the texts of errors and notes.
-"""
+"""Checks the channels of a recording for plausible sizes, units and mutual signs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Interface of the readers of all file formats: named columns of numbers, and the place of each row
-in the file.
-"""
+"""Interface of the readers of all formats: named columns, and the place of each row."""
 
 from __future__ import annotations
 

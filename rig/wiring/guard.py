@@ -1,6 +1,4 @@
-"""Starts the guardian (:mod:`rig.wiring.guardian`) with the port of a drive, arms the guardian,
-sends it signs of life, and receives its report after a takeover.
-"""
+"""Starts and arms the guardian (:mod:`rig.wiring.guardian`) of a port, and gets its report."""
 
 from __future__ import annotations
 

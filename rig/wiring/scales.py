@@ -1,6 +1,4 @@
-"""Converts the units of the devices in a bench file to SI; missing units are taken from the known
-data of the drive's maker.
-"""
+"""Converts the units of the bench file to SI; missing ones are those of the drive's maker."""
 
 from __future__ import annotations
 
