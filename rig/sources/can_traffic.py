@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, NoReturn, TextIO, cast
+from typing import Any, BinaryIO, NamedTuple, TextIO, cast
 
 import can
 import can.io
@@ -49,7 +49,7 @@ from rig.sources.table import (
     open_binary,
 )
 from rig.sources.text import encoding_of, open_text
-from rig.wiring.connect import eds_path
+from rig.wiring.connect import eds_path, never_opened
 from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 
 ERROR_FLAG = 0x20000000
@@ -489,7 +489,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
     scales = servo_scales(servo, document.value.machine, data)
     motion = servo_motion(servo, scales, data)
     eds = eds_path(document, "servo")
-    link = CanopenLink(SimulatedClock(), _never_opened)
+    link = CanopenLink(SimulatedClock(), never_opened)
     node = link.add_node(servo.node, eds, servo_axis(servo, data))
     sent = objects.cyclic(node, scales)
     angle = (scales.motor_rad_per_count, scales.offset_rad * scales.gear_ratio)
@@ -593,10 +593,6 @@ def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessa
                     )
                 )
         yield dataclasses.replace(message, signals=tuple(signals))
-
-
-def _never_opened() -> NoReturn:
-    raise AssertionError("only the map of this bench is read, and its bus must not be opened")
 
 
 STAMPS = "time"

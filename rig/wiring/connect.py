@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NoReturn
 
 import drivers.mock
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
@@ -427,6 +427,11 @@ def _simulated_dbc(
         raise InputError(document.problem(("servo", "simulated_drive"), text))
     bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
     return bench, bench.clock
+
+
+def never_opened() -> NoReturn:
+    """Stand for the bus of a link on which devices are only declared."""
+    raise AssertionError("the files of this bench are only read, and its bus must not be opened")
 
 
 def nominal_of(bench: Bench) -> Nominal:
