@@ -76,14 +76,18 @@ def follow_bench(root: Node) -> Node:
 
 def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     """Return the values of ``mock`` that follow from the other sections of a bench file."""
-    motor = _known(
-        resistance_ohm=_number(bench, "machine", "resistance_ohm"),
-        inductance_H=_number(bench, "machine", "inductance_H"),
-        torque_constant_N_m_A=_number(bench, "machine", "torque_constant_N_m_A"),
-        back_emf_constant_V_s_rad=_number(bench, "machine", "back_emf_constant_V_s_rad"),
-        gear_ratio=_number(bench, "machine", "gear_ratio"),
+    motor = _of_machine(
+        bench,
+        "resistance_ohm",
+        "inductance_H",
+        "torque_constant_N_m_A",
+        "back_emf_constant_V_s_rad",
+        "gear_ratio",
     )
-    joint = _joint(bench)
+    torque = (_number(bench, "limits", "torque_N_m") or _PAPER_TORQUE_N_M) / _PAPER_TORQUE_N_M
+    scaled = ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad")
+    joint = {name: getattr(Joint, name) * torque for name in scaled}
+    joint |= _of_machine(bench, "moment_arm_m", "lever_ratio", "gravity_m_s2")
     inertia = _number(bench, "mock", "joint", "inertia_kg_m2") or joint["inertia_kg_m2"]
     gear = _number(bench, "mock", "motor", "gear_ratio") or motor.get(
         "gear_ratio", Motor.gear_ratio
@@ -102,14 +106,8 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     return machine if supply is None else {**machine, "supply_V": supply}
 
 
-def _joint(bench: Mapping[str, Any]) -> Section:
-    share = (_number(bench, "limits", "torque_N_m") or _PAPER_TORQUE_N_M) / _PAPER_TORQUE_N_M
-    scaled = ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad")
-    lever = ("moment_arm_m", "lever_ratio", "gravity_m_s2")
-    return {
-        **{name: getattr(Joint, name) * share for name in scaled},
-        **_known(**{name: _number(bench, "machine", name) for name in lever}),
-    }
+def _of_machine(bench: Mapping[str, Any], *names: str) -> Section:
+    return _known(**{name: _number(bench, "machine", name) for name in names})
 
 
 def _loops(

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,10 +53,9 @@ class RunProgress:
         )
 
 
-@contextmanager
 def reachable(
     stop: StopButton, screen: Screen, inputs: Inputs, plan: Plan, path: Path, required: bool = False
-) -> Iterator[ControlSocket | None]:
+) -> AbstractContextManager[ControlSocket | None]:
     """Open the control socket of a run, and close it at the end.
 
     If the socket cannot be created, a run at a terminal continues without it, with a message.
@@ -64,18 +63,15 @@ def reachable(
     Raises:
         InputError: The socket is required and cannot be created.
     """
-    with _opened(stop, screen, about_run(inputs, plan, path), required) as control:
-        yield control
+    return _opened(stop, screen, about_run(inputs, plan, path), required)
 
 
-@contextmanager
 def stoppable(
     stop: StopButton, screen: Screen, bench: Bench, name: str
-) -> Iterator[ControlSocket | None]:
+) -> AbstractContextManager[ControlSocket | None]:
     """Open the control socket of a program that moves a bench without a run, such as a jog."""
     about = {"name": name, "bench": bench.name, "real": not bench.simulated}
-    with _opened(stop, screen, about, False) as control:
-        yield control
+    return _opened(stop, screen, about, False)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,8 @@ def plan_passes(
     amplitude = low.amplitude
     while amplitude < 1.0:
         planned = _plan_pass(section, low, amplitude, limits, cycle_s)
-        if passes and _peak_speed(planned.targets, cycle_s) > planned.limits.speed:
+        peak = float(np.max(np.abs(np.diff(planned.targets)), initial=0.0)) / cycle_s
+        if passes and peak > planned.limits.speed:
             break
         passes.append(planned)
         amplitude *= GROWTH
@@ -45,18 +47,18 @@ def plan_passes(
 def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
+    """Return one first pass: the tones smaller and shorter, or the ramp with less travel."""
     if section.ramp is not None:
         ramp = section.ramp.model_copy(
             update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1}
         )
-        small = section.model_copy(update={"ramp": ramp, "duration_s": ramp.moving_s})
-        return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
-    slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
-    wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
-    duration_s = min(wanted_s, section.duration_s)
-    ramp_s = LONGEST_RAMP_SHARE * duration_s
-    small = section.model_copy(
-        update={
+        changes: dict[str, Any] = {"ramp": ramp, "duration_s": ramp.moving_s}
+    else:
+        slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
+        wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
+        duration_s = min(wanted_s, section.duration_s)
+        ramp_s = LONGEST_RAMP_SHARE * duration_s
+        changes = {
             "tones": tuple(
                 tone.model_copy(update={"amplitude_deg": amplitude * tone.amplitude_deg})
                 for tone in section.tones
@@ -65,19 +67,16 @@ def _plan_pass(
             "ramp_in_s": min(section.ramp_in_s, ramp_s),
             "ramp_out_s": min(section.ramp_out_s, ramp_s),
         }
-    )
-    return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
-
-
-def _judged(
-    targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
-) -> PlannedPass:
+    targets = excitation(section.model_copy(update=changes), cycle_s)
     moving = _tighter(limits, low.limit_share)
-    return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
-
-
-def _peak_speed(targets: Array, cycle_s: float) -> float:
-    return float(np.max(np.abs(np.diff(targets)), initial=0.0)) / cycle_s
+    # The angle range of the pass is that of its targets, widened by the allowed following error.
+    slack = moving.following_error
+    around = dataclasses.replace(
+        moving,
+        angle_min=max(moving.angle_min, float(np.min(targets, initial=np.inf)) - slack),
+        angle_max=min(moving.angle_max, float(np.max(targets, initial=-np.inf)) + slack),
+    )
+    return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, around)
 
 
 def _tighter(limits: Limits, share: float) -> Limits:
@@ -93,13 +92,4 @@ def _tighter(limits: Limits, share: float) -> Limits:
         following_error=torque_share * limits.following_error,
         torque=torque_share * limits.torque,
         current=torque_share * limits.current,
-    )
-
-
-def _around(targets: Array, limits: Limits) -> Limits:
-    slack = limits.following_error
-    return dataclasses.replace(
-        limits,
-        angle_min=max(limits.angle_min, float(np.min(targets, initial=np.inf)) - slack),
-        angle_max=min(limits.angle_max, float(np.max(targets, initial=-np.inf)) + slack),
     )

@@ -185,7 +185,9 @@ def _plan_stage(
         name=section.name,
         stage=section.stage,
         weight_kg=section.weight_kg,
-        contact_force_N=_contact_force(section, targets, bench),
+        contact_force_N=expected_force(targets, bench)
+        if section.stage == "hot_fire"
+        else bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2,
         targets=targets,
         repeats=section.repeats,
         settle_s=section.settle_s,
@@ -213,12 +215,6 @@ def _plan_stage(
     moves_s = across_s * (stage.repeats + passes)
     longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
     return dataclasses.replace(stage, time_limit_s=longest_s)
-
-
-def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float:
-    if section.stage == "hot_fire":
-        return expected_force(targets, bench)
-    return bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2
 
 
 _Objection = tuple[tuple[str | int, ...], str, object]
