@@ -26,7 +26,6 @@ _ABSENT = object()
 _INDEX = re.compile(r"\[\d+\]")
 _Found = tuple[Mark, str, str, object]
 _Described = dict[str, Any]
-"""A JSON Schema."""
 
 
 class Schema(BaseModel):

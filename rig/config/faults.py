@@ -125,7 +125,6 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
         "the operator hangs this mass and types the planned mass", "kg", 60.0
     ),
 }
-"""Kind of each fault, by target and name."""
 
 COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sync": (0x080,),

@@ -187,7 +187,6 @@ _KINDS: Final = {
     ".svg": "image/svg+xml",
 }
 _PUSH_EVERY: Final = 2
-"""Number of ticks between two messages to a page."""
 _COMMANDS: Final = {command.value: command for command in Command}
 _LONGEST_WINDOW_S: Final = 86_400.0
 

@@ -49,7 +49,6 @@ CHANNELS = (
     Channel("temperature", "Temperature of the drive", "deg C"),
     Channel("pressure", "Chamber pressure", "MPa", 1e-6),
 )
-"""Channels in the order in which the page shows them."""
 
 
 def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
@@ -229,7 +228,6 @@ def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
 
 
 EVENTS: Final = 200
-"""Greatest number of events that are shown."""
 SILENT_S: Final = 1.0
 """Time without an answer after which a run counts as silent, s."""
 DRIVE_STATES: Final = {

@@ -111,11 +111,9 @@ def _with_headers(send: Send) -> Send:
 
 
 MOST_OPEN: Final = 64
-"""Greatest number of HTTP connections."""
 MOST_PAGES: Final = 12
 """Greatest number of open pages with the token."""
 MOST_READERS: Final = 6
-"""Greatest number of open pages without the token."""
 MOST_GREETING: Final = 24
 """Greatest number of WebSockets that have not sent their token yet."""
 YOUNG_S: Final = 1.0

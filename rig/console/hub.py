@@ -259,7 +259,6 @@ class Links:
 TICK_S: Final = 0.1
 _LOOK_S: Final = 0.5
 _ENDED: Final = 5
-"""Number of runs that are kept after their end."""
 _READS: Final = 4
 """Greatest number of blocks of a recording that are read in one tick."""
 _NOTES: Final = 20

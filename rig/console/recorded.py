@@ -28,9 +28,7 @@ from rig.runs.catalogue.entry import Entry, Wanted, chosen, latest
 from rig.runs.catalogue.index import list_runs
 
 SHOWN: Final = 30
-"""Default number of runs in the list, which has the latest runs."""
 MOST_SHOWN: Final = 300
-"""Greatest number of runs in the list."""
 _FRESH_S: Final = 3.0
 """Time for which a list is reused, s."""
 _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
@@ -182,13 +180,11 @@ class Recorded:
 MOST_COMPARED: Final = 6
 """Greatest number of runs in a comparison: the number of colours of the figure."""
 KEPT: Final = 12
-"""Number of the latest pages that are kept."""
 MAKE_S: Final = 180.0
 """Longest time, s, in which a page must be made."""
 NICE = 10
 """Increase of the niceness of the process that makes a page."""
 _SHOWN: Final = 2000
-"""Number of characters of an error message that are shown."""
 
 
 class Made:

@@ -33,7 +33,6 @@ TORQUE_SHARE = 0.6
 GREATEST_SPEED_SHARE = 0.25
 """Highest permitted speed of a jog, as a share of the bench's speed limit."""
 REST_S = 0.2
-"""Time at rest, s, after a move before the drive is de-energised."""
 
 
 @dataclass(frozen=True)

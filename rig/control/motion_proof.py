@@ -274,7 +274,6 @@ SPEED, SHAFT, WORK, CONSTANT = (
     "current against motion",
     "torque constant",
 )
-"""Names of the compared quantities."""
 SPEED_BAND: Final = (0.25, 4.0)
 """Range of the ratio of reported to true speed in which the unit of the speed counts as right.
 Filters, and samples that miss the peaks of stick-slip, change the ratio less (to 0.33 at one count
@@ -561,7 +560,6 @@ def _same(factor: float, band: tuple[float, float]) -> bool:
 
 
 MOST: Final = 20_000
-"""Number of samples after which further samples are dropped."""
 
 
 class MotionWitness:
@@ -645,7 +643,6 @@ class MotionWitness:
 STEP_RAD: Final = 0.01
 """Joint travel of one comparison, rad; several counts of a motor encoder before a gear."""
 STEPS: Final = 3
-"""Number of comparisons for a decision."""
 LONGEST_S: Final = 1.0
 """Longest travel that is compared, s: in a slower one an offset of the speed would dominate."""
 

@@ -56,7 +56,6 @@ from rig.wiring.drive_limits import only_here
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
 DEVICES = ("servo", "encoder", "pressure")
-"""Roles of devices; a bench need not have all of them."""
 
 
 @dataclass(frozen=True)

@@ -245,4 +245,3 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("encoder", "frozen"): lambda s, _: faults.freeze(s.sensor),
     ("encoder", "reversed"): lambda s, _: faults.reverse(s.sensor),
 }
-"""Actions on a bench, by target and name of the fault."""

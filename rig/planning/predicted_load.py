@@ -26,9 +26,7 @@ from rig.planning.reference import moment_per_kg, read_values
 from rig.runs.run_file import read_record, recorded_bench
 
 NOMINAL_ALPHA = 2.0
-"""Stribeck exponent of the paper."""
 RUNS = Path("runs")
-"""Default folder of runs and their identifications."""
 
 _UNLOADED_FRICTION = ("Mc", "Ms")
 _LOAD_FRICTION = ("mu_c", "mu_s")

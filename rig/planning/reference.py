@@ -18,7 +18,6 @@ from rig.config.sequence import Array
 NEEDED = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2")
 _SIGMA_OF_90 = 1.6449
 LARGEST_ALPHA = 100.0
-"""Greatest Stribeck exponent of a valid result."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
 from rig.sources.table import Table, format_of
 
 STRIP = 40
-"""Greatest number of values in the small picture of a column."""
 FLICKER_SHARE = 0.02
 """Share of reversed steps to a neighbouring value above which a column counts as flickering."""
 _INDEX = re.compile(r"\[\d+\]$")

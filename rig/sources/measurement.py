@@ -15,7 +15,6 @@ from rig.common.errors import InputError
 from rig.sources.table import Array, Table, heard, library, open_binary, seconds_per
 
 TIME_MASTER = 1
-"""Sync type of a master channel that contains the time, s."""
 _MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
 _LINEAR = {3: 0, 4: 1}
 """Type number of the linear conversion, by version of the format."""

@@ -194,7 +194,6 @@ ALIKE = 1.5
 FAR = 100.0
 """Distance of an outlier from its neighbours, over the greatest such distance of the others."""
 OUTLIERS = 3
-"""Greatest number of samples of a channel that count as single outliers."""
 _FACTORS = (
     (30.0 / np.pi, "rpm", "0.10471975511965977"),
     (180.0 / np.pi, "degrees per second", "0.017453292519943295"),

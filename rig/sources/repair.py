@@ -23,7 +23,6 @@ MISSING_RUN = 5
 GAP_PERIODS = 5.0
 """Length of a time step, in median periods, above which the recording is split."""
 MIN_SAMPLES = 50
-"""Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
 """Relative range (5 to 95 %) of the sample period above which a note results."""
 UNEVEN = "uneven sampling kept as recorded"

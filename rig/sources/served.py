@@ -26,7 +26,6 @@ from rig.common.errors import InputError
 from rig.sources.table import Array, Table, damaged, undamaged
 
 Answer = tuple[dict[str, Any], list[Array]]
-"""Head and arrays of an answer."""
 _START = "import sys; sys.path[:] = sys.argv[1:]; from rig.sources.served import serve; serve()"
 
 
@@ -130,7 +129,6 @@ class Reader:
 
 
 READER = Reader()
-"""The second process of this program."""
 atexit.register(READER.close)
 
 

@@ -28,11 +28,8 @@ from rig.terminal.stop_button import StopButton
 VERSION: Final = 1
 """Version of the messages; a program of another version only watches."""
 LONGEST_BYTES: Final = 4096
-"""Length of the longest message that a run reads, bytes."""
 REPLY_BYTES: Final = 65_536
-"""Length of the longest message that a run sends, bytes."""
 LONGEST_TEXT: Final = 200
-"""Longest answer to a prompt, characters."""
 STALE_NS: Final = 5 * NS
 """Age, ns, from which a command other than `stop` is refused: its sender may have been frozen."""
 RECEIVED_BEFORE: Final = "this command, or a later command, was already received"

@@ -155,7 +155,6 @@ NO_BUS = (
 _SPEED_SHARE = 2.0
 """Fastest plausible speed of the joint, in units of the limit of the bench file."""
 Hang = Callable[[float], None]
-"""Function that hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 """Function that gets a simulated bench before its bus is opened; returns the host's clock."""
 

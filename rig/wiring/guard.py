@@ -24,7 +24,6 @@ _START_S: Final = 20.0
 _END_S: Final = 2.0
 _FEED_NS: Final = NS // 50
 ANSWER_S: Final = 0.2
-"""Longest time without an answer of the guardian, s."""
 _TAKEOVER_S: Final = 3.0
 """Time to wait for the guardian's report after a takeover, s, longer than braking and reading back.
 """

@@ -82,7 +82,6 @@ class Steps:
 WINDOW_S: Final = 0.05
 """Shortest time, s, over which current and motion are observed."""
 LEAST_READINGS: Final = 8
-"""Smallest number of readings of a window."""
 PATIENCE_S: Final = 2.0
 """Longest time, s, for which a joint may coast after the power went off."""
 TURN_WINDOWS: Final = 2
@@ -92,7 +91,6 @@ STILL_WINDOWS: Final = 4
 DECAY_WINDOWS: Final = 3
 """Windows after which no current may flow in a motor at rest; it decays in milliseconds."""
 REQUEST_INTERVAL_NS: Final = NS // 200
-"""Time between two readings by request, ns."""
 OFFSET_SHARE: Final = 0.02
 """Greatest zero error of a current sensor, in units of the rated current."""
 DRIFT_SHARE: Final = 0.005

@@ -63,7 +63,6 @@ CONSTANTS = {
     "lever_ratio": Range((0.5, 50.0), (0.01, 1e3), "", "state contact force over weight force"),
     "gravity_m_s2": Range((9.76, 9.84), (9.7, 9.9), "m/s^2", "state the local gravity"),
 }
-"""Ranges of the keys of the section ``machine``."""
 _EMF = Range((0.4, 2.5), (0.2, 5.0), "", "in SI units both constants of an ideal motor are equal")
 _TIME = Range((1e-5, 0.1), (1e-7, 10.0), "s", "check the units of inductance and resistance")
 _RATED = Range(
