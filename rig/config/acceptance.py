@@ -120,12 +120,7 @@ _BOUND = re.compile(rf"([A-Za-z0-9 ]+?)\s*(<=|>=|<|>)\s*({_NUMBER})\s*(.*)")
 
 
 def parse_limit(text: str) -> Limit:
-    """Return the limit that a line states.
-
-    Raises:
-        ValueError: The line does not state a limit; the message states the permitted forms and the
-            nearest known name.
-    """
+    """Return the limit that a line states; the ValueError has the forms and the nearest name."""
     line = " ".join(text.split())
     if line in (NOTHING_MISSING, WEIGHT_CHECK):
         return Required(line)

@@ -80,18 +80,7 @@ class Document(Generic[M]):
 def load_located(
     path: Path, schema: type[M], prepare: Callable[[Node], Node] | None = None
 ) -> Document[M]:
-    """Read and validate a configuration file, keeping the place of each value.
-
-    Args:
-        path: The YAML file.
-        schema: The record to validate into.
-        prepare: Function that changes the tree before validation, for example to merge defaults;
-            moved nodes keep their place in the file.
-
-    Raises:
-        InputError: The file cannot be read, is not YAML, or violates the schema; the message has
-            every error.
-    """
+    """Read and validate a file (InputError with all errors), after ``prepare`` changed its tree."""
     try:
         text = read_text(path)
     except DocumentError as error:
@@ -116,10 +105,6 @@ def located_text(
 def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] = ()) -> Document[M]:
     """Validate a tree that was read from ``path``; the problems ``found`` in reading are reported
     too.
-
-    Raises:
-        InputError: The tree violates the schema, or ``found`` has problems; the message lists all
-            errors.
     """
     found = list(found)
     try:
@@ -267,8 +252,9 @@ def _records_at(described: _Described, loc: Loc) -> list[dict[str, bool]]:
 
 
 def _resolve(root: Node, loc: Loc) -> tuple[Node, Mark, Loc, Mark | None]:
-    """Follow the keys and indices of a location as far as the tree contains them; the names of
-    union branches, which pydantic puts between keys, are skipped.
+    """Follow a location as far as the tree has it, without names of union branches.
+
+    Returns the node, its mark, the path followed, and the mark of its last key (None for an index).
 
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an
@@ -322,13 +308,7 @@ def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
 
 
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
-    """Return the file for a name: the file at this path if it exists, else the packaged file of
-    this name.
-
-    Raises:
-        InputError: Neither file exists, or the path is not a file; the message suggests the nearest
-            packaged names.
-    """
+    """Return the file for a name: at this path, else packaged; the InputError has near names."""
     path = Path(name)
     if is_file(path):
         return path

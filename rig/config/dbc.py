@@ -171,10 +171,7 @@ class DbcServoSection(Schema):
 
 
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
-    """Return the path of the drive's DBC file; ``path`` is the path of the bench file.
-
-    A simulated drive has a packaged DBC file.
-    """
+    """Return the path of the drive's DBC file, for a simulated drive a packaged one."""
     if section.file is not None:
         return path.parent / section.file
     kind = section.simulated_drive
@@ -182,18 +179,7 @@ def dbc_path(section: DbcServoSection, path: Path) -> Path:
 
 
 def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:
-    """Read the drive's DBC file, and assign its signals to the entries of the map.
-
-    Args:
-        section: The validated section.
-        path: The bench file.
-        simulated: Whether the drive is the simulated drive, which has its own DBC file.
-        problem: Function that formats a problem with its place in the bench file.
-
-    Raises:
-        InputError: The DBC file is missing or not valid, or the map does not fit the file; the
-            message lists every problem with its place.
-    """
+    """Read the drive's DBC file and bind its signals; the InputError has every problem's place."""
     place: Loc = ("servo", "file")
     if section.file is None and not simulated:
         raise InputError(

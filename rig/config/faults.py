@@ -283,10 +283,6 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     In CSV the first line names the columns, which are the keys of a row; the columns ``device`` and
     ``function`` are the keys of ``frames``, and the columns ``deenergised_within_s``,
     ``exit_status`` and ``words`` are the keys of ``expect``.
-
-    Raises:
-        InputError: The file is missing or not valid; the message lists every problem with its place
-            in the file.
     """
     if path.suffix.lower() != ".csv":
         return load_located(path, FaultSchedule)

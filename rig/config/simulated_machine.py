@@ -201,12 +201,7 @@ def may_be(name: str) -> str:
 
 
 def require_buildable(machine: Machine) -> None:
-    """Check the numbers of a simulated machine.
-
-    Raises:
-        ValueError: A number is not finite, has the wrong sign or is outside a realistic range, or
-            the gas generator cannot burn steadily.
-    """
+    """Check the numbers of a simulated machine; ValueError for sign, size or an unsteady burn."""
     for path, value in _leaves(machine):
         name = path.rsplit(".", 1)[-1]
         if name in _ANY_SIGN:
@@ -277,9 +272,6 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
     (eq. 1). The loop is linear, so that its eigenvalues determine its stability; the supply voltage
     only limits the oscillation.
-
-    Returns:
-        The message on the key ``current_gain_V_A``, or None if the loop is stable.
     """
     gain = machine.loops.current_gain_V_A
     radius = _radius(machine, gain)
