@@ -150,8 +150,8 @@ def turn_alike(motion: Motion, nominal: Nominal) -> bool:
     return low * nominal.gear_ratio <= way <= high * nominal.gear_ratio
 
 
-def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
-    """Return first and last index of each travel in one direction of at least ``least``, rad."""
+def travels(motor: Array) -> list[tuple[int, int]]:
+    """Return first and last index of each travel in one direction of at least :data:`LEAST_RAD`."""
     found: list[tuple[int, int]] = []
     low = high = begin = 0
     way = 0
@@ -160,11 +160,11 @@ def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
             high = at
         if angle < motor[low]:
             low = at
-        if way >= 0 and motor[high] - angle >= least:
+        if way >= 0 and motor[high] - angle >= LEAST_RAD:
             if way:
                 found.append((begin, high))
             begin, way, low = high, -1, at
-        elif way <= 0 and angle - motor[low] >= least:
+        elif way <= 0 and angle - motor[low] >= LEAST_RAD:
             if way:
                 found.append((begin, low))
             begin, way, high = low, 1, at

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from enum import Enum
 from typing import Protocol
 
@@ -57,23 +56,15 @@ class Operator(Protocol):
 
 
 class AutomaticOperator:
-    """Answers every prompt with the plan (``--yes``); a second pause signal ends a pause.
-
-    Args:
-        hung: True mass on a simulated lever, kg, by stage, for simulated mistakes; for other stages
-            the planned mass hangs on the lever.
-        control: Socket on which messages are shown and answers may arrive, or None for none.
-    """
+    """Answers every prompt with the plan (``--yes``); a second pause signal ends a pause."""
 
     def __init__(
         self,
-        hung: Mapping[str, float] | None = None,
         clock: Clock | None = None,
         screen: Screen | None = None,
         control: ControlSocket | None = None,
     ) -> None:
         self._control = control
-        self._hung = hung or {}
         self._clock = clock or RealClock()
         self._screen = screen or Screen()
 
@@ -82,8 +73,8 @@ class AutomaticOperator:
         return weight_kg
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Return the confirmed mass, or the wrong mass of a simulated mistake."""
-        return self._hung.get(stage, weight_kg)
+        """Return the confirmed mass."""
+        return weight_kg
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
         """Wait for the next pause signal, or an answer on the control socket."""
@@ -126,24 +117,17 @@ class AutomaticOperator:
 
 
 class ConsoleOperator(AutomaticOperator):
-    """Asks the operator at the terminal.
-
-    Args:
-        patience_s: Longest wait for an answer, s, or None for no time-out.
-        tolerance: Greatest relative difference between typed and planned mass.
-        control: Socket on which answers may arrive as well, or None for none.
-    """
+    """Asks the operator at the terminal, with a relative tolerance of the typed mass."""
 
     def __init__(
         self,
         screen: Screen | None = None,
         asker: Asker | None = None,
-        patience_s: float | None = None,
         tolerance: float = WEIGHT_TOLERANCE,
         control: ControlSocket | None = None,
     ) -> None:
         super().__init__(screen=screen, control=control)
-        self._asker = asker or Prompt(self._screen, patience_s=patience_s)
+        self._asker = asker or Prompt(self._screen)
         self._tolerance = tolerance
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
