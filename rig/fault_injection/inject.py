@@ -172,9 +172,7 @@ class FaultInjector:
         return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices run on, judge the schedule, write the findings; status None: being
-        killed.
-        """
+        """Let the devices run on and judge; ``status`` None: about to be killed."""
         clock = self._scene.clock
         if self._off_ns is None or self._scene.live:
             clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))

@@ -34,7 +34,7 @@ _LOAD_FRICTION = ("mu_c", "mu_s")
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Friction and inertia of a bench, SI, at the joint; ``from_paper`` were not measured."""
+    """Friction and inertia of a bench, SI, at the joint; ``from_paper`` lists what is assumed."""
 
     values: Mapping[str, float]
     alpha: float

@@ -34,7 +34,7 @@ Mask = NDArray[np.bool_]
 
 
 class UnusableError(Exception):
-    """The data cannot be used, from a row on, or (None) the whole recording."""
+    """The data cannot be used; ``row`` is the first bad row, or None for all of them."""
 
     def __init__(self, message: str, row: int | None = None) -> None:
         super().__init__(message)

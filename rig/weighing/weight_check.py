@@ -262,7 +262,7 @@ def _mean(weighted: Array, count: Array) -> Array:
 
 
 def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
-    """Find the recordings whose mass differs from their label; two other masses, or a reference."""
+    """Find the recordings whose mass differs from their label, by a reference or two masses."""
     return suspects(_levels(dataset.recordings), reference)
 
 
