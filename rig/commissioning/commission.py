@@ -1,6 +1,4 @@
-"""A whole commissioning: performs all steps, and starts again with a corrected bench file if a step
-finds a wrong value.
-"""
+"""A whole commissioning: all steps, again from the start after each corrected value."""
 
 from __future__ import annotations
 
@@ -30,11 +28,7 @@ from rig.wiring.teardown import SafeState
 
 
 def patched(text: str, changes: tuple[Change, ...]) -> str:
-    """Return the text of a bench file with these values set; a value of None removes its key.
-
-    Raises:
-        InputError: A section is not a mapping, so that no key can be set in the section.
-    """
+    """Return the text of a bench file with these values set (or InputError); None removes a key."""
     for change in changes:
         text = _set(text, change)
     return text
@@ -68,7 +62,6 @@ def _set(text: str, change: Change) -> str:
 
 
 def _without(text: str, section: yaml.MappingNode, name: yaml.Node, value: yaml.Node) -> str:
-    """Return the text without a key of a section."""
     begin, end = name.start_mark.index, value.end_mark.index
     if section.flow_style:
         rest = text[end:]
@@ -94,14 +87,7 @@ Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a commissioning.
-
-    Attributes:
-        name: Short name.
-        announced: Text for the operator on what moves and what is under power.
-        do: Function that carries out the step.
-        asks: Whether the step needs the operator's consent.
-    """
+    """One step of a commissioning."""
 
     name: str
     announced: str
@@ -169,9 +155,7 @@ class Commissioning:
 
     Attributes:
         ending: Kind of the ending; `done` if every step succeeded or was skipped.
-        words: Message on the ending, for the operator.
         text: Text of the bench file with all corrections.
-        changes: All corrections, in order.
         sessions: Steps of each connection; after a correction, a new connection begins.
         safe: State in which the drive was left, or None if the drive was never energised.
         error: A defect of this program, which is raised after all results are stored.
@@ -187,9 +171,7 @@ class Commissioning:
 
     @property
     def not_homed(self) -> str:
-        """Sentence on why a requested homing was not done; empty if the homing was done or not
-        requested.
-        """
+        """Why a requested homing was not done; empty if it was done or not requested."""
         for step in self.sessions[-1]:
             if step.name == HOMING and step.verdict is Verdict.SKIPPED:
                 return f"the homing requested by --home was not done: {step.words}"
@@ -205,10 +187,7 @@ class Commissioning:
         return {
             "state": self.ending.value,
             "message": self.words,
-            "changes": [
-                {"key": f"{change.section}.{change.key}", "value": change.value}
-                for change in self.changes
-            ],
+            "changes": [change.record() for change in self.changes],
             "sessions": [[step.record() for step in steps] for steps in self.sessions],
             "drive": None if self.safe is None else self.safe.record(),
         }
@@ -225,15 +204,6 @@ def commission(
 ) -> Commissioning:
     """Commission a bench. The function raises only the errors of a connection, before the drive is
     energised.
-
-    Args:
-        document: The bench file.
-        connect: Opens the devices of a bench.
-        interview: The person at the bench.
-        stop: Stop button.
-        record_in: Creates the recording of a connection, by its number from 1.
-        fastest_deg_s: Limit on the joint speed, deg/s.
-        home: The requested homing, or None to set no zero by homing.
 
     Raises:
         InputError: A connection to the bench is impossible.
@@ -254,7 +224,12 @@ def commission(
         if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
             result.words += "; this value was already corrected once: check the machine itself"
             break
-        if not _agreed(interview, changes, result):
+        shown = ", ".join(map(str, changes))
+        try:
+            if not interview.agrees(f"Go on from the start with {shown} in a new bench file?"):
+                break
+        except OperatorStopError as stopped:
+            result.ending, result.words = Ending.STOPPED, f"{result.words}; {stopped}"
             break
         text = patched(result.text, changes)
         document = bench_from_text(text, document.path)
@@ -264,16 +239,6 @@ def commission(
     return result
 
 
-def _agreed(interview: Interview, changes: tuple[Change, ...], result: Commissioning) -> bool:
-    """Ask whether to repeat the steps with corrected values."""
-    shown = ", ".join(map(str, changes))
-    try:
-        return interview.agrees(f"Go on from the start with {shown} in a new bench file?")
-    except OperatorStopError as stopped:
-        result.ending, result.words = Ending.STOPPED, f"{result.words}; {stopped}"
-        return False
-
-
 def _session(
     document: Document[Bench],
     connect: Connect,
@@ -281,7 +246,6 @@ def _session(
     record_in: Callable[[int], Recorder],
     result: Commissioning,
 ) -> WrongError | None:
-    """Perform the steps on one connection; return the error that found a wrong value."""
     steps: list[StepRecord] = []
     result.sessions.append(steps)
     wrong: WrongError | None = None
@@ -304,14 +268,22 @@ def _session(
 
 
 def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
-    """Perform the steps until one finds an error; store how the session ended."""
     for step in steps_of(setup):
         record = StepRecord(step.name, step.announced)
         steps.append(record)
         setup.recorder.event(setup.cycle.now_ns, "step", step=step.name)
         try:
             setup.stop.check()
-            _one(setup, step, record)
+            setup.interview.tell(f"Step {step.name}. {step.announced}")
+            if step.asks:
+                if not setup.interview.agrees("Go on with this step?"):
+                    raise OperatorStopError(
+                        "the operator did not agree to this step; the following steps depend on it"
+                    )
+                record.consent = setup.interview.how
+            step.do(setup, record)
+        except SkippedError as skipped:
+            record.verdict, record.words = Verdict.SKIPPED, str(skipped)
         except (WrongError, TripError, DeviceError) as error:
             record.verdict, record.words = Verdict.WRONG, str(error)
             record.changes = error.changes if isinstance(error, WrongError) else ()
@@ -331,21 +303,6 @@ def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> Wron
             return None
         _say(setup, record)
     return None
-
-
-def _one(setup: Setup, step: Step, record: StepRecord) -> None:
-    """Announce a step, ask for consent, without which all ends, and perform the step."""
-    setup.interview.tell(f"Step {step.name}. {step.announced}")
-    if step.asks:
-        if not setup.interview.agrees("Go on with this step?"):
-            raise OperatorStopError(
-                "the operator did not agree to this step; the following steps depend on it"
-            )
-        record.consent = setup.interview.how
-    try:
-        step.do(setup, record)
-    except SkippedError as skipped:
-        record.verdict, record.words = Verdict.SKIPPED, str(skipped)
 
 
 def _say(setup: Setup, record: StepRecord) -> None:

@@ -1,6 +1,4 @@
-"""The step in which the drive sets its zero by its own homing, at low limits and monitored by this
-program.
-"""
+"""The step in which the drive sets its zero by its own homing, watched at low limits."""
 
 from __future__ import annotations
 
@@ -26,9 +24,7 @@ from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError
 
 SETTLE_S: Final = 0.3
-"""Time, s, after the start during which the statusword is ignored, because it may still show the
-state before the start.
-"""
+"""Time after the start in which the statusword may still show the state before, s."""
 STILL_S: Final = 0.2
 """Time, s, for which the joint is monitored after the end of a homing."""
 IN_PLACE_LIMIT_S: Final = 5.0
@@ -36,14 +32,10 @@ SPARE_S: Final = 20.0
 MOVED_DEG: Final = 0.2
 """Largest motion of the joint in a homing without motion."""
 NEAR_DEG: Final = 1.0
-"""Largest distance from the home position at the end of a homing with motion, which brakes at the
-home position.
-"""
+"""Largest distance from the home position after a homing with motion, which brakes there."""
 ZERO_DEG_S: Final = 1.0
 FASTER: Final = 3.0
-"""Ratio to the speed limit of the speed above which a change of the drive's position counts as a
-new zero.
-"""
+"""Ratio to the speed limit above which a change of the drive's position is a new zero."""
 ACCELERATION_S: Final = 0.2
 """Time, s, in which the drive reaches the speed of the homing."""
 UNSET: Final = (
@@ -122,12 +114,10 @@ def homing(setup: Setup, step: StepRecord) -> None:
 
 
 def _tolerance(home: HomeRequest) -> float:
-    """Return the distance from the home position at which a homing may end, rad."""
     return math.radians(ZERO_TOLERANCE_DEG if home.in_place else NEAR_DEG)
 
 
 def _home_rad(setup: Setup, home: HomeRequest) -> float:
-    """Return the joint angle of the home position, or at which the drive reads zero."""
     if home.home_deg is not None:
         return math.radians(home.home_deg)
     if home.in_place:
@@ -170,7 +160,6 @@ def _homed(
 
 
 def _fault(setup: Setup, tripped: TripError) -> str:
-    """Return the fault of a drive that left its state; empty if the drive reports no fault."""
     if tripped.trip.check is Check.DRIVE_STATE:
         with suppress(DeviceError):
             if setup.devices.servo.state() is ServoState.FAULT:
@@ -194,10 +183,6 @@ class _Travels:
     Before the zero is set, the drive's angle has no meaning, but changes of the angle are valid. A
     change in one cycle that is faster than the limits allow is caused by the new zero, and does not
     count as travel.
-
-    Args:
-        setup: The bench; earlier moves have confirmed units, signs and ratio.
-        begun: Sample at the start of the homing.
     """
 
     def __init__(self, setup: Setup, begun: Sample) -> None:
@@ -208,11 +193,6 @@ class _Travels:
         self._travel = 0.0
 
     def require_same(self, sample: Sample) -> None:
-        """Compare the travels up to the sample of a cycle.
-
-        Raises:
-            TripError: The travels differ.
-        """
         change = (sample.motor_angle - self._last.motor_angle) / self._ratio
         if abs(change) <= self._fastest * (sample.time - self._last.time):
             self._travel += change
@@ -277,7 +257,6 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
 
 
 def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
-    """Check that the joint stands still in a homing without motion, by the joint encoder."""
     moved = math.degrees(sample.angle - begun.angle)
     if home.in_place and not abs(moved) <= MOVED_DEG:
         raise WrongError(
@@ -288,7 +267,6 @@ def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
 
 
 def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint: float) -> None:
-    """Compare the angles of drive and joint encoder with the home position."""
     near = _tolerance(home)
     zero = math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
     if not abs(drive - home_rad) <= near:

@@ -39,11 +39,7 @@ LARGE_TOLERANCE: Final = 0.02
 
 
 def hold(setup: Setup, step: StepRecord) -> None:
-    """Energise the drive and hold the joint; then check that the joint stays at rest without power.
-
-    Raises:
-        WrongError: The joint moves.
-    """
+    """Hold the joint under power, then without; raise a WrongError if it moves."""
     before = setup.devices.encoder
     with setup.power("hold") as here:
         setup.rest(here)
@@ -67,8 +63,7 @@ def hold(setup: Setup, step: StepRecord) -> None:
 
 
 def watchdog(setup: Setup, step: StepRecord) -> None:
-    """Send nothing while the drive holds the joint, until the drive has switched the power off by
-    itself.
+    """Send nothing while the drive holds the joint, until it has switched the power off itself.
 
     Raises:
         SkippedError: The drive has no watchdog.
@@ -152,11 +147,7 @@ def _require_slow(setup: Setup) -> None:
 
 
 def large_move(setup: Setup, step: StepRecord) -> None:
-    """Move the joint further, to measure the ratio more accurately.
-
-    Raises:
-        WrongError: See :func:`small_move`.
-    """
+    """Move the joint further, for a more accurate ratio; raises as :func:`small_move`."""
     if not _move(setup, step, LARGE_DEG, _fastest_deg_s(setup), LARGE_TOLERANCE):
         raise WrongError(
             f"the joint hardly moves within {LARGE_DEG:g} deg: check that the joint is free"
@@ -165,11 +156,7 @@ def large_move(setup: Setup, step: StepRecord) -> None:
 
 
 def stop(setup: Setup, step: StepRecord) -> None:
-    """Stop the drive in the middle of a slow move.
-
-    Raises:
-        WrongError: The drive does not stop.
-    """
+    """Stop the drive in the middle of a slow move; raise a WrongError if it does not stop."""
     encoder, cycle = setup.devices.encoder, setup.cycle
     speed = math.radians(_fastest_deg_s(setup))
     with setup.power("stop") as here:

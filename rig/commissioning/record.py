@@ -19,13 +19,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Measured:
-    """One value that was measured or read.
-
-    Attributes:
-        name: Name of the quantity.
-        value: The value as text.
-        unit: Unit of the quantity; empty if it has no unit.
-    """
+    """One value that was measured or read."""
 
     name: str
     value: str
@@ -34,17 +28,7 @@ class Measured:
 
 @dataclass
 class StepRecord:
-    """Record of one step.
-
-    Attributes:
-        name: Short name.
-        announced: Message before the step: what moves, and what is under power.
-        consent: Form of the operator's consent: `typed`, `--yes`, or empty if nothing was asked.
-        measured: Measured values.
-        verdict: Verdict of the step.
-        words: Result and remedy.
-        changes: Values to set in the bench file.
-    """
+    """Record of one step."""
 
     name: str
     announced: str
@@ -68,20 +52,12 @@ class StepRecord:
             "measured": [vars(item) for item in self.measured],
             "verdict": self.verdict.value,
             "words": self.words,
-            "changes": [
-                {"key": f"{change.section}.{change.key}", "value": change.value}
-                for change in self.changes
-            ],
+            "changes": [change.record() for change in self.changes],
         }
 
 
 class WrongError(Exception):
-    """A step found a wrong value or reaction.
-
-    Args:
-        words: Finding and remedy.
-        changes: Values to set in the bench file; none if the bench or the drive must be changed.
-    """
+    """A step found a wrong value or reaction; ``changes`` of the bench file may correct it."""
 
     def __init__(self, words: str, changes: tuple[Change, ...] = ()) -> None:
         super().__init__(words)

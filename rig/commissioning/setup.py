@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from drivers.errors import DeviceError
 from drivers.homing import IN_PLACE, NO_HOMING, Homes, HomingOffer, HomingOrder
@@ -28,6 +28,8 @@ from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.off import OffProof
 from rig.wiring.teardown import SafeState, give_back, make_safe
 
+_T = TypeVar("_T")
+
 
 class Interview(Protocol):
     """Interface to the person at the bench."""
@@ -39,11 +41,7 @@ class Interview(Protocol):
         ...
 
     def agrees(self, words: str) -> bool:
-        """Ask for consent to an action; only an explicit yes counts as consent.
-
-        Raises:
-            OperatorStopError: The operator aborted the commissioning.
-        """
+        """Ask for consent to an action, which only an explicit yes is; may stop all."""
         ...
 
     def angle_deg(self, words: str) -> float | None:
@@ -52,12 +50,7 @@ class Interview(Protocol):
 
 
 class AutomaticInterview:
-    """Agrees to every step (``--yes``, simulated benches only).
-
-    Args:
-        screen: Screen for messages.
-        angle_deg: The true joint angle, or None if it is not given.
-    """
+    """Agrees to every step (``--yes``, simulated benches only)."""
 
     how = "--yes"
 
@@ -80,14 +73,7 @@ class AutomaticInterview:
 
 
 class TypedInterview:
-    """Asks the operator at the terminal.
-
-    Args:
-        screen: Screen for messages.
-        asker: Asks and reads answers.
-        stop: Stop button; a stop signal interrupts a question.
-        angle_deg: The true joint angle, if given on the command line.
-    """
+    """Asks the operator at the terminal; a stop signal interrupts a question."""
 
     how = "typed"
 
@@ -118,11 +104,7 @@ class TypedInterview:
             self.tell(f"{typed!r} is not one of `yes`, `no`, `abort`")
 
     def angle_deg(self, words: str) -> float | None:
-        """Ask for an angle in degrees; an empty answer means None.
-
-        Raises:
-            OperatorStopError: See :meth:`agrees`.
-        """
+        """Ask for an angle, deg; an empty answer means None; raises as :meth:`agrees`."""
         if self._angle_deg is not None:
             return self._angle_deg
         while True:
@@ -157,13 +139,7 @@ REST_S: Final = 0.2
 
 @dataclass(frozen=True)
 class HomeRequest:
-    """A homing that the operator requests.
-
-    Attributes:
-        method: Value of 6098h.
-        home_deg: True joint angle of the home position, or None if it is not known.
-        time_limit_s: Longest time of a homing, or None for the default.
-    """
+    """A homing by a method of 6098h, with the true angle there and the longest time, or None."""
 
     method: int
     home_deg: float | None = None
@@ -176,9 +152,7 @@ class HomeRequest:
 
 
 def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
-    """Return the limits of a commissioning: the bench's limits, with reduced speed, torque and
-    current.
-    """
+    """Return the bench's limits with reduced speed, torque and current."""
     limits = bench_limits(bench)
     return dataclasses.replace(
         limits,
@@ -193,18 +167,9 @@ class Setup:
     """A connected bench.
 
     Attributes:
-        bench: The bench file.
-        devices: Devices of the bench, on an open link.
-        interview: The person at the bench.
-        stop: Stop button, read every cycle.
-        recorder: Records samples and events.
-        limits: Limits in force.
-        cycle: The control cycle.
         own: Limits stored in the drive before the commissioning; None until the limits are read.
         safe: State in which the drive was left after it was last energised, or in which it was
             found if it was not off at the start; else None.
-        steps: Records of the steps so far.
-        home: The requested homing, or None.
         true_deg: True joint angle as given by the operator, or None if unknown.
         stiffness_N_m_rad: Joint torque per position error of a drive that did not move the joint
             within the small travel of the step `signs`; else None.
@@ -219,7 +184,6 @@ class Setup:
     cycle: Cycle
     own: ServoLimits | None = None
     safe: SafeState | None = None
-    steps: list[StepRecord] = field(default_factory=list)
     home: HomeRequest | None = None
     true_deg: float | None = None
     stiffness_N_m_rad: float | None = None
@@ -264,14 +228,7 @@ class Setup:
         return servo_limits(self.limits, self.bench)
 
     def prepare(self, share: float = 1.0) -> None:
-        """Map process data and write the low limits into the drive; nothing is energised.
-
-        Args:
-            share: Limits of torque and current, as a share of the low limits.
-
-        Raises:
-            DeviceError: A device differs from the bench file, or rejects a limit.
-        """
+        """Map process data and write the low limits, torque and current times ``share``."""
         servo, bench, low = self.devices.servo, self.bench, self.wanted
         wanted = dataclasses.replace(
             low, torque_N_m=share * low.torque_N_m, current_A=share * low.current_A
@@ -305,25 +262,15 @@ class Setup:
         """Energise in homing mode; at the end, also after an error, take the power off, select the
         bench's mode again and read the mode back (6061h).
 
-        Args:
-            order: The homing, which is not started yet.
-            step: Record to which the written values and the mode read back are added.
-
         Raises:
             WrongError: The drive could not be verified to be without power.
             DeviceError: The mode could not be selected.
         """
         servo = self.devices.servo
         assert isinstance(servo, Homes)  # the homing is offered
-        held: Mapping[str, int] = {}
-
-        def energise() -> None:
-            nonlocal held
-            held = servo.begin_homing(order)
-
         ended = False
         try:
-            with self._energised("homing", energise):
+            with self._energised("homing", lambda: servo.begin_homing(order)) as held:
                 known = {(item.name, item.value) for item in step.measured}
                 for name, value in held.items():
                     words = f"written and read back, {name}"
@@ -343,17 +290,14 @@ class Setup:
                 step.measure("mode of operation afterwards, 6061h", f"{shown}{later}")
 
     @contextmanager
-    def _energised(
-        self, what: str, energise: Callable[[], None], share: float = 1.0
-    ) -> Iterator[None]:
+    def _energised(self, what: str, energise: Callable[[], _T], share: float = 1.0) -> Iterator[_T]:
         """Energise, and take the power off at the end, also after an error; verify that."""
         cycle, servo = self.cycle, self.devices.servo
         self.recorder.event(cycle.now_ns, "power on", step=what)
         done = False
         try:
             self.prepare(share)
-            energise()
-            yield
+            yield energise()
             done = True
         finally:
             self.safe = make_safe(

@@ -1,6 +1,4 @@
-"""The step that proves the signs of motor, motor encoder and the drive's own loops, at a torque
-that just moves the joint, before the drive holds a position.
-"""
+"""Proves the signs of motor, encoder and loops at a torque that just moves the joint."""
 
 from __future__ import annotations
 
@@ -68,11 +66,9 @@ class _Push:
         return now
 
     def rest(self, _: object = None) -> None:
-        """Take a sample before the command."""
         self._rest.append(self._look())
 
     def take(self, _: object = None) -> None:
-        """Take a sample of the command."""
         self.last_A = self.side * self._servo.sample().current_A
         self.current_A += self.last_A
         found = [
@@ -96,7 +92,6 @@ class _Push:
         return bool(self.moved) or (dead and bool(self.joint) and way > math.radians(DEAD_DEG))
 
     def targets(self, course: list[float]) -> Iterator[float]:
-        """Yield the targets until the joint moves."""
         for target in course:
             if self.ended:
                 return
@@ -104,9 +99,7 @@ class _Push:
 
 
 def direction(angle: float, before: Iterable[float], least: float) -> int:
-    """Return 1 or -1 for an angle above or below all angles before by at least ``least`` and by
-    more than their noise; else 0.
-    """
+    """Return 1 or -1 for an angle beyond all before by ``least`` and by their noise, else 0."""
     low, high = min(before), max(before)
     beyond = max(angle - high, 0.0) + min(angle - low, 0.0)
     if not abs(beyond) >= max(least, NOISE * (high - low)) or not beyond:
@@ -176,7 +169,6 @@ def signs(setup: Setup, step: StepRecord) -> None:
 
 
 def _cause(up: _Push, down: _Push) -> str:
-    """Return what makes a joint move against the command."""
     found = "the joint moves against the command"
     if up.current_A < 0.0 and down.current_A < 0.0:
         return (

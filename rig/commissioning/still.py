@@ -21,11 +21,7 @@ ZERO_TOLERANCE_DEG: Final = 0.1
 
 
 def identity(setup: Setup, step: StepRecord) -> None:
-    """Read the identities of the devices, and compare them with their EDS files.
-
-    Raises:
-        WrongError: A device does not answer, is another device, or was not confirmed.
-    """
+    """Compare the identities of the devices with their EDS files; WrongError if one differs."""
     devices = setup.devices
     found = {"drive": devices.servo.identity(), "joint encoder": devices.encoder.identity()}
     for role, who in found.items():
@@ -44,11 +40,7 @@ def identity(setup: Setup, step: StepRecord) -> None:
 
 
 def readings(setup: Setup, step: StepRecord) -> None:
-    """Read values, state and settings.
-
-    Raises:
-        WrongError: A run would refuse to start with the values that were read.
-    """
+    """Read values, state and settings; raise a WrongError if a run would refuse them."""
     devices, bench = setup.devices, setup.bench
     taken = take_readings(devices, bench.machine.gear_ratio)
     for name, value, unit in taken.rows():
@@ -84,7 +76,12 @@ def zero(setup: Setup, step: StepRecord) -> None:
             known.
     """
     bench = setup.bench
-    _say_offer(setup)
+    offer, home = setup.homing_offer, setup.home
+    if home is None:
+        then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"
+        setup.interview.tell(f"  note: {offer.words}; {then}")
+    elif why := offer.problem(home.method):
+        setup.interview.tell(f"  note: {why}; the zero is typed in instead")
     taken = take_readings(setup.devices, bench.machine.gear_ratio)
     both = (
         ("servo", "drive", math.degrees(taken.motor_encoder_at_joint_rad)),
@@ -126,22 +123,8 @@ def zero(setup: Setup, step: StepRecord) -> None:
     step.words = f"{which} within {ZERO_TOLERANCE_DEG:g} deg of the true angle{later}"
 
 
-def _say_offer(setup: Setup) -> None:
-    """Show whether the drive can home, and whether this commissioning will start a homing."""
-    offer, home = setup.homing_offer, setup.home
-    if home is None:
-        then = "--home METHOD starts a homing" if offer.methods else "the zero is typed in"
-        setup.interview.tell(f"  note: {offer.words}; {then}")
-    elif why := offer.problem(home.method):
-        setup.interview.tell(f"  note: {why}; the zero is typed in instead")
-
-
 def limits(setup: Setup, step: StepRecord) -> None:
-    """Write the reduced limits of the commissioning into the drive, and read them back.
-
-    Raises:
-        WrongError: The drive rejects a limit.
-    """
+    """Write the low limits into the drive and read them back; WrongError if it rejects one."""
     servo = setup.devices.servo
     try:
         setup.prepare()

@@ -23,9 +23,7 @@ class Measure:
     """A quantity of a run that can be limited.
 
     Attributes:
-        statistics: Statistics of the quantity that can be limited; empty for a count.
         dimension: Dimension of the quantity, a key of :data:`UNITS`.
-        meaning: Description for the user.
     """
 
     statistics: tuple[str, ...]
@@ -67,8 +65,6 @@ class Range:
     """A constant whose whole 90 % interval must lie within a range.
 
     Attributes:
-        text: The limit as written.
-        name: Name of the constant.
         low: Lower end, in the constant's SI unit; minus infinity if open.
         high: Upper end; infinity if open.
     """
@@ -91,13 +87,10 @@ class Bound:
     """A quantity that must stay below (or above) a value.
 
     Attributes:
-        text: The limit as written.
         measure: Quantity, a key of :data:`MEASURES`.
         statistic: Statistic of the measure that is compared; empty for a count.
         below: Whether the value is an upper limit.
         inclusive: Whether the limit itself is allowed.
-        value: The limit, in ``unit``.
-        unit: Unit of the value, as written.
     """
 
     text: str
@@ -127,12 +120,7 @@ _BOUND = re.compile(rf"([A-Za-z0-9 ]+?)\s*(<=|>=|<|>)\s*({_NUMBER})\s*(.*)")
 
 
 def parse_limit(text: str) -> Limit:
-    """Return the limit that a line states.
-
-    Raises:
-        ValueError: The line does not state a limit; the message states the permitted forms and the
-            nearest known name.
-    """
+    """Return the limit that a line states; the ValueError has the forms and the nearest name."""
     line = " ".join(text.split())
     if line in (NOTHING_MISSING, WEIGHT_CHECK):
         return Required(line)

@@ -218,16 +218,7 @@ def _stated(section: object, key: str, default: str | None = None) -> object:
 
 
 def _bus_kind(section: object) -> str:
-    """Return the kind of bus of a section: CAN (with many interface names) or serial."""
     return "serial" if _stated(section, "interface") == "epos_serial" else "can"
-
-
-def _servo_kind(section: object) -> object:
-    return _stated(section, "kind", "canopen")
-
-
-def _encoder_kind(section: object) -> object:
-    return _stated(section, "kind", "cia406")
 
 
 class Calibration(Schema):
@@ -292,7 +283,7 @@ class Bench(Schema):
     encoder: Annotated[
         Annotated[EncoderSection, Tag("cia406")] | Annotated[Amt21Section, Tag("amt21")],
         Discriminator(
-            _encoder_kind,
+            lambda section: _stated(section, "kind", "cia406"),
             "encoder_kind",
             "kind is unknown; known are cia406 (the default) and amt21",
         ),
@@ -440,24 +431,15 @@ class Bench(Schema):
 
 
 def load_bench(name: str | Path) -> Document[Bench]:
-    """Read a bench by path, or by the bare name of a packaged bench (``practical``).
+    """Read a bench by path or packaged name; the InputError has every problem with its place.
 
     For a drive without watchdog, the limits of torque, current and speed in the file are reduced.
-
-    Raises:
-        InputError: The file is missing or not valid; the message lists every problem with its place
-            in the file.
     """
     return _in_use(load_located(resolve(name, "benches"), Bench, follow_bench))
 
 
 def bench_from_text(text: str, path: Path) -> Document[Bench]:
-    """Return the bench from a text that will be written to a file next to ``path``, or in place of
-    ``path``.
-
-    Raises:
-        InputError: The text is not valid; the message has every problem with its place.
-    """
+    """Return the bench from a text for a file at or next to ``path``, or an InputError."""
     return _in_use(located_text(path, text, Bench, follow_bench))
 
 
@@ -481,11 +463,9 @@ def _in_use(document: Document[Bench]) -> Document[Bench]:
 
 
 def _with_watch(document: Document[Bench]) -> Document[Bench]:
-    """Determine from the EDS file whether the drive has a watchdog, if the bench file does not
-    state this.
+    """Read from the EDS file whether the drive has a watchdog, if the bench file does not say.
 
-    An EDS file that cannot be read, or is not the EDS file of a drive, is rejected by a later
-    check, which reports all errors of the file.
+    Another check rejects a file that cannot be read, or is not that of a drive.
     """
     bench = document.value
     servo = bench.servo
@@ -566,10 +546,7 @@ def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def overdue_problems(document: Document[Bench], today: date) -> list[str]:
-    """Return the overdue calibrations that prevent a run, each with its place in the bench file.
-
-    The list is empty if the bench file permits runs with overdue calibrations.
-    """
+    """Return the overdue calibrations that prevent a run, each with its place in the file."""
     bench = document.value
     if bench.overdue_calibration != "refuse":
         return []
@@ -606,9 +583,7 @@ _HEAD = (
 
 
 def redacted(content: bytes) -> bytes:
-    """Return a valid bench file without the true values of the simulated machine; a file without a
-    ``mock`` section is unchanged.
-    """
+    """Return a valid bench file without the true values of the simulated machine."""
     tree, _ = parse(content.decode("utf-8"))
     bench: Any = tree.plain()
     if not isinstance(bench.get("mock"), dict):

@@ -47,11 +47,7 @@ class Campaign(Schema):
 
 
 def load_campaign(path: Path) -> Document[Campaign]:
-    """Read and check a campaign file without opening the recordings.
-
-    Raises:
-        InputError: The file is not valid; the message lists every error with its place in the file.
-    """
+    """Read and check a campaign file but not the recordings; InputError lists every error."""
     document = load_located(path, Campaign, lambda root: _merge_defaults(_rows(root, path)))
     document.require(_cross_check(document.value))
     return document
@@ -303,7 +299,6 @@ _UNSIGNED: Mapping[str, str] = {
 def _check_known_load(
     recording: RecordingSection, bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the problems of a hoisted mass or a constant torque."""
     linear = bench.motion == "linear"
     if (hoisted := recording.hoisted) is not None:
         if linear and hoisted.radius is not None:
@@ -325,7 +320,6 @@ def _check_known_load(
 def _check_burn(
     channels: Mapping[str, ChannelSection], bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the channels that a recording of a gas generator lacks."""
     if "pressure" not in channels:
         yield (
             ("channels",),

@@ -50,8 +50,7 @@ def _known_term(name: str) -> str:
 
 
 ANGLE_TIME = "angle_time"
-"""Channel with the time stamps of the joint encoder, s, which the reader uses and then removes.
-"""
+"""Channel with the time stamps of the joint encoder, s, which the reader uses and then removes."""
 
 
 def _one_of(names: Iterable[str], what: str) -> AfterValidator:
@@ -88,11 +87,7 @@ Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
 
 
 class Measured(float):
-    """A number with its standard deviation; arithmetic treats it as a plain number.
-
-    Attributes:
-        uncertainty: Standard deviation, in the unit of the number.
-    """
+    """A number with its standard deviation; arithmetic treats it as a plain number."""
 
     uncertainty: float
 
@@ -154,9 +149,7 @@ def _measured(value: float | UncertainConstant | UncertainNumber) -> float:
 
 
 def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[str, float]:
-    """Return the standard deviation of each constant that was stated with a standard deviation, by
-    key.
-    """
+    """Return the standard deviations of the constants that were stated with one, by key."""
     values = {} if section is None else {key: getattr(section, key) for key in keys}
     return {
         place + key: value.uncertainty

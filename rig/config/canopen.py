@@ -206,13 +206,7 @@ class ServoSection(Schema):
         return name
 
     def device_data(self, folder: Path) -> DeviceData | None:
-        """Return the maker's data of the drive, or None if the program has no data of this drive.
-
-        The result for an unreadable EDS file is None; another check refuses an unreadable file.
-
-        Args:
-            folder: Folder of the bench file.
-        """
+        """Return the maker's data of the drive, or None; ``folder`` is that of the bench file."""
         if self.device is not None:
             return devices().get(self.device)
         if self.eds is None:
@@ -227,12 +221,7 @@ class ServoSection(Schema):
         return self.mode or (data.mode if data is not None else None) or "csp"
 
     def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:
-        """Return the motor speed of one unit of 606Ch, rad/s, or None if the unit is one count per
-        second.
-
-        Args:
-            data: The maker's data of the drive, or None.
-        """
+        """Return the motor speed of one unit of 606Ch, rad/s, or None for one count per second."""
         if self.velocity_unit is not None or self.velocity_unit_rad_s is not None:
             return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
         if data is None:
@@ -243,12 +232,7 @@ class ServoSection(Schema):
         return RPM if data.velocity_unit == "rpm" else None
 
     def motor_acceleration_unit_rad_s2(self, data: DeviceData | None) -> float | None:
-        """Return the motor acceleration of one unit of 6085h, rad/s^2; the result is None if the
-        unit is one speed unit per second.
-
-        Args:
-            data: The maker's data of the drive, or None.
-        """
+        """Return the motor acceleration of one unit of 6085h, rad/s^2, or None."""
         if self.acceleration_unit_rad_s2 is not None or data is None:
             return self.acceleration_unit_rad_s2
         if data.acceleration_unit_counts_per_s2 is not None:

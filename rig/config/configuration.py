@@ -26,7 +26,6 @@ _ABSENT = object()
 _INDEX = re.compile(r"\[\d+\]")
 _Found = tuple[Mark, str, str, object]
 _Described = dict[str, Any]
-"""A JSON Schema."""
 
 
 class Schema(BaseModel):
@@ -39,27 +38,18 @@ class Schema(BaseModel):
 
 @dataclass(frozen=True)
 class Document(Generic[M]):
-    """A validated file with the position of each of its values.
-
-    Attributes:
-        value: The validated record.
-        path: The file.
-    """
+    """A validated file with the position of each of its values."""
 
     value: M
     path: Path
     _root: Node
 
     def problem(self, loc: Loc, message: str, value: object = _ABSENT) -> str:
-        """Return a problem that was found after the validation, as the text of an
-        :class:`InputError`.
+        """Return a problem that was found after the validation, as the text of an InputError.
 
-        Args:
-            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. If the
-                file does not contain this place (a default was used), the message points to the
-                nearest enclosing value.
-            message: Text with the problem, the limit and the remedy.
-            value: Wrong value for the message; if omitted, the message shows the value in the file.
+        ``loc`` are keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``; a
+        place that the file does not contain (a default was used) gives the nearest enclosing value.
+        Without ``value`` the message shows that of the file.
         """
         node, mark, path, _ = _resolve(self._root, loc)
         if value is _ABSENT and path == loc:
@@ -67,9 +57,7 @@ class Document(Generic[M]):
         return _format(self.path, mark, _dotted(loc), message, value)
 
     def other_files(self) -> list[Path]:
-        """Return the files, other than the file of the document itself, from which values were
-        read.
-        """
+        """Return the other files from which values were read."""
         found: dict[Path, None] = {}
         waiting = [self._root]
         while waiting:
@@ -83,11 +71,7 @@ class Document(Generic[M]):
         return list(found)
 
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
-        """Raise an error if there are problems, each a location and a message.
-
-        Raises:
-            InputError: At least one problem exists; the message lists all of them.
-        """
+        """Raise an InputError that lists the problems, if any, each a location and a message."""
         lines = [self.problem(loc, message) for loc, message in problems]
         if lines:
             raise InputError(lines)
@@ -96,18 +80,7 @@ class Document(Generic[M]):
 def load_located(
     path: Path, schema: type[M], prepare: Callable[[Node], Node] | None = None
 ) -> Document[M]:
-    """Read and validate a configuration file, keeping the place of each value.
-
-    Args:
-        path: The YAML file.
-        schema: The record to validate into.
-        prepare: Function that changes the tree before validation, for example to merge defaults;
-            moved nodes keep their place in the file.
-
-    Raises:
-        InputError: The file cannot be read, is not YAML, or violates the schema; the message has
-            every error.
-    """
+    """Read and validate a file (InputError with all errors), after ``prepare`` changed its tree."""
     try:
         text = read_text(path)
     except DocumentError as error:
@@ -130,18 +103,8 @@ def located_text(
 
 
 def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] = ()) -> Document[M]:
-    """Validate a tree that was read from ``path``.
-
-    Args:
-        path: The file, for messages.
-        root: Content of the file.
-        schema: The record to validate into.
-        found: Problems from the reading of the file, which are reported together with those of the
-            schema.
-
-    Raises:
-        InputError: The tree violates the schema, or ``found`` has problems; the message lists all
-            errors.
+    """Validate a tree that was read from ``path``; the problems ``found`` in reading are reported
+    too.
     """
     found = list(found)
     try:
@@ -157,21 +120,12 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
 
 def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
-    """Format the validation problems of a JSON file (record or standard dataclass) with their
-    places.
-
-    Raises:
-        InputError: The text is too deep or too long to search for places.
-    """
+    """Format the validation problems of a JSON file (record or standard dataclass) with places."""
     return _lines(path, list(_explain(_json_tree(path, text), schema, error)))
 
 
 def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> list[str]:
-    """Format problems found in a JSON file after validation, each with its place.
-
-    Raises:
-        InputError: The text is too deep or too long to search for places.
-    """
+    """Format problems found in a JSON file after validation, each with its place."""
     root, found = _json_tree(path, text), []
     for loc, message in problems:
         node, mark, path_found, _ = _resolve(root, loc)
@@ -219,7 +173,6 @@ def _explain(root: Node, schema: type[Any], error: ValidationError) -> Iterator[
 
 @cache
 def _described(schema: type[Any]) -> _Described:
-    """Return the JSON Schema of a record."""
     return TypeAdapter(schema).json_schema()
 
 
@@ -299,8 +252,9 @@ def _records_at(described: _Described, loc: Loc) -> list[dict[str, bool]]:
 
 
 def _resolve(root: Node, loc: Loc) -> tuple[Node, Mark, Loc, Mark | None]:
-    """Follow the keys and indices of a location as far as the tree contains them; the names of
-    union branches, which pydantic puts between keys, are skipped.
+    """Follow a location as far as the tree has it, without names of union branches.
+
+    Returns the node, its mark, the path followed, and the mark of its last key (None for an index).
 
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an
@@ -354,13 +308,7 @@ def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
 
 
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
-    """Return the file for a name: the file at this path if it exists, else the packaged file of
-    this name.
-
-    Raises:
-        InputError: Neither file exists, or the path is not a file; the message suggests the nearest
-            packaged names.
-    """
+    """Return the file for a name: at this path, else packaged; the InputError has near names."""
     path = Path(name)
     if is_file(path):
         return path

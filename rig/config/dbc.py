@@ -36,9 +36,7 @@ _EXTENDED_BYTES = 3
 """Bytes of data that take as long as the 20 additional bits of an extended frame with bit stuffing.
 """
 Problem = Callable[[Loc, str], str]
-"""Function that formats a problem found after validation:
-:meth:`rig.config.configuration.Document.problem`.
-"""
+"""Function that formats a problem; see :meth:`rig.config.configuration.Document.problem`."""
 
 
 class HeldSection(Schema):
@@ -173,10 +171,7 @@ class DbcServoSection(Schema):
 
 
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
-    """Return the path of the drive's DBC file; ``path`` is the path of the bench file.
-
-    A simulated drive has a packaged DBC file.
-    """
+    """Return the path of the drive's DBC file, for a simulated drive a packaged one."""
     if section.file is not None:
         return path.parent / section.file
     kind = section.simulated_drive
@@ -184,18 +179,7 @@ def dbc_path(section: DbcServoSection, path: Path) -> Path:
 
 
 def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:
-    """Read the drive's DBC file, and assign its signals to the entries of the map.
-
-    Args:
-        section: The validated section.
-        path: The bench file.
-        simulated: Whether the drive is the simulated drive, which has its own DBC file.
-        problem: Function that formats a problem with its place in the bench file.
-
-    Raises:
-        InputError: The DBC file is missing or not valid, or the map does not fit the file; the
-            message lists every problem with its place.
-    """
+    """Read the drive's DBC file and bind its signals; the InputError has every problem's place."""
     place: Loc = ("servo", "file")
     if section.file is None and not simulated:
         raise InputError(
@@ -212,9 +196,7 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return the number of data bytes and the period in cycles of each message; an identifier of 29
-    bits counts as three more bytes, and a remote frame as a frame without data.
-    """
+    """Return data bytes and period in cycles of each frame; 29-bit identifiers count 3 bytes."""
     frames = [
         (
             message.size + (_EXTENDED_BYTES if message.identifier & EXTENDED_FLAG else 0),

@@ -1,13 +1,11 @@
-"""Schema of the fault schedule: faults to inject on a simulated bench, and expected reactions.
-
-The file is YAML or CSV.
-"""
+"""Schema of the fault schedule (YAML or CSV): simulated faults, and expected reactions."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -59,66 +57,53 @@ class Kind:
     integer: bool = False
 
 
+_counted = partial(Kind, counted=True)
+_part = partial(Kind, counted=True, integer=True)
+_code = partial(Kind, integer=True)
 FAULTS: Mapping[tuple[str, str], Kind] = {
-    ("bus", "lost"): Kind("frames are lost", counted=True),
-    ("bus", "repeated"): Kind("frames arrive twice", counted=True),
-    ("bus", "late"): Kind("frames arrive late", "s", 0.003, counted=True),
-    ("bus", "flipped"): Kind(
-        "one data bit is inverted, which the checksum does not detect",
-        "bit",
-        29,
-        counted=True,
-        integer=True,
+    ("bus", "lost"): _counted("frames are lost"),
+    ("bus", "repeated"): _counted("frames arrive twice"),
+    ("bus", "late"): _counted("frames arrive late", "s", 0.003),
+    ("bus", "flipped"): _part(
+        "one data bit is inverted, which the checksum does not detect", "bit", 29
     ),
-    ("bus", "short"): Kind(
-        "the last byte is missing, which the checksum does not detect", counted=True
-    ),
+    ("bus", "short"): _counted("the last byte is missing, which the checksum does not detect"),
     ("bus", "bus_off"): Kind(
         "the host's CAN controller is bus-off; permanently if there is no value", "s"
     ),
-    ("bus", "error_frames"): Kind("the host receives error frames", counted=True),
-    ("line", "lost"): Kind("messages of the drive's serial line are lost", counted=True),
-    ("line", "byte_lost"): Kind(
-        "one byte of a message is lost", "byte", 5, counted=True, integer=True
-    ),
-    ("line", "corrupt"): Kind(
-        "one bit is inverted: a CRC error", "bit", 37, counted=True, integer=True
-    ),
-    ("line", "stuffing"): Kind("a byte 90h is not doubled", counted=True),
-    ("line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
-    ("line", "repeated"): Kind("messages arrive twice", counted=True),
-    ("line", "refused"): Kind("requests are answered with an error code", counted=True),
+    ("bus", "error_frames"): _counted("the host receives error frames"),
+    ("line", "lost"): _counted("messages of the drive's serial line are lost"),
+    ("line", "byte_lost"): _part("one byte of a message is lost", "byte", 5),
+    ("line", "corrupt"): _part("one bit is inverted: a CRC error", "bit", 37),
+    ("line", "stuffing"): _counted("a byte 90h is not doubled"),
+    ("line", "late"): _counted("messages arrive late", "s", 0.005),
+    ("line", "repeated"): _counted("messages arrive twice"),
+    ("line", "refused"): _counted("requests are answered with an error code"),
     ("line", "cut"): Kind("the line is unplugged; permanently if there is no value", "s"),
-    ("encoder_line", "lost"): Kind("messages of the encoder's serial line are lost", counted=True),
-    ("encoder_line", "byte_lost"): Kind(
-        "one byte of a message is lost", "byte", 1, counted=True, integer=True
-    ),
-    ("encoder_line", "corrupt"): Kind(
-        "one bit is inverted: the check bits are wrong", "bit", 3, counted=True, integer=True
-    ),
-    ("encoder_line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
-    ("encoder_line", "repeated"): Kind("messages arrive twice", counted=True),
+    ("encoder_line", "lost"): _counted("messages of the encoder's serial line are lost"),
+    ("encoder_line", "byte_lost"): _part("one byte of a message is lost", "byte", 1),
+    ("encoder_line", "corrupt"): _part("one bit is inverted: the check bits are wrong", "bit", 3),
+    ("encoder_line", "late"): _counted("messages arrive late", "s", 0.005),
+    ("encoder_line", "repeated"): _counted("messages arrive twice"),
     ("encoder_line", "cut"): Kind("the line is unplugged; permanently if there is no value", "s"),
-    ("drive", "emcy"): Kind(
-        "the drive sends an emergency message without a reaction", "code", 0x2310, integer=True
+    ("drive", "emcy"): _code(
+        "the drive sends an emergency message without a reaction", "code", 0x2310
     ),
-    ("drive", "fault"): Kind("the drive goes into fault by itself", "code", 0x7320, integer=True),
+    ("drive", "fault"): _code("the drive goes into fault by itself", "code", 0x7320),
     ("drive", "restart"): Kind("the drive restarts, as after a short failure of its supply"),
-    ("drive", "quick_stop_option"): Kind("605Ah has another value", "605Ah", 2, integer=True),
+    ("drive", "quick_stop_option"): _code("605Ah has another value", "605Ah", 2),
     ("drive", "stuck"): Kind(
         "the power stage is defective: once on, it stays on although the drive reports off"
     ),
     ("drive", "mode_refused"): Kind("the drive accepts 6060h, but 6061h stays 0"),
-    ("drive", "sdo_abort"): Kind("SDO requests are refused", counted=True),
-    ("drive", "sdo_timeout"): Kind("SDO requests are not answered", counted=True),
+    ("drive", "sdo_abort"): _counted("SDO requests are refused"),
+    ("drive", "sdo_timeout"): _counted("SDO requests are not answered"),
     ("drive", "limits_refused"): Kind("the drive ignores written limits"),
     ("drive", "counter_stuck"): Kind("the life counters of the drive do not change"),
     ("drive", "position_sign"): Kind("the position loop of the drive has the wrong sign"),
     ("drive", "velocity_sign"): Kind("the speed loop of the drive has the wrong sign"),
     ("drive", "phases_swapped"): Kind("two phases of the motor are swapped"),
-    ("encoder", "bit"): Kind(
-        "one bit of the position is inverted", "bit", 13, counted=True, integer=True
-    ),
+    ("encoder", "bit"): _part("one bit of the position is inverted", "bit", 13),
     ("encoder", "jump"): Kind("the position shifts permanently", "deg", 5.0),
     ("encoder", "frozen"): Kind("the position stays constant, but the time stamps continue"),
     ("encoder", "reversed"): Kind("the encoder counts in the opposite direction"),
@@ -140,7 +125,6 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
         "the operator hangs this mass and types the planned mass", "kg", 60.0
     ),
 }
-"""Kind of each fault, by target and name."""
 
 COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sync": (0x080,),
@@ -299,10 +283,6 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     In CSV the first line names the columns, which are the keys of a row; the columns ``device`` and
     ``function`` are the keys of ``frames``, and the columns ``deenergised_within_s``,
     ``exit_status`` and ``words`` are the keys of ``expect``.
-
-    Raises:
-        InputError: The file is missing or not valid; the message lists every problem with its place
-            in the file.
     """
     if path.suffix.lower() != ".csv":
         return load_located(path, FaultSchedule)

@@ -87,9 +87,8 @@ class FlowSection(Schema):
         for earlier, later in pairwise(times):
             if later <= earlier + self.ramp_s:
                 raise ValueError(
-                    f"the step at {later:g} s begins before the step at {earlier:g} s ends "
-                    f"(ramp_s {self.ramp_s:g}); "
-                    "list the steps in order of time, further apart than ramp_s"
+                    f"the step at {later:g} s begins before the step at {earlier:g} s ends (ramp_s "
+                    f"{self.ramp_s:g}); list the steps in order of time, further apart than ramp_s"
                 )
         return self
 
@@ -350,31 +349,17 @@ class AcceptanceFile(Schema):
 
 
 def load_acceptance(path: Path) -> Document[AcceptanceFile]:
-    """Read a file of limits.
-
-    Raises:
-        InputError: The file is missing or not valid; the message has every problem with its place.
-    """
+    """Read a file of limits; the InputError has every problem with its place."""
     return load_located(path, AcceptanceFile)
 
 
 def load_sequence(name: str | Path) -> Document[Sequence]:
-    """Read a sequence by path, or by the bare name of a packaged sequence (``figure10``).
-
-    Raises:
-        InputError: The file is missing or not valid; the message lists every problem with its place
-            in the file.
-    """
+    """Read a sequence by path or packaged name; the InputError has every problem with its place."""
     return load_located(resolve(name, "sequences"), Sequence)
 
 
 def excitation(stage: StageSection, cycle_s: float) -> Array:
-    """Return the joint angle that is commanded in each cycle of one repeat.
-
-    Returns:
-        Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the
-        time k ``cycle_s``.
-    """
+    """Return the commanded angles of one repeat, rad, shape (n,), at k ``cycle_s``."""
     t = np.asarray(np.arange(round(stage.duration_s / cycle_s)) * cycle_s, dtype=np.float64)
     if stage.ramp is not None:
         return math.radians(stage.center_deg) + _there_and_back(stage.ramp, t)
@@ -397,18 +382,7 @@ def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
 
 
 def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Array:
-    """Return the joint angles of a smooth move that starts and ends at rest.
-
-    Args:
-        start: Present joint angle, rad.
-        end: Joint angle at the end, rad.
-        peak_speed: Speed in the middle of the move, rad/s.
-        cycle_s: Control cycle, s.
-
-    Returns:
-        Angles in rad, shape (n,), of which the last equals ``end``; empty if ``start`` equals
-        ``end``.
-    """
+    """Return the angles of a smooth move between rests, rad, (n,), after ``start``."""
     distance = abs(end - start)
     # The peak speed of a raised cosine of duration T is pi/2 times its mean speed, distance / T.
     n = math.ceil(0.5 * math.pi * distance / peak_speed / cycle_s)
@@ -419,9 +393,7 @@ def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Arr
 
 
 def raised_cosine(t: NDArray[np.floating[Any]], duration: float) -> Array:
-    """Return the values of a function that rises smoothly from 0 at t = 0 to 1 at t = ``duration``
-    and then stays at 1; the values are 1 at all times if ``duration`` is 0.
-    """
+    """Return a smooth rise from 0 at t = 0 to 1 from t = ``duration`` on; 1 if that is 0."""
     if duration <= 0:
         return np.ones_like(t)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(t / duration, 0.0, 1.0)))

@@ -21,10 +21,9 @@ UNWATCHED_SHARE: Final = 0.6
 NO_WATCHDOG_AT_ALL: Final = "this drive has no watchdog"
 """Beginning of a warning of which the page of a run concludes that the limits are reduced."""
 _ALONE: Final = (
-    "the drive holds its last target with power on, and only the main switch or the emergency "
-    "stop switches the power off. Stay beside the bench. Torque, current and speed limits are "
-    "reduced to "
-    f"{UNWATCHED_SHARE:.0%} of the bench file's"
+    "the drive holds its last target with power on, and only the main switch or the emergency stop "
+    "switches the power off. Stay beside the bench. Torque, current and speed limits are reduced "
+    f"to {UNWATCHED_SHARE:.0%} of the bench file's"
 )
 NO_WATCHDOG: Final = (
     f"{NO_WATCHDOG_AT_ALL}: if this program or its computer fails or sleeps, or the cable fails, "
@@ -103,8 +102,7 @@ def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
         shortest_ms = math.ceil(1e3 * needed_s / ANSWER_SHARE - 1e-9)
         yield (
             f"too slow: {writes + reads} objects per cycle take up to {bits} bits and "
-            f"{needed_s * 1e3:.2f} ms, "
-            f"{needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} ms, limit "
-            f"{ANSWER_SHARE:.0%}; raise baud, lower "
-            f"round_trip_ms, or lower cycle_Hz to {1e3 / shortest_ms:g}"
+            f"{needed_s * 1e3:.2f} ms, {needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} "
+            f"ms, limit {ANSWER_SHARE:.0%}; raise baud, lower round_trip_ms, or lower cycle_Hz to "
+            f"{1e3 / shortest_ms:g}"
         )

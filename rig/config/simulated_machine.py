@@ -28,9 +28,7 @@ _ANY_SIGN: Final = frozenset({"temperature_C"})
 _SMALLEST: Final = 1e-12
 """Smallest permitted constant of the simulated machine, SI units; the largest is its inverse."""
 _LOOPS_HZ: Final = (100.0, 1e8)
-"""Permitted range of the rate of the simulated drive's loops, Hz; very fast loops represent a drive
-in continuous time.
-"""
+"""Permitted rate of the simulated drive's loops, Hz; very fast loops represent continuous time."""
 _MAY_BE_ZERO: Final = frozenset(
     {
         "inductance_H",
@@ -77,19 +75,19 @@ def follow_bench(root: Node) -> Node:
 
 
 def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
-    """Return the values of ``mock`` that follow from the other sections of a bench file.
-
-    Args:
-        bench: The file as plain data, which need not be valid.
-    """
-    motor = _known(
-        resistance_ohm=_number(bench, "machine", "resistance_ohm"),
-        inductance_H=_number(bench, "machine", "inductance_H"),
-        torque_constant_N_m_A=_number(bench, "machine", "torque_constant_N_m_A"),
-        back_emf_constant_V_s_rad=_number(bench, "machine", "back_emf_constant_V_s_rad"),
-        gear_ratio=_number(bench, "machine", "gear_ratio"),
+    """Return the values of ``mock`` that follow from the other sections of a bench file."""
+    motor = _of_machine(
+        bench,
+        "resistance_ohm",
+        "inductance_H",
+        "torque_constant_N_m_A",
+        "back_emf_constant_V_s_rad",
+        "gear_ratio",
     )
-    joint = _joint(bench)
+    torque = (_number(bench, "limits", "torque_N_m") or _PAPER_TORQUE_N_M) / _PAPER_TORQUE_N_M
+    scaled = ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad")
+    joint = {name: getattr(Joint, name) * torque for name in scaled}
+    joint |= _of_machine(bench, "moment_arm_m", "lever_ratio", "gravity_m_s2")
     inertia = _number(bench, "mock", "joint", "inertia_kg_m2") or joint["inertia_kg_m2"]
     gear = _number(bench, "mock", "motor", "gear_ratio") or motor.get(
         "gear_ratio", Motor.gear_ratio
@@ -108,14 +106,8 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     return machine if supply is None else {**machine, "supply_V": supply}
 
 
-def _joint(bench: Mapping[str, Any]) -> Section:
-    share = (_number(bench, "limits", "torque_N_m") or _PAPER_TORQUE_N_M) / _PAPER_TORQUE_N_M
-    scaled = ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad")
-    lever = ("moment_arm_m", "lever_ratio", "gravity_m_s2")
-    return {
-        **{name: getattr(Joint, name) * share for name in scaled},
-        **_known(**{name: _number(bench, "machine", name) for name in lever}),
-    }
+def _of_machine(bench: Mapping[str, Any], *names: str) -> Section:
+    return _known(**{name: _number(bench, "machine", name) for name in names})
 
 
 def _loops(
@@ -202,21 +194,14 @@ def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
 
 
 def may_be(name: str) -> str:
-    """Return the permitted range of a number of the simulated machine: "> 0", "≥ 0", or an empty
-    text for any number.
-    """
+    """Return the permitted range of a number: "> 0", "≥ 0", or an empty text for any number."""
     if name in _ANY_SIGN:
         return ""
     return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
 
 
 def require_buildable(machine: Machine) -> None:
-    """Check the numbers of a simulated machine.
-
-    Raises:
-        ValueError: A number is not finite, has the wrong sign or is outside a realistic range, or
-            the gas generator cannot burn steadily.
-    """
+    """Check the numbers of a simulated machine; ValueError for sign, size or an unsteady burn."""
     for path, value in _leaves(machine):
         name = path.rsplit(".", 1)[-1]
         if name in _ANY_SIGN:
@@ -287,12 +272,6 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
     (eq. 1). The loop is linear, so that its eigenvalues determine its stability; the supply voltage
     only limits the oscillation.
-
-    Args:
-        machine: The simulated machine.
-
-    Returns:
-        The message on the key ``current_gain_V_A``, or None if the loop is stable.
     """
     gain = machine.loops.current_gain_V_A
     radius = _radius(machine, gain)
@@ -302,10 +281,9 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     advised = _ADVISED_SHARE * _greatest_stable_gain(machine)
     return (
         f"with {motor.inductance_H:g} H and {motor.resistance_ohm:g} ohm at {loops.rate_Hz:g} Hz "
-        f"the current loop of "
-        f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each "
-        f"period), and may stop a run by its limits of current or torque; lower the gain to "
-        f"{advised:.2g} or less, or raise rate_Hz"
+        "the current loop of the simulated drive is unstable (its error grows by a factor of "
+        f"{radius:.3g} each period), and may stop a run by its limits of current or torque; lower "
+        f"the gain to {advised:.2g} or less, or raise rate_Hz"
     )
 
 

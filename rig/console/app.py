@@ -40,12 +40,7 @@ _HEAD: Final = struct.Struct("<I")
 
 
 class View:
-    """Record of what one page has received.
-
-    Args:
-        hub: The runs.
-        page: The page.
-    """
+    """Record of what one page has received."""
 
     def __init__(self, hub: Hub, page: Page) -> None:
         self._hub = hub
@@ -93,7 +88,6 @@ class View:
         return changed
 
     def _add_new(self, changed: dict[str, Any], run: Followed | None) -> None:
-        """Add the events, notes and points that the page has not received."""
         if notes := [words for number, words in self._hub.notes if number > self._notes]:
             changed["notes"] = notes
             self._notes = self._hub.notes[-1][0]
@@ -107,10 +101,7 @@ class View:
         if version != found.version:
             version, count = found.version, 0
         if len(found.points) > count or self._points != (version, count):
-            changed["points"] = {
-                "from": count,
-                "rows": np.round(found.points[count:], 3).tolist(),
-            }
+            changed["points"] = {"from": count, "rows": np.round(found.points[count:], 3).tolist()}
         self._points = (version, len(found.points))
 
     def charts(self) -> bytes | None:
@@ -196,25 +187,12 @@ _KINDS: Final = {
     ".svg": "image/svg+xml",
 }
 _PUSH_EVERY: Final = 2
-"""Number of ticks between two messages to a page."""
 _COMMANDS: Final = {command.value: command for command in Command}
 _LONGEST_WINDOW_S: Final = 86_400.0
 
 
 class Console:
-    """The web application of the console.
-
-    Args:
-        hub: The runs and the pages.
-        token: Token that this start of the console has made.
-        hosts: Values of the Host header that name this console.
-
-    Attributes:
-        app: The routes.
-        broken: Called when the console can no longer follow the runs.
-        failure: Reason why the console can no longer follow the runs; None while the console
-            follows the runs.
-    """
+    """The web application of the console."""
 
     def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:
         self.broken: Callable[[], None] = lambda: None
@@ -279,9 +257,7 @@ class Console:
     def _posted(
         self, act: Callable[[Page | None, Mapping[str, Any]], Awaitable[dict[str, Any]]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Return the endpoint of a command. The endpoint checks token, content and number, then
-        calls ``act``.
-        """
+        """Return the endpoint of a command: checks token, content, number, then ``act``."""
 
         async def endpoint(request: Request) -> Response:
             scheme, _, given = request.headers.get("authorization", "").partition(" ")
@@ -333,9 +309,7 @@ class Console:
                 self._calm.set()
 
     async def _sent(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a command to a run. The command `stop` needs neither the controls nor an open
-        page, and without a run it is sent to every program in progress.
-        """
+        """Send a command to a run; `stop` needs neither controls nor page nor run."""
         command = _COMMANDS.get(str(message.get("command")))
         if command is None:
             raise Refusal(f"unknown command; known are {', '.join(_COMMANDS)}")
@@ -354,7 +328,6 @@ class Console:
         return {"words": words}
 
     async def _stop(self, page: Page | None, who: str) -> dict[str, Any]:
-        """Stop everything in progress; the page shows the end of a run that was stopped."""
         shown = None if page is None else self._hub.run_of(page)
         sent, failed = await self._hub.stop(who)
         runs = [each.key for each in sent if each.key in self._hub.runs]
@@ -374,9 +347,7 @@ class Console:
         return {"words": ", ".join(names), "stopped": [each.key for each in sent]}
 
     async def _off(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Make a bench safe, as `rig off` does; needs neither the controls nor an open page,
-        because it only takes power off.
-        """
+        """Make a bench safe, as `rig off`; it only takes power off, so that any page may."""
         bench = message.get("bench")
         known = {str(run.about["bench_file"]) for run in self._hub.runs.values()}
         if not isinstance(bench, str) or bench not in known | set(self._hub.starter.benches):
@@ -433,7 +404,6 @@ class Console:
             raise Refusal(f"{who} holds the controls; take the controls first")
 
     async def _live(self, socket: WebSocket) -> None:
-        """Send the state and the charts to a page until the page is closed."""
         if self._greeting >= MOST_GREETING:
             await socket.close(1013)
             return
@@ -467,9 +437,7 @@ class Console:
             self._hub.controls.close(page)
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
-        """Send state and charts to a page every few ticks. A page that does not read its messages
-        does not delay the messages to other pages.
-        """
+        """Send state and charts to a page every few ticks, without delay by other pages."""
         view = View(self._hub, page)
         while not reading.done():
             async with self._turn:
@@ -487,9 +455,7 @@ class Console:
 
 
 async def _read_views(socket: WebSocket, page: Page) -> None:
-    """Read which run and charts a page requests, until the page is closed or sends an invalid
-    message.
-    """
+    """Read which run and charts a page requests, until it is closed or sends an invalid message."""
     while True:
         try:
             message = dict(await socket.receive_json())
@@ -522,9 +488,7 @@ def _json(content: Mapping[str, Any], status: int = 200) -> Response:
 
 
 async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:
-    """Send a JSON message in ASCII; the escapes of ASCII can also encode text that is not valid
-    Unicode.
-    """
+    """Send JSON in ASCII, whose escapes can also encode text that is not valid Unicode."""
     await socket.send_text(json.dumps(message))
 
 
@@ -535,12 +499,6 @@ def serve(
     starter: Starter, only: frozenset[str], port: int, announce: Callable[[str], None]
 ) -> None:
     """Serve the console until SIGINT or SIGTERM.
-
-    Args:
-        starter: Starts runs.
-        only: Names of the benches whose runs are shown; empty for all.
-        port: Port, or 0 for a free port.
-        announce: Called with the address, including the token, when the address can be opened.
 
     Raises:
         InputError: The port is in use.
@@ -579,7 +537,6 @@ class _Server(uvicorn.Server):
     """Server whose queue in the system is longer than the burst that it accepts at once."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start to serve."""
         await super().startup(sockets)
         for listener in sockets or ():
             listener.listen(QUEUE)

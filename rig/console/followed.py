@@ -1,9 +1,4 @@
-"""Follows one run: reads its state from its answers on the control socket, its record and its
-recordings.
-
-A continued run has several recordings. All are read, one after the other, so that a page keeps the
-charts and events of the time before a stop.
-"""
+"""Follows one run, also a continued one: by its answers, its record and its recordings."""
 
 from __future__ import annotations
 
@@ -32,14 +27,7 @@ DEG = 180.0 / math.pi
 
 
 class Channel(NamedTuple):
-    """Channel of one chart.
-
-    Attributes:
-        name: Name of the channel in the recording, or name of a derived value.
-        label: Title.
-        unit: Unit of display.
-        scale: Factor from SI to the unit of display.
-    """
+    """Channel of one chart."""
 
     name: str
     label: str
@@ -61,16 +49,10 @@ CHANNELS = (
     Channel("temperature", "Temperature of the drive", "deg C"),
     Channel("pressure", "Chamber pressure", "MPa", 1e-6),
 )
-"""Channels in the order in which the page shows them."""
 
 
 def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
-    """Return the values of the channels in their units of display, shape (channels, n).
-
-    Args:
-        samples: Arrays of shape (n,), by field.
-        about: Description of the run, with gear ratio and torque constant.
-    """
+    """Return the channels in their units of display, shape (channels, n)."""
     derived = {
         "error": samples["angle"] - samples["command"],
         "torque": samples["current"] * about["torque_per_ampere"],
@@ -118,9 +100,7 @@ _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 
 
 def event_words(event: Mapping[str, Any]) -> str:
-    """Return an event with its time as one line of text; for an unknown event, its name and
-    details.
-    """
+    """Return an event with its time as one line; of an unknown event, its name and details."""
     name = str(event.get("event"))
     try:
         words = _WORDS[name](event)
@@ -134,9 +114,7 @@ def event_words(event: Mapping[str, Any]) -> str:
 
 
 READ_BYTES = 1 << 19
-"""Number of bytes after which a call reads no further record, so that a long recording does not
-block the console.
-"""
+"""Bytes after which a call reads no further record, so that the console is not blocked."""
 
 
 class News(NamedTuple):
@@ -155,23 +133,14 @@ class News(NamedTuple):
 
 
 class Growing:
-    """A recording that may still grow.
-
-    Args:
-        path: The recording.
-    """
+    """A recording that may still grow."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset: int | None = START
 
     def read(self) -> News:
-        """Read the records that were added since the last call, about :data:`READ_BYTES`.
-
-        Raises:
-            OSError: The file cannot be read.
-            DamageError: The file is damaged, or another program wrote it.
-        """
+        """Read the records added since the last call; raises OSError, DamageError."""
         found: dict[str, list[bytes]] = {SAMPLE_TOPIC: [], EVENT_TOPIC: []}
         begun, more = self._offset, False
         with Tail(self._path) as tail:
@@ -205,13 +174,7 @@ _SPEEDS = 121
 
 
 class TorqueSpeed:
-    """Points of torque against speed.
-
-    Attributes:
-        points: Speed, deg/s, torque, N m, and number of the excitation, shape (n, 3).
-        version: Number that increases when points are dropped, so that pages fetch all points
-            again.
-    """
+    """Points of torque against speed; a new ``version`` if some were dropped."""
 
     def __init__(self) -> None:
         self.points: Array = np.empty((0, 3))
@@ -221,12 +184,7 @@ class TorqueSpeed:
         self._rest: Array = np.empty((0, 3))
 
     def add(self, samples: Mapping[str, Array], torque_per_ampere: float) -> None:
-        """Add samples; samples outside an excitation are ignored.
-
-        Args:
-            samples: Arrays of shape (n,), by field.
-            torque_per_ampere: Joint torque per motor current, N m/A.
-        """
+        """Add samples of excitations, arrays (n,) by field; torque per current in N m/A."""
         moving = samples["segment"] > 0
         if not moving.any():
             return
@@ -251,13 +209,7 @@ class TorqueSpeed:
 
 
 def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
-    """Return friction against speed by the newest identification of this bench, for the contact
-    moment of each confirmed mass; None without an identification.
-
-    Args:
-        record: The run.
-        folder: The run folder; identifications are searched in the folders beside it.
-    """
+    """Return friction curves by the newest identification beside the run folder, or None."""
     try:
         model = friction_model(recorded_bench(record), runs=folder.parent)
     except InputError:
@@ -276,7 +228,6 @@ def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
 
 
 EVENTS: Final = 200
-"""Greatest number of events that are shown."""
 SILENT_S: Final = 1.0
 """Time without an answer after which a run counts as silent, s."""
 DRIVE_STATES: Final = {
@@ -293,18 +244,7 @@ _STATE_MASK: Final = 0x6F
 
 
 class Reached:
-    """A program that a control socket reaches: a run, a jog or a commissioning.
-
-    Args:
-        path: Control socket of the program.
-        about: Description that the program sent.
-        number: Number of programs that were found up to and including this program.
-
-    Attributes:
-        key: Value that identifies the program in commands.
-        status: Newest state that the program reported; None before the first report.
-        gone: Whether the program is gone.
-    """
+    """A run, jog or commissioning that a control socket reaches, and the state it reported."""
 
     def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
         self.path = path
@@ -333,22 +273,10 @@ class Reached:
 class Followed(Reached):
     """A run that the console follows.
 
-    Args:
-        path: Control socket of the run.
-        about: Description that the run sent.
-        number: Number of runs that were found up to and including this run.
-
     Attributes:
-        verdict: Acceptance of the run; None while it is not judged.
-        record: ``run.json``, or None until this file exists.
-        events: Number and text of the newest events.
-        decimation: Minima and maxima of the channels, over the recorded time of all recordings.
         continued_s: Starts of the recordings after the first, on the time axis of the charts, s.
-        torque_speed: Points of torque against speed.
-        curves: Friction curves of the newest identification.
         values: Value of each channel in the latest sample that was read, or None if it is not
             known.
-        drive: State of the drive in this sample, as text.
         current: Whether this sample is the newest sample of this program: not while the program
             connects and its recording does not exist yet, and not while older samples are read.
         trouble: Reason why the recording cannot be read, or None if it can be read.
@@ -381,9 +309,7 @@ class Followed(Reached):
 
     @property
     def closed(self) -> bool:
-        """Whether the program of the run has ended; after the end of the run, the program still
-        writes the page of the run.
-        """
+        """Whether the program of the run has ended, which writes the page after the run."""
         return self.gone or not os.path.exists(self.path)
 
     @property
@@ -422,9 +348,7 @@ class Followed(Reached):
         self._answers += 1
 
     def read(self) -> bool:
-        """Read the new content of the run folder; return whether more content can be read
-        immediately.
-        """
+        """Read the new content of the run folder; return whether more can be read immediately."""
         # A program names its recording in run.json before it reports a phase after connecting.
         connecting = self.status is None or self.status["phase"] == "connecting"
         self._read_record()
@@ -468,11 +392,7 @@ class Followed(Reached):
         return news.more or self._next_recording()
 
     def _next_recording(self) -> bool:
-        """Continue with the next recording, if there is one; return whether there is one.
-
-        On the time axis the next recording begins at a whole second, at least a second after the
-        end of the recording before, so that the charts have a gap.
-        """
+        """Continue with the next recording, if any, at least 1 s later on the time axis."""
         if self._part + 1 >= self._parts:
             return False
         self._part += 1
@@ -519,7 +439,6 @@ def _stamp_of(path: Path) -> tuple[int, int] | None:
 
 
 def _shown_record(record: RunRecord) -> dict[str, Any]:
-    """Return the part of ``run.json`` that a page shows."""
     held = record.parts[-1].devices.get("limits")
     return {
         "state": record.state,

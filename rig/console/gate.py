@@ -40,16 +40,12 @@ HEADERS: Final = {
 SANDBOX: Final = (
     "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 )
-"""Content security policy of a page from a run folder: the page may show its own pictures, but
-cannot run scripts or load other content.
-"""
+"""Policy of a page from a run folder: it may show its own pictures, but run and load nothing."""
 _CHARTS: Final = base64.b64encode(hashlib.sha256(inlined_script().encode()).digest()).decode()
 RUN_SANDBOX: Final = f"{SANDBOX}; script-src 'sha256-{_CHARTS}'".replace(
     "allow-popups", "allow-popups allow-scripts"
 )
-"""Policy of the page of a run, which may also run, as an origin of its own, the script of this
-program that draws its charts. The script is known by its digest; no other script can run.
-"""
+"""Policy of the page of a run, which may also run the script of this program with this digest."""
 _READING: Final = frozenset({"GET", "HEAD"})
 
 
@@ -65,13 +61,7 @@ class Token:
 
 
 class Gate:
-    """Middleware that passes requests whose host and origin are this console, and refuses all other
-    requests.
-
-    Args:
-        app: Application that receives the passed requests.
-        hosts: Values of the Host header that name this console.
-    """
+    """Middleware that passes only requests whose host and origin are this console."""
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str]) -> None:
         self._app = app
@@ -93,7 +83,6 @@ class Gate:
             await answer(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> str | None:
-        """Return the reason why a request is refused, or None if it is passed."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
@@ -122,29 +111,21 @@ def _with_headers(send: Send) -> Send:
 
 
 MOST_OPEN: Final = 64
-"""Greatest number of HTTP connections."""
 MOST_PAGES: Final = 12
 """Greatest number of open pages with the token."""
 MOST_READERS: Final = 6
-"""Greatest number of open pages without the token."""
 MOST_GREETING: Final = 24
 """Greatest number of WebSockets that have not sent their token yet."""
 YOUNG_S: Final = 1.0
 """Age up to which a connection without a request stays open, s."""
 YOUNG_SHARE: Final = 4
-"""Number of connections beyond which young ones are closed too, as a multiple of
-:data:`MOST_OPEN`.
-"""
+"""Multiple of :data:`MOST_OPEN` beyond which young connections are closed too."""
 REQUEST_S: Final = 5.0
 """Time for the first request of a connection, s."""
 BURST: Final = 32
-"""Greatest number of connections that are accepted before requests are read again. It is smaller
-than :data:`MOST_OPEN`, so that a command is read before newer connections can replace its own.
-"""
+"""Connections accepted before requests are read; below :data:`MOST_OPEN`: commands come first."""
 QUEUE: Final = 1024
-"""Number of connections that wait in the system to be accepted. The system drops further ones, and
-a browser then tries again after a second.
-"""
+"""Connections that wait in the system; a browser whose connection is dropped tries again."""
 
 _FULL: Final = b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
 

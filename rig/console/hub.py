@@ -1,6 +1,4 @@
-"""Follows all runs of the user who started the console, and passes the commands of pages to the
-runs.
-"""
+"""Follows all runs of one user, and passes the commands of pages to the runs."""
 
 from __future__ import annotations
 
@@ -42,10 +40,7 @@ class Page:
     """One open page.
 
     Attributes:
-        name: Name for the operators.
         may: Whether the page has the token of this start of the console.
-        key: Value that identifies the page in commands.
-        last: Number of the last command of the page.
         run: The run that the user has chosen on the page, or None.
         kept: The run that the page shows if no run was chosen.
         own: Whether the page keeps the run ``kept`` after the end of this run, because the page
@@ -56,7 +51,6 @@ class Page:
             found.
         before: Number of runs that were known when the run in ``started`` was started.
         window_s: Width of the charts, s; 0 for the whole run.
-        pixels: Width of the charts, pixels.
     """
 
     name: str
@@ -74,11 +68,7 @@ class Page:
 
 
 class Controls:
-    """All open pages. At most one page holds the controls.
-
-    Attributes:
-        holder: The page with the controls, or None.
-    """
+    """All open pages. At most one page holds the controls."""
 
     def __init__(self) -> None:
         self._pages: dict[str, Page] = {}
@@ -119,9 +109,7 @@ class Controls:
             self.holder = page
 
     def take(self, page: Page) -> None:
-        """Give the controls to a page even if another page holds them, because the other page may
-        be frozen.
-        """
+        """Give the controls to a page even if another one, which may be frozen, holds them."""
         self.holder = page
 
     def page(self, key: str) -> Page | None:
@@ -129,9 +117,7 @@ class Controls:
         return self._pages.get(key)
 
     def replayed(self, page: Page, number: int) -> bool:
-        """Return whether a command with this number or with a higher number was received before,
-        and register the number.
-        """
+        """Return whether this or a higher number of a command was received before; register it."""
         if number <= page.last:
             return True
         page.last = number
@@ -148,12 +134,7 @@ class Unreachable(Exception):
 
 
 class Links:
-    """Socket through which the console exchanges messages with all runs of this user.
-
-    Args:
-        heard: Called with the path of a run's socket and each message from this socket.
-        clock: Clock by which commands are numbered.
-    """
+    """Socket through which the console exchanges messages with all runs of this user."""
 
     def __init__(
         self, heard: Callable[[str, dict[str, Any]], None], clock: Clock | None = None
@@ -191,11 +172,7 @@ class Links:
         return sorted(found)
 
     def ask(self, path: str, what: str) -> None:
-        """Ask a run for its ``status`` or ``about``; the answer is passed to ``heard``.
-
-        Raises:
-            Unreachable: The program is gone.
-        """
+        """Ask a run for ``status`` or ``about``, answered to ``heard``, or Unreachable."""
         self._send(path, {"ask": what})
 
     async def command(
@@ -239,12 +216,7 @@ class Links:
         )
 
     async def _once(self, path: str, order: Order) -> tuple[bool, dict[str, Any] | None]:
-        """Send a command once; return whether it got into the queue of the run, and the answer, or
-        None if no answer arrives in time.
-
-        Raises:
-            Unreachable: The program is gone.
-        """
+        """Send a command once; return whether it was queued, and the answer in time, or None."""
         future: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._waiting[order.number] = future
         sent = False
@@ -261,12 +233,7 @@ class Links:
         return Order(command, run, self._last, who, prompt, text)
 
     def _send(self, path: str, message: Mapping[str, Any]) -> bool:
-        """Send a message; return False if it cannot be sent now: the queue of the run is full, or
-        the system lacks memory.
-
-        Raises:
-            Unreachable: The program is gone.
-        """
+        """Send a message, False if the queue is full; Unreachable if the program is gone."""
         try:
             self._socket.sendto(encode(message), path)
         except (ConnectionRefusedError, FileNotFoundError) as error:
@@ -292,7 +259,6 @@ class Links:
 TICK_S: Final = 0.1
 _LOOK_S: Final = 0.5
 _ENDED: Final = 5
-"""Number of runs that are kept after their end."""
 _READS: Final = 4
 """Greatest number of blocks of a recording that are read in one tick."""
 _NOTES: Final = 20
@@ -315,10 +281,6 @@ class Questions:
 
         After an answer the run is asked at once. After a question without an answer, the wait is as
         long as the run had been silent at this question, but at least :data:`_AGAIN_S`.
-
-        Args:
-            path: Control socket of the run.
-            now_s: Monotonic time, s.
         """
         heard_s, asked_s = self._times.get(path, (now_s, -math.inf))
         if now_s - asked_s < max(_AGAIN_S, asked_s - heard_s):
@@ -332,12 +294,7 @@ class Questions:
 
 
 class Refusal(Exception):
-    """A command is refused; the message states the reason.
-
-    Args:
-        words: The reason.
-        details: Further fields of the answer.
-    """
+    """A command is refused; the message states the reason."""
 
     def __init__(self, words: str, **details: object) -> None:
         super().__init__(words)
@@ -347,16 +304,9 @@ class Refusal(Exception):
 class Hub:
     """The followed runs, and the open pages.
 
-    Args:
-        starter: Starts runs.
-        only: Names of the benches whose runs are shown; empty for all.
-
     Attributes:
         runs: Runs by key, in the order in which they were found.
         others: Other programs that can move a bench, by key: jogs and commissionings.
-        controls: The pages.
-        notes: Number and text of messages to all pages.
-        ticked: Set at every tick, after which pages are informed.
     """
 
     def __init__(self, starter: Starter, only: frozenset[str] = frozenset()) -> None:
@@ -405,11 +355,7 @@ class Hub:
         return [each for each in (*self.runs.values(), *self.others.values()) if not each.over]
 
     async def stop(self, who: str) -> tuple[list[Reached], dict[str, str]]:
-        """Send STOP to every program in progress, also to a program that began just now.
-
-        Returns:
-            The programs, and for each program that did not confirm STOP, by key, the reason.
-        """
+        """Send STOP to all in progress; return them, and why, by key, some did not confirm it."""
         if self._look(time.monotonic()) and not self.moving:
             await asyncio.sleep(TICK_S)
         sent: list[Reached] = []
@@ -463,18 +409,14 @@ class Hub:
             page.kept, page.own, page.beyond = key, True, None
 
     def follow_up(self, page: Page, folder: Path) -> None:
-        """Let a page show the run that it has started or continued in ``folder``, as soon as this
-        run is found. Until then, the page shows the run that it has shown.
-        """
+        """Let a page show the run started or continued in ``folder``, once it is found."""
         shown = self.run_of(page)
         if shown is not None:
             self.claim(page, shown.key)
         page.run, page.started, page.before = None, folder, self._found
 
     def keep(self, page: Page, key: object, own: object = False) -> None:
-        """Let a page that is opened again keep the run that the page showed before its connection
-        was lost, if the run is in progress or if the page commanded the run.
-        """
+        """Let a reopened page keep its run if that is in progress, or was commanded by the page."""
         run = self.runs.get(key) if isinstance(key, str) else None
         if run is None:
             return
@@ -486,11 +428,7 @@ class Hub:
     async def command(
         self, key: str, command: Command, who: str, prompt: int = 0, text: str = ""
     ) -> str:
-        """Send a command to a run; return the answer of the run.
-
-        Raises:
-            Refusal: The run refused the command, did not answer, or is over.
-        """
+        """Send a command to a run, return its answer; or a Refusal if there is none."""
         run = self.runs.get(key)
         if run is None:
             raise Refusal("this run is unknown; choose a run that the page shows")
@@ -524,9 +462,7 @@ class Hub:
             self.note(words)
 
     def _look(self, now_s: float) -> int:
-        """Find new programs, and remove the oldest runs that have ended and that no page shows;
-        return the number of programs that were asked who they are.
-        """
+        """Find new programs, drop old ended runs that no page shows; return the number asked."""
         asked = 0
         for path in self._links.runs():
             known = path in self._by_path or path in self._ignored
@@ -551,7 +487,6 @@ class Hub:
             run.gone = True
 
     def _heard(self, path: str, message: dict[str, Any]) -> None:
-        """Process a message of a run."""
         self._questions.answered(path)
         known = self._by_path.get(path)
         about = message.get("about")

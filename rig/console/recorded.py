@@ -28,9 +28,7 @@ from rig.runs.catalogue.entry import Entry, Wanted, chosen, latest
 from rig.runs.catalogue.index import list_runs
 
 SHOWN: Final = 30
-"""Default number of runs in the list, which has the latest runs."""
 MOST_SHOWN: Final = 300
-"""Greatest number of runs in the list."""
 _FRESH_S: Final = 3.0
 """Time for which a list is reused, s."""
 _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
@@ -38,23 +36,14 @@ _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
 
 @dataclass(frozen=True)
 class Choice:
-    """Which of the recorded runs are listed.
-
-    Attributes:
-        bench: Name of the bench; empty for every bench.
-        last: Number of runs; the latest are listed.
-    """
+    """Which of the recorded runs are listed."""
 
     bench: str = ""
     last: int = SHOWN
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Choice:
-        """Return the choice of recorded runs that a query or a message of a page states.
-
-        Raises:
-            ValueError: The values are not valid.
-        """
+        """Return the choice that a query or message states; ValueError if it is not valid."""
         bench, last = given.get("bench", ""), given.get("last", SHOWN)
         last = int(last) if isinstance(last, str) and len(last) < 10 else last
         if not isinstance(bench, str) or type(last) is not int or not 0 < last <= MOST_SHOWN:
@@ -68,14 +57,7 @@ class Choice:
 
 
 class Recorded:
-    """Lists the runs of a folder, and serves the pages in the run folders, read only.
-
-    Args:
-        root: The folder.
-
-    Attributes:
-        root: The folder.
-    """
+    """Lists the runs of a folder, and serves the pages in the run folders, read only."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -92,9 +74,7 @@ class Recorded:
         ]
 
     async def known(self) -> Sequence[Entry]:
-        """Return the runs of the last list, the earliest first; if there is no list yet, the folder
-        is read.
-        """
+        """Return the runs of the last list, the earliest first; reads the folder without one."""
         if self._read_s < 0.0:
             await self._refresh()
         return self._entries
@@ -148,9 +128,7 @@ class Recorded:
         return list(dict.fromkeys(name for details in known for name in details.constants))
 
     def _listed(self, choice: Choice) -> str:
-        """Return the list as JSON in ASCII, whose escapes also encode names that are not valid
-        Unicode.
-        """
+        """Return the list as JSON in ASCII, whose escapes also encode names that are no Unicode."""
         everything = self._entries
         listed = self._chosen(everything, choice)
         benches = {entry.head.bench for entry in everything} - {""}
@@ -202,22 +180,15 @@ class Recorded:
 MOST_COMPARED: Final = 6
 """Greatest number of runs in a comparison: the number of colours of the figure."""
 KEPT: Final = 12
-"""Number of the latest pages that are kept."""
 MAKE_S: Final = 180.0
 """Longest time, s, in which a page must be made."""
 NICE = 10
 """Increase of the niceness of the process that makes a page."""
 _SHOWN: Final = 2000
-"""Number of characters of an error message that are shown."""
 
 
 class Made:
-    """Makes pages of recorded runs, one at a time, and serves the pages, read only.
-
-    Args:
-        recorded: The runs.
-        command: Start of the command line of ``rig``.
-    """
+    """Makes pages of recorded runs, one at a time, and serves the pages, read only."""
 
     def __init__(self, recorded: Recorded, command: Sequence[str]) -> None:
         self._recorded = recorded
@@ -227,18 +198,7 @@ class Made:
         self.routes = [Route("/made/{key}", self._page, methods=["GET"])]
 
     async def compare(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Compare runs of the list with the earliest of these runs.
-
-        Args:
-            message: ``runs``, their folders as listed.
-
-        Returns:
-            ``page``, the address of the page, and ``words``, the name of the page.
-
-        Raises:
-            Refusal: The request does not name 2 to :data:`MOST_COMPARED` runs of the list, or the
-                runs cannot be compared.
-        """
+        """Compare runs of the list (folders) with the earliest; return the address of the page."""
         given = message.get("runs")
         if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
             raise Refusal("runs must be a list of folders")
@@ -254,17 +214,7 @@ class Made:
         return await self._make(f"Comparison of {', '.join(folders)}", "compare", "--", *runs)
 
     async def trend(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Follow one constant over the runs that are listed.
-
-        Args:
-            message: ``constant``, and ``bench`` and ``last`` as for the list.
-
-        Returns:
-            ``page``, the address of the page, and ``words``, the name of the page.
-
-        Raises:
-            Refusal: No listed run has this constant, or the choice of runs is not valid.
-        """
+        """Follow one ``constant`` over listed runs; return the address of the page."""
         constant = message.get("constant")
         try:
             choice = Choice.of(message)
@@ -295,11 +245,7 @@ class Made:
         return {"words": name, "page": f"/made/{key}"}
 
     async def _run(self, *arguments: str) -> None:
-        """Run a command of ``rig runs``.
-
-        Raises:
-            Refusal: The command failed, or took too long.
-        """
+        """Run a command of ``rig runs``; Refusal if it fails, or takes too long."""
         try:
             status, words = await output_of([*self._command, "runs", *arguments], MAKE_S, NICE)
         except TimeoutError as error:
@@ -317,8 +263,5 @@ class Made:
         if content is None:
             words = f"no such page; only the latest {KEPT} pages are kept: make the page again"
             return Response(words, status_code=404, media_type="text/plain")
-        return Response(
-            content,
-            media_type="text/html; charset=utf-8",
-            headers={"Content-Security-Policy": SANDBOX},
-        )
+        policy = {"Content-Security-Policy": SANDBOX}
+        return Response(content, media_type=_KINDS[".html"], headers=policy)

@@ -22,7 +22,6 @@ from rig.config.configuration import names, resolve
 
 COMMAND: Final = (sys.executable, "-c", "from rig.cli.entry import main; main()")
 DRY_RUN_S: Final = 180.0
-"""Longest time of a dry run, s."""
 _SHOWN: Final = 4000
 """Number of characters of output that are shown of a run that failed to start."""
 _NOT_STARTABLE: Final = frozenset({0, 1})
@@ -33,17 +32,9 @@ _LONGEST_NAME: Final = 100
 async def output_of(
     command: Sequence[str], timeout_s: float | None = None, nice: int = 0, keep: bool = False
 ) -> tuple[int, str]:
-    """Run a command without input; return its exit status and its output.
+    """Run a command, which may outlive this console; return exit status and output.
 
-    Args:
-        command: The command line.
-        timeout_s: Longest time, s; None for no limit.
-        nice: Increase of the niceness of the command.
-        keep: Whether the command continues when this console ends.
-
-    Raises:
-        TimeoutError: The command took too long, and was killed.
-        OSError: The command cannot be started.
+    Raises TimeoutError (it was killed) or OSError.
     """
     child = await asyncio.create_subprocess_exec(
         *command,
@@ -71,16 +62,7 @@ class StartError(Exception):
 
 @dataclass(frozen=True)
 class Wish:
-    """Run that a page requests: bench, sequence, operator and options.
-
-    Attributes:
-        bench: Bench, as given on the command line or packaged.
-        sequence: Packaged name or path of a sequence.
-        operator: Name of the operator; empty for no name.
-        realtime: Whether a simulated bench runs in real time.
-        yes: Whether the prompts of a simulated bench are answered as planned.
-        acceptance: Path of a file of limits; empty for the limits of the sequence.
-    """
+    """Run that a page requests: bench, sequence, operator and options of ``rig run``."""
 
     bench: str
     sequence: str
@@ -91,11 +73,7 @@ class Wish:
 
     @staticmethod
     def of(message: Mapping[str, Any]) -> Wish:
-        """Return the run that the message of a page requests.
-
-        Raises:
-            StartError: A field is missing or of the wrong type.
-        """
+        """Return the run that the message of a page requests; StartError if a field is wrong."""
         try:
             wish = Wish(**message)
         except TypeError as error:
@@ -118,14 +96,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Shown:
-    """Dry run whose result was shown to the operator.
-
-    Attributes:
-        wish: The requested run.
-        digests: SHA-256 of bench file, sequence file and file of limits.
-        real: Whether the bench is a real bench.
-        name: Name of the bench.
-    """
+    """Dry run whose result was shown to the operator."""
 
     wish: Wish
     digests: tuple[str, ...]
@@ -135,14 +106,7 @@ class Shown:
 
 @dataclass
 class Starter:
-    """Starts runs on the benches of this console.
-
-    Attributes:
-        benches: Benches that may be chosen.
-        runs: Folder in which run folders are created.
-        command: Start of the command line of ``rig``.
-        choices: Benches and sequences that can be chosen, as JSON value.
-    """
+    """Starts runs on the benches of this console."""
 
     benches: Sequence[str]
     runs: Path = Path("runs")
@@ -157,15 +121,7 @@ class Starter:
         self.choices = {"benches": list(self.benches), "sequences": names("sequences")}
 
     async def dry_run(self, wish: Wish) -> dict[str, Any]:
-        """Run ``rig run --dry-run``, and store the digests of the files for the start.
-
-        Returns:
-            ``shown``, the key that a start needs, or None if the run cannot be started; ``words``,
-            the terminal output; ``status``, the exit status; ``real`` and ``bench``.
-
-        Raises:
-            StartError: The bench is not a bench of this console, or the dry run takes too long.
-        """
+        """Run ``rig run --dry-run``; ``shown`` is the key of a start, or None (or a StartError)."""
         if wish.bench not in self.benches:
             raise StartError(
                 f"{wish.bench}: this console was started without this bench; "
@@ -197,15 +153,10 @@ class Starter:
         }
 
     def start(self, key: str, typed_bench: str) -> Path:
-        """Start the run whose dry run was shown; return the run folder.
+        """Start the run whose dry run was shown, in the folder that is returned.
 
-        Args:
-            key: Key of the dry run.
-            typed_bench: Name of the bench as typed by the operator; required for a real bench.
-
-        Raises:
-            StartError: The dry run is unknown, a file was changed after the dry run, or the name is
-                wrong.
+        A real bench needs its name typed. Raises a StartError if it is wrong, the dry run unknown
+        or a file changed.
         """
         shown = self._shown.pop(key, None)
         if shown is None:
@@ -231,16 +182,9 @@ class Starter:
         return folder
 
     def resume(self, about: Mapping[str, Any], typed_bench: str, operator: str = "") -> None:
-        """Continue a run that stopped, in the same folder, with the prompts on the page; a run that
-        is being continued already is not continued again.
+        """Continue a run that stopped, in its folder, unless it is being continued already.
 
-        Args:
-            about: Description that the run has sent.
-            typed_bench: Name of the bench as typed by the operator; required for a real bench.
-            operator: Name of the operator who continues the run; empty for no name.
-
-        Raises:
-            StartError: The name is wrong.
+        A real bench needs its name typed; a StartError if it is wrong.
         """
         if about["real"] and typed_bench.strip() != about["bench"]:
             raise StartError(
@@ -255,11 +199,7 @@ class Starter:
         self._resumed[folder] = self._spawn(["resume", folder, "--console", *named])
 
     async def off(self, bench: str) -> dict[str, Any]:
-        """Make a bench safe with ``rig off``; a second request waits for the first.
-
-        Returns:
-            ``words``, the output, and ``proved``, whether the drive is proved off.
-        """
+        """Make a bench safe with ``rig off``, once: ``words``, and whether it is ``proved`` off."""
         task = self._offs.get(bench)
         if task is None:
             task = self._offs[bench] = asyncio.create_task(self._make_off(bench))
@@ -300,13 +240,7 @@ class Starter:
 
 
 def _digests(wish: Wish) -> tuple[str, ...]:
-    """Return the SHA-256 of the bench file, of the sequence file and, if there is one, of the file
-    of limits.
-
-    Raises:
-        InputError: A file does not exist.
-        OSError: A file cannot be read.
-    """
+    """Return the SHA-256 of bench file, sequence file and, if any, file of limits."""
     return (
         sha256_file(resolve(wish.bench, "benches")),
         sha256_file(resolve(wish.sequence, "sequences")),

@@ -1,6 +1,4 @@
-"""Steps before a run: rejects a run whose weights no person would confirm, and opens the bench so
-that a stop signal interrupts the opening.
-"""
+"""Rejects a run whose weights nobody would confirm; opens the bench so that STOP interrupts it."""
 
 from __future__ import annotations
 
@@ -26,17 +24,7 @@ _INHIBIT_S: Final = 2.0
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
-    """Reject a run that hangs weights on a real bench if no person would confirm their mass.
-
-    Args:
-        plan: The planned run.
-        bench: The bench of the run.
-        yes: Whether the program answers prompts with the planned mass (``--yes``).
-        terminal: Whether a person can be asked.
-
-    Raises:
-        InputError: The run hangs weights on a real bench, and no person would be asked.
-    """
+    """Reject (InputError) a run that hangs weights on a real bench if nobody would confirm them."""
     value = bench.value
     heavy = [stage.name for stage in plan.stages if stage.weight_kg]
     if value.simulated or not heavy or value.weights_hung_by == "hoist" or (terminal and not yes):
@@ -46,9 +34,8 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
     )
     raise InputError(
         f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, which a person hangs "
-        f"on this bench: "
-        "run at a terminal without --yes; only if a hoist hangs the weights and reports their "
-        "mass, set `weights_hung_by: hoist`"
+        "on this bench: run at a terminal without --yes; only if a hoist hangs the weights and "
+        "reports their mass, set `weights_hung_by: hoist`"
     )
 
 
@@ -62,12 +49,9 @@ def connected(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open a bench with :func:`rig.wiring.connect.connect`; a stop signal interrupts the opening,
-    because no drive is energised yet. The computer of a real bench is kept awake, where this is
-    possible.
+    """Open a bench with :func:`rig.wiring.connect.connect`, so that a stop signal interrupts it.
 
-    Raises:
-        KeyboardInterrupt: The operator stopped the opening.
+    The computer of a real bench is kept awake, where this is possible.
     """
     with ExitStack() as stack:
         with stop.interruptible():
@@ -82,10 +66,11 @@ def connected(
 
 @contextmanager
 def kept_awake(purpose: str) -> Iterator[str]:
-    """Ask the system not to sleep, neither when it is idle nor when its lid is closed.
+    """Ask the system not to sleep; yields the reason if this is impossible, empty if it stays
+    awake.
 
-    Yields the reason if this is impossible; empty if the system stays awake. The request ends with
-    this program, however it ends, because the input of the process that holds it ends.
+    The request ends with this program, however it ends, because the input of the process that holds
+    it ends.
     """
     held = (sys.executable, "-c", "print(flush=True); import sys; sys.stdin.read()")
     with ExitStack() as stack:

@@ -1,8 +1,4 @@
-"""Reads identities, values and limits of a bench, and judges whether a run would start (``rig
-check``).
-
-The module writes nothing to the devices, and neither energises nor moves the drive.
-"""
+"""Reads a bench without a write or a motion, and judges whether a run would start."""
 
 from __future__ import annotations
 
@@ -27,17 +23,12 @@ SCHEMA = "loadrig.check/1"
 STATED = "*"
 """Mark of a limit that is stated in the bench file and not read from the drive."""
 _UNSET_RAD = 2000.0 * math.pi
-"""Greatest value that counts as a limit; a drive without a configured limit reports the largest
-value of its number format.
+"""Larger values of a drive are no limit: without a configured one, it reports the largest number.
 """
 
 
 def require_connectable(document: Document[Bench]) -> list[Finding]:
-    """Return the faults of a bench file that do not prevent connecting to the bench.
-
-    Raises:
-        InputError: No connection to the bench is possible; the message lists every reason.
-    """
+    """Return the faults of a bench file that permit a connection; InputError for others."""
     found = bench_findings(document, utc_now().date())
     in_the_way = [finding.text for finding in found if not finding.connectable]
     if in_the_way:
@@ -48,16 +39,8 @@ def require_connectable(document: Document[Bench]) -> list[Finding]:
 def examine(
     document: Document[Bench], devices: Devices, seed: int, found: list[Finding]
 ) -> tuple[dict[str, Any], Readings]:
-    """Read all values that can be read without a motion or a write to a device.
-
-    Args:
-        document: The bench.
-        devices: Devices of the bench, on an open link.
-        seed: Seed of a simulated bench's noise.
-        found: Faults of the bench file, from :func:`require_connectable`.
-
-    Returns:
-        The record for ``--json``, and the readings that the record contains.
+    """Return the record for ``--json`` of what can be read without motion or write, and the
+    readings.
 
     Raises:
         DeviceError: A device does not answer.
@@ -108,14 +91,7 @@ def examine(
 
 
 def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> str:
-    """Return the results of the check as text for the terminal.
-
-    Args:
-        found: Record from :func:`examine`.
-        readings: Readings from :func:`examine`.
-        watching: The watchdog or guardian that stops the drive when this program no longer commands
-            the drive.
-    """
+    """Return the results of the check as text for the terminal."""
     lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
     lines += [
         f"state of the drive: {readings.state}",
@@ -137,12 +113,8 @@ def _devices(found: dict[str, Any]) -> str:
             [
                 role,
                 who["name"],
-                f"{who['vendor_id']:08X}h",
-                f"{who['product_code']:08X}h",
-                f"{who['revision']:08X}h",
-                str(who["serial_number"]),
-                who["hardware_version"],
-                who["software_version"],
+                *(f"{who[key]:08X}h" for key in ("vendor_id", "product_code", "revision")),
+                *(str(who[k]) for k in ("serial_number", "hardware_version", "software_version")),
             ]
             for role, who in ((role, found[role]) for role in DEVICES if role in found)
         ],
@@ -150,7 +122,6 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return a table of the limits of drive and bench file."""
     held = found["limits"]
     note = ["* stated under servo.held, not read from the drive"] * bool(found["limits_stated"])
     rows = table(

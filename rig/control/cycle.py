@@ -36,25 +36,15 @@ Progress = Callable[[str, int, Sample], None]
 
 
 class SampleSink(Protocol):
-    """Interface of an object that receives the sample of each cycle, such as
-    :class:`rig.runs.recorder.Recorder`.
-    """
+    """Receives the sample of each cycle, as :class:`rig.runs.recorder.Recorder` does."""
 
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
-        """Store the sample of one cycle.
-
-        Raises:
-            StorageError: The sample cannot be stored.
-        """
+        """Store the sample of one cycle, or raise a StorageError."""
         ...
 
 
 class TripError(Exception):
     """A sample is outside a limit.
-
-    Args:
-        trip: The limit that was violated.
-        explanation: Cause of the trip, to be added to the message; empty if unknown.
 
     Attributes:
         event: The message without the remedy.
@@ -73,17 +63,10 @@ class Cycle:
 
     Args:
         limits: Limits that are checked on every sample, until :meth:`use` changes them.
-        cycle_ns: Control cycle, ns.
-        devices: The devices to command.
-        recorder: Receiver of every sample.
-        stop: Stop button, which is read in every cycle.
-        progress: Progress callback.
 
     Attributes:
         overruns: Number of cycles that started more than a period late.
         stale: Number of cycles in which a part of the sample was missing.
-        count: Number of cycles so far.
-        timing: Statistics of the lateness of the cycles.
         units: Samples that are collected to check the units of the drive; None after the check, and
             on a bench without constants.
     """
@@ -156,8 +139,8 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Set the limits of all further samples; limits on values that the drive does not report
-        are left out.
+        """Set the limits of further samples, without those on values that the drive does not
+        report.
         """
         self._limits = self._checkable(limits)
 
@@ -187,9 +170,7 @@ class Cycle:
             raise TripError(trip)
 
     def resume(self) -> None:
-        """Continue after work that took longer than a cycle; the time of this work does not count
-        as lateness.
-        """
+        """Continue after work that took longer than a cycle; its time is no lateness."""
         self._fresh_ns = self._clock.now_ns()
         self._start_grid(self._fresh_ns)
         if self._suspension is not None:
@@ -319,16 +300,11 @@ class Cycle:
         return sent
 
     def attend(self, limits: Limits) -> Sample:
-        """Run one cycle without a command, while the drive moves by itself; return its sample.
+        """Run one cycle without a command, while the drive moves by itself; raises as
+        :meth:`follow`.
 
         Args:
             limits: Limits with which the sample is compared; the latch is not used.
-
-        Raises:
-            TripError: The sample is outside a limit.
-            OperatorStopError: The stop button was pressed.
-            DeviceError: A device or the bus failed.
-            StorageError: The recording cannot be written.
         """
         self._stop.check()
         sample = self._exchange(self._target, 0)

@@ -33,18 +33,11 @@ TORQUE_SHARE = 0.6
 GREATEST_SPEED_SHARE = 0.25
 """Highest permitted speed of a jog, as a share of the bench's speed limit."""
 REST_S = 0.2
-"""Time at rest, s, after a move before the drive is de-energised."""
 
 
 @dataclass(frozen=True)
 class Jog:
-    """The moves of a jog, in order.
-
-    Attributes:
-        angles: Joint angles at the ends of the moves, rad.
-        speed: Greatest speed of the moves, rad/s.
-        limits: Limits that apply during the moves.
-    """
+    """The moves of a jog, in order."""
 
     angles: tuple[float, ...]
     speed: float
@@ -52,12 +45,7 @@ class Jog:
 
 
 def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) -> Jog:
-    """Check the requested moves against the bench.
-
-    Raises:
-        InputError: An angle or the speed is outside its permitted range; the message lists all
-            such values.
-    """
+    """Check the requested moves against the bench; the InputError lists every value beyond."""
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
     problems = [
@@ -83,19 +71,12 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
 
 
 def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
-    """Return a text on the limits of the jog that only this program checks, or None if the drive
-    checks all of them.
-
-    Raises:
-        DeviceError: The drive does not answer.
-    """
+    """Return a text on the limits of the jog that only this program checks, or None."""
     servo = devices.servo
     return only_here(servo, servo_limits(jog.limits, bench), servo.read_limits())
 
 
 class _Discard:
-    """Discards all samples, because a jog makes no recording."""
-
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Discard the sample."""
 
@@ -169,9 +150,14 @@ def _moves(
         own.append(held)
         servo.write_limits(wanted)
         require_written(servo, wanted, bench.cycle_s)
-        here = _enable(cycle, devices, bench)
+        servo.enable()
+        here = servo.sample().motor_angle_rad / bench.machine.gear_ratio
+        cycle.ask_reset()
+        cycle.begin(here)
         for angle in jog.angles:
-            _go(cycle, here, angle, jog.speed, bench.cycle_s)
+            course = approach(here, angle, jog.speed, bench.cycle_s).tolist()
+            cycle.follow(course, 0, f"to {math.degrees(angle):g} deg")
+            cycle.follow([angle] * round(REST_S / bench.cycle_s), 0, "rest")
             here = angle
         servo.disable()
     except TripError as trip:
@@ -183,17 +169,3 @@ def _moves(
     except BaseException as defect:  # noqa: BLE001 - raised again after the drive is made safe
         return Ending.CRASHED, f"the program failed ({words_of(defect)})", defect
     return Ending.DONE, f"{len(jog.angles)} moves done", None
-
-
-def _enable(cycle: Cycle, devices: Devices, bench: Bench) -> float:
-    """Energise the drive and hold the present position; return the joint angle, rad."""
-    devices.servo.enable()
-    here = devices.servo.sample().motor_angle_rad / bench.machine.gear_ratio
-    cycle.ask_reset()
-    cycle.begin(here)
-    return here
-
-
-def _go(cycle: Cycle, start: float, end: float, speed: float, cycle_s: float) -> None:
-    cycle.follow(approach(start, end, speed, cycle_s).tolist(), 0, f"to {math.degrees(end):g} deg")
-    cycle.follow([end] * round(REST_S / cycle_s), 0, "rest")

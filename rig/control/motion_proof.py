@@ -1,8 +1,4 @@
-"""Compares the reports of a drive and of a joint encoder in a motion with each other and with the
-bench file: units, signs, gear ratio, torque constant.
-
-The functions depend only on their arguments.
-"""
+"""Compares what drive and joint encoder report of a motion with each other and the bench file."""
 
 from __future__ import annotations
 
@@ -19,9 +15,7 @@ from rig.config.sequence import Array
 from rig.wiring.devices import Nominal
 
 BLOCK_S: Final = 0.02
-"""Time over which samples are averaged, s; a block has at least two samples. The speed of a first
-pass hardly changes within one block.
-"""
+"""Time over which samples are averaged, s; the speed of a first pass hardly changes in it."""
 LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, rad at the joint."""
 HINT_COUNTS: Final = 4
@@ -36,17 +30,11 @@ _JUMP_SHARE: Final = 0.7
 _COLLINEAR: Final = 1e-9
 _MOVING_SHARE: Final = 0.1
 _SETTLED_SHARE: Final = 0.4
-"""Share at the start of a travel that is not evaluated, because the motor first crosses the play
-and twists the gear.
-"""
+"""Share at the start of a travel in which the motor crosses the play and twists the gear."""
 _SAME_EMF: Final = 0.15
-"""Greatest magnitude of the logarithm of the ratio of measured to stated back-EMF constant at which
-the stated constant is confirmed.
-"""
+"""Greatest |ln(measured / stated back-EMF constant)| at which the stated one is confirmed."""
 _LEAST_EMF: Final = 0.55
-"""Least ratio of back-EMF constant to torque constant. The ratio is 1 / sqrt(3) if one constant is
-stated between lines and the other per phase; the limit is slightly smaller.
-"""
+"""Slightly below 1 / sqrt(3), the ratio if one constant is between lines, the other per phase."""
 _EMF_CERTAINTY: Final = 0.08
 _EMF_INFLATION: Final = 3.0
 """Factor by which the standard error is increased, because neighbouring blocks are correlated."""
@@ -57,11 +45,9 @@ class Motion:
     """Fresh samples under power, SI units, arrays of shape (n,); motor values at the joint.
 
     Attributes:
-        time: Time of the samples.
         motor: Angle of the motor encoder over the gear ratio.
         joint: Angle of the joint encoder.
         velocity: Joint speed as the drive reports it.
-        current: Motor current.
         voltage: Motor voltage, NaN if the drive reports none.
         torque: Motor torque, NaN if the drive reports none beside the current.
     """
@@ -76,16 +62,12 @@ class Motion:
 
     @classmethod
     def of(cls, rows: Array) -> Motion:
-        """Return the motion of an array of shape (n, 7), whose columns are the attributes in order;
-        rows in which time, an angle, speed or current is not finite are left out.
-        """
+        """Return the motion of rows (n, 7) in the order of the attributes, without NaN rows."""
         return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
 
 
 def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
-    """Return the ratio of the reported speed to the change of the position, or NaN if the travel is
-    too short.
-    """
+    """Return the ratio of reported speed to change of position; NaN if the travel is too short."""
     if len(motion.time) < 2:
         return math.nan
     size = _block(motion)
@@ -168,10 +150,8 @@ def turn_alike(motion: Motion, nominal: Nominal) -> bool:
     return low * nominal.gear_ratio <= way <= high * nominal.gear_ratio
 
 
-def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
-    """Return the first and the last index of each travel in one direction of at least ``least``,
-    rad.
-    """
+def travels(motor: Array) -> list[tuple[int, int]]:
+    """Return first and last index of each travel in one direction of at least :data:`LEAST_RAD`."""
     found: list[tuple[int, int]] = []
     low = high = begin = 0
     way = 0
@@ -180,11 +160,11 @@ def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
             high = at
         if angle < motor[low]:
             low = at
-        if way >= 0 and motor[high] - angle >= least:
+        if way >= 0 and motor[high] - angle >= LEAST_RAD:
             if way:
                 found.append((begin, high))
             begin, way, low = high, -1, at
-        elif way <= 0 and angle - motor[low] >= least:
+        elif way <= 0 and angle - motor[low] >= LEAST_RAD:
             if way:
                 found.append((begin, low))
             begin, way, high = low, 1, at
@@ -194,9 +174,7 @@ def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
 
 
 def current_sense(motion: Motion) -> float:
-    """Return the work of the current divided by the sum of its magnitudes, from -1 to 1, or NaN
-    unless the joint moved in both directions.
-    """
+    """Return the relative work of the current, -1 to 1; NaN unless the joint moved both ways."""
     way = np.diff(motion.motor)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
     if min(up, down) < LEAST_RAD:
@@ -253,9 +231,7 @@ def _by_torque(motion: Motion) -> float:
 
 
 def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
-    """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
-    whether the constant is certain; the constant is NaN if the motion does not determine it.
-    """
+    """Return the back-EMF constant by eq. 1, V s/rad (NaN if unknown), and if it is certain."""
     size = _block(motion)
     ends = motion.motor[::size]
     if len(ends) < 12 or np.isnan(motion.voltage).any() or np.ptp(motion.motor) < LEAST_RAD:
@@ -281,7 +257,6 @@ def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
 
 
 def _block(motion: Motion) -> int:
-    """Return the number of samples in a block."""
     if len(motion.time) < 2:
         return 1
     return max(2, round(BLOCK_S / max(float(np.median(np.diff(motion.time))), 1e-6)))
@@ -299,7 +274,6 @@ SPEED, SHAFT, WORK, CONSTANT = (
     "current against motion",
     "torque constant",
 )
-"""Names of the compared quantities."""
 SPEED_BAND: Final = (0.25, 4.0)
 """Range of the ratio of reported to true speed in which the unit of the speed counts as right.
 Filters, and samples that miss the peaks of stick-slip, change the ratio less (to 0.33 at one count
@@ -330,17 +304,15 @@ NO_TORQUE: Final = (
 
 @dataclass(frozen=True)
 class Change:
-    """Value that the operator should set in the bench file.
-
-    Attributes:
-        section: Section of the file.
-        key: Key in this section.
-        value: Value to set; None removes the key.
-    """
+    """Value to set in the bench file; None removes the key."""
 
     section: str
     key: str
     value: str | float | None
+
+    def record(self) -> dict[str, str | float | None]:
+        """Return the record for a result file."""
+        return {"key": f"{self.section}.{self.key}", "value": self.value}
 
     def __str__(self) -> str:
         if self.value is None:
@@ -354,9 +326,7 @@ class Contradiction:
     """Two reports, or a report and the bench file, that contradict each other.
 
     Attributes:
-        what: Compared quantity.
         factor: Found value over the expected value.
-        words: Finding and remedy, for the operator.
         changes: Values to set in the bench file; empty if the bench or the drive must be changed.
         rough: Whether the factor is computed from few counts.
         open: Whether two factors are possible, both of which ``words`` states.
@@ -378,9 +348,7 @@ class Contradiction:
 def wrong_speed(
     factor: float, servo: Servo, rough: bool = False, other: float | None = None
 ) -> Contradiction:
-    """Return the contradiction for a reported speed of ``factor`` times the true speed; ``rough``
-    is true if the factor is computed from few counts, and ``other`` is a second possible factor.
-    """
+    """Return the contradiction of a speed ``factor``, or perhaps ``other``, times the true one."""
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position; it "
         f"must be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
@@ -463,25 +431,15 @@ this ratio counts as the drive's unit.
 SURER_SPREAD: Final = 3.0
 """Uncertainty of this factor, as a ratio, for the whole of a short motion until standstill."""
 ROUGH_COUNTS: Final = 30
-"""Number of different motor positions up to which a factor counts as rough; with more positions,
-the factors of simulated benches are right within a ratio of 2.2.
-"""
+"""Number of motor positions up to which a factor is rough; beyond, it is right within 2.2."""
 LEAST_INSTANT: Final = 4.0
-"""Least ratio of the reported speed of one sample to the speed by the change of the position at
-which a wrong unit of the speed explains a trip.
-"""
+"""Least ratio of one sample's speed to the change of position that explains a trip by the unit."""
 _BY_MOTION: Final = (SPEED, SHAFT, WORK)
 
 
 @dataclass(frozen=True)
 class Proof:
-    """Result of the comparison of a motion.
-
-    Attributes:
-        found: Factor of each quantity, found over expected value, or NaN if the motion did not
-            determine it.
-        contradictions: The comparisons whose factor is outside its tolerance.
-    """
+    """Result of the comparison of a motion; a factor that it did not determine is NaN."""
 
     found: dict[str, float]
     contradictions: tuple[Contradiction, ...]
@@ -493,9 +451,7 @@ class Proof:
 
     @property
     def unproven(self) -> str:
-        """Text for the operator on the quantities that a motion without load cannot determine;
-        empty if the motion determined all quantities.
-        """
+        """What a motion without load cannot determine, for the operator; empty for nothing."""
         return NO_TORQUE if math.isnan(self.found[CONSTANT]) else ""
 
     @property
@@ -507,14 +463,7 @@ class Proof:
 def prove(
     motion: Motion, nominal: Nominal, servo: Servo, tolerance: float = RATIO_TOLERANCE
 ) -> Proof:
-    """Make all comparisons that the motion permits.
-
-    Args:
-        motion: The samples.
-        nominal: Constants of the bench file.
-        servo: The drive, which names the remedy for its speed.
-        tolerance: Relative difference of the encoders' travels that is allowed.
-    """
+    """Make all comparisons that the motion permits; ``tolerance`` is of the encoders' travels."""
     speed, shaft, sense = speed_factor(motion), shaft_factor(motion), current_sense(motion)
     constant, source = torque_constant(motion, nominal)
     found = {
@@ -536,25 +485,13 @@ def prove(
 
 
 def hint(
-    motion: Motion,
-    nominal: Nominal,
-    servo: Servo,
-    too_fast: bool = False,
-    too_strong: bool = False,
+    motion: Motion, nominal: Nominal, servo: Servo, too_fast: bool = False, too_strong: bool = False
 ) -> Contradiction | None:
     """Return the explanation of a trip or a fault early in a motion, or None if the samples do not
     explain it.
 
     Because there may be few samples, only large contradictions count, and the encoders are compared
     only if their angles are proportional to each other.
-
-    Args:
-        motion: The samples up to the trip.
-        nominal: Constants of the bench file.
-        servo: The drive, whose driver states the remedy for a wrong unit of speed.
-        too_fast: Whether the reported speed exceeded its limit.
-        too_strong: Whether the torque, computed from current and torque constant, exceeded its
-            limit.
     """
     if len(motion.time) < 2:
         return None
@@ -596,9 +533,7 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
 
 
 def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
-    """Return the contradiction of the speed that the whole motion shows, including the samples
-    until the joint stood still; if the whole motion shows no such contradiction, return ``found``.
-    """
+    """Return the contradiction of the speed by the whole motion, if any, else ``found``."""
     factor = speed_factor(motion, least=0.0)
     if math.isnan(factor) or _same(factor, SPEED_BAND) or (factor > 1.0) is not found.above:
         return found
@@ -625,16 +560,10 @@ def _same(factor: float, band: tuple[float, float]) -> bool:
 
 
 MOST: Final = 20_000
-"""Number of samples after which further samples are dropped."""
 
 
 class MotionWitness:
-    """Collects samples under power.
-
-    Args:
-        servo: The drive, whose methods return remedies for wrong units.
-        nominal: Constants of the bench file.
-    """
+    """Collects samples under power."""
 
     def __init__(self, servo: Servo, nominal: Nominal) -> None:
         self._servo = servo
@@ -649,9 +578,7 @@ class MotionWitness:
         self._count += self._store(sample, motor_torque)
 
     def take_braking(self, sample: Sample, motor_torque: float) -> None:
-        """Store a sample while the drive brakes; these samples are used only to make the factor of
-        the speed more accurate.
-        """
+        """Store a sample of the braking, which makes only the factor of the speed more accurate."""
         self._braking += self._store(sample, motor_torque)
 
     def _store(self, sample: Sample, motor_torque: float) -> bool:
@@ -676,27 +603,18 @@ class MotionWitness:
         return Motion.of(self._rows[: self._count])
 
     def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
-        """Compare the devices' reports in the collected samples with each other and with the bench
-        file; see :func:`rig.control.motion_proof.prove`.
-        """
+        """Compare the collected samples; see :func:`rig.control.motion_proof.prove`."""
         return prove(self.motion, self._nominal, self._servo, tolerance)
 
     def require(self) -> Proof:
-        """Compare the devices' reports as :meth:`prove` does, and raise an error on a
-        contradiction.
-
-        Raises:
-            ConfigurationError: Reports contradict each other or the bench file.
-        """
+        """Compare as :meth:`prove` does; raise a ConfigurationError on a contradiction."""
         proof = self.prove()
         if proof.contradictions:
             raise ConfigurationError(proof.words)
         return proof
 
     def hint(self, too_fast: bool = False, too_strong: bool = False) -> Contradiction | None:
-        """Return the contradiction that explains a trip or a fault, or None; see
-        :func:`rig.control.motion_proof.hint`.
-        """
+        """Return what explains a fault, or None; see :func:`rig.control.motion_proof.hint`."""
         found = hint(self.motion, self._nominal, self._servo, too_fast, too_strong)
         if found is None or found.what != SPEED or not self._braking:
             return found
@@ -704,13 +622,7 @@ class MotionWitness:
         return surer(found, motion, self._servo)
 
     def explanation(self, too_fast: bool = False, too_strong: bool = False) -> str:
-        """Return a text that explains a fault or a trip, or an empty text if the samples do not
-        explain it.
-
-        Args:
-            too_fast: Whether the limit of the reported speed tripped.
-            too_strong: Whether the limit of the torque tripped.
-        """
+        """Return what explains a fault, or a trip of speed or torque; empty if nothing does."""
         try:
             found = self.hint(too_fast, too_strong)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
@@ -721,9 +633,7 @@ class MotionWitness:
         return self._said
 
     def after_braking(self, message: str) -> str:
-        """Return a message in which the last explanation is replaced by the explanation after
-        braking.
-        """
+        """Return a message whose last explanation is replaced by the explanation after braking."""
         said = self._said
         if not said or said not in message:
             return message
@@ -733,11 +643,8 @@ class MotionWitness:
 STEP_RAD: Final = 0.01
 """Joint travel of one comparison, rad; several counts of a motor encoder before a gear."""
 STEPS: Final = 3
-"""Number of comparisons for a decision."""
 LONGEST_S: Final = 1.0
-"""Longest time of a travel, s; a slower travel is not compared, because an offset of the speed
-would dominate the sum of the speeds.
-"""
+"""Longest travel that is compared, s: in a slower one an offset of the speed would dominate."""
 
 
 @dataclass
@@ -751,12 +658,7 @@ class _Travel:
 
 
 class SpeedWitness:
-    """Compares speed and position until the unit of the speed is known.
-
-    Args:
-        servo: The drive, whose method returns the remedy.
-        gear_ratio: Motor turns per joint turn.
-    """
+    """Compares speed and position until the unit of the speed is known."""
 
     def __init__(self, servo: Servo, gear_ratio: float) -> None:
         self._servo = servo
@@ -766,11 +668,7 @@ class SpeedWitness:
         self._left = STEPS
 
     def decided(self, sample: Sample) -> bool:
-        """Process a sample; return True if the speed is known to have the unit of the bench file.
-
-        Raises:
-            ConfigurationError: The speed has another unit.
-        """
+        """Return whether the unit of the speed is known; raise a ConfigurationError if wrong."""
         angle = sample.motor_angle / self._gear_ratio
         travel = self._travel
         if not sample.fresh or travel is None or sample.time - travel.begun_s > LONGEST_S:

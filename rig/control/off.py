@@ -34,9 +34,7 @@ from rig.wiring.teardown import SafeState
 
 SCHEMA: Final = "loadrig.off/1"
 RELEASE_S: Final = 5.0
-"""Time, s, in which a program that was asked to stop must leave the bench: a braking ramp, and the
-end of its recording.
-"""
+"""Time in which a program that was asked to stop must leave the bench, s."""
 HANDOVER_S: Final = 2.0
 """Time, s, in which a guardian must leave the bench: the end of an attempt on a dead line."""
 KILLED_S: Final = 1.0
@@ -53,9 +51,7 @@ class Processes:
     """The processes of this computer, as far as this user may see and end them."""
 
     def using(self, files: Iterable[Path]) -> list[int]:
-        """Return the processes that have one of the files open, except this one; none on a system
-        without ``/proc``.
-        """
+        """Return the other processes that have one of the files open; none without ``/proc``."""
         names = {os.path.realpath(file) for file in files}
         found = []
         with suppress(OSError):
@@ -99,7 +95,6 @@ class User:
     """A process that used the bench.
 
     Attributes:
-        pid: Its process identifier.
         command: Name of the command that it runs, else its command line.
         ended: How it left the bench: ``stopped``, ``handed over``, ``killed`` or ``stays``.
     """
@@ -111,17 +106,7 @@ class User:
 
 @dataclass(frozen=True)
 class Off:
-    """What came of :func:`make_off`.
-
-    Attributes:
-        bench: Name of the bench.
-        file: The bench file.
-        simulated: Whether the bench is a simulation, which has nothing to switch off.
-        safe: Final state of the drive, or None for a simulation.
-        users: The processes that used the bench.
-        attempts: Number of attempts to stop the drive.
-        seconds: Time from the call to the result, s.
-    """
+    """What came of :func:`make_off`; ``safe`` is None for a simulation."""
 
     bench: str
     file: Path
@@ -233,8 +218,6 @@ def given_up(document: Document[Bench], seconds: float) -> Off:
 
 
 class _Others:
-    """The other processes on a bench, and how they are ended."""
-
     def __init__(
         self, bench: Bench, say: Callable[[str], None], clock: Clock, processes: Processes
     ) -> None:
@@ -244,9 +227,6 @@ class _Others:
 
     @contextmanager
     def ended(self) -> Iterator[tuple[User, ...]]:
-        """End the other processes on the bench, and hold the bench; if this is impossible, go on
-        without the lock, with a message.
-        """
         users = tuple(self._end_all())
         with self._lock(HOLD_S if all(user.ended != "stays" for user in users) else 0.0):
             yield users
@@ -291,7 +271,6 @@ class _Others:
     def _end(
         self, number: int, name: str, ask: signal.Signals, patience_s: float, ended: str
     ) -> str:
-        """Ask a process to leave the bench, then kill it; return how it left."""
         who = f"{self._bench.name} is used by {name} (process {number})"
         if self._processes.frozen(number):
             self._say(f"{who}, which is suspended: it is killed")
@@ -308,7 +287,6 @@ class _Others:
         return "stays"
 
     def _gone(self, numbers: set[int], patience_s: float) -> bool:
-        """Wait until none of the processes uses the bench; return whether this is so."""
         deadline_ns = self._clock.now_ns() + round(patience_s * NS)
         while numbers & set(self._using()):
             now_ns = self._clock.now_ns()

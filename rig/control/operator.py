@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from enum import Enum
 from typing import Protocol
 
@@ -16,9 +15,7 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 WEIGHT_TOLERANCE = 0.005
 """Default tolerance of the typed mass, relative to the planned mass."""
 LEAST_TOLERANCE_KG = 0.001
-"""Difference of masses, kg, that is always allowed: the resolution of scales. For an empty lever,
-the relative tolerance alone would allow no difference.
-"""
+"""Difference that is always allowed, kg: the resolution of scales; needed for an empty lever."""
 _LOOK_NS = NS // 20
 _PAUSE_QUESTION = "What now (go on, repeat, abort) [go on]: "
 _ROUNDING = 1e-9
@@ -38,16 +35,7 @@ class Operator(Protocol):
     """Interface of the person or program that hangs the weights."""
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
-        """Ask the operator to hang a weight and to confirm its mass. The caller verifies before
-        that the drive is off.
-
-        Returns:
-            The mass on the lever, kg, which force and fit use, or :attr:`Verb.REPEAT` to repeat the
-            previous stage.
-
-        Raises:
-            OperatorStopError: The operator stopped the run.
-        """
+        """Return the confirmed mass, kg, or :attr:`Verb.REPEAT`; the drive is off."""
         ...
 
     def hangs(self, stage: str, weight_kg: float) -> float:
@@ -68,25 +56,15 @@ class Operator(Protocol):
 
 
 class AutomaticOperator:
-    """Answers every prompt with the plan (``--yes``); a second pause signal ends a pause.
-
-    Args:
-        hung: True mass on a simulated lever, kg, by stage, for simulated mistakes; for other stages
-            the planned mass hangs on the lever.
-        clock: Clock for waiting while paused.
-        screen: Terminal for the messages.
-        control: Socket on which messages are shown and answers may arrive, or None for none.
-    """
+    """Answers every prompt with the plan (``--yes``); a second pause signal ends a pause."""
 
     def __init__(
         self,
-        hung: Mapping[str, float] | None = None,
         clock: Clock | None = None,
         screen: Screen | None = None,
         control: ControlSocket | None = None,
     ) -> None:
         self._control = control
-        self._hung = hung or {}
         self._clock = clock or RealClock()
         self._screen = screen or Screen()
 
@@ -95,15 +73,11 @@ class AutomaticOperator:
         return weight_kg
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Return the confirmed mass, or the wrong mass of a simulated mistake."""
-        return self._hung.get(stage, weight_kg)
+        """Return the confirmed mass."""
+        return weight_kg
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the next pause signal, or for an answer on the control socket.
-
-        Raises:
-            OperatorStopError: A stop arrived on the control socket.
-        """
+        """Wait for the next pause signal, or an answer on the control socket."""
         control = self._control
         if control is not None:
             control.begin(Topic.PAUSE)
@@ -130,47 +104,30 @@ class AutomaticOperator:
         return verb
 
     def tell(self, words: str, typed: str = "") -> None:
-        """Show the message on stderr, and keep it for programs that watch the run.
-
-        Args:
-            words: The message.
-            typed: What can be typed or pressed at the terminal; a page has buttons instead.
-        """
+        """Show a message, and what can be ``typed`` at the terminal; keep it for watchers."""
         self._screen.say(words + typed)
         if self._control is not None:
             self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended: on stdout if the ending is good, otherwise on stderr. Programs that
-        watch the run receive the message as well.
-        """
+        """Show how a run ended, on stdout if it is good, else on stderr, and on the socket."""
         if self._control is not None:
             self._control.ended(words, good)
         self._screen.say(words, err=not good)
 
 
 class ConsoleOperator(AutomaticOperator):
-    """Asks the operator at the terminal.
-
-    Args:
-        screen: Terminal for questions and messages.
-        asker: Asks and reads answers; by default a :class:`rig.terminal.prompt.Prompt` on the
-            terminal.
-        patience_s: Longest wait for an answer, s, or None for no time-out.
-        tolerance: Greatest relative difference between typed and planned mass.
-        control: Socket on which answers may arrive as well, or None for none.
-    """
+    """Asks the operator at the terminal, with a relative tolerance of the typed mass."""
 
     def __init__(
         self,
         screen: Screen | None = None,
         asker: Asker | None = None,
-        patience_s: float | None = None,
         tolerance: float = WEIGHT_TOLERANCE,
         control: ControlSocket | None = None,
     ) -> None:
         super().__init__(screen=screen, control=control)
-        self._asker = asker or Prompt(self._screen, patience_s=patience_s)
+        self._asker = asker or Prompt(self._screen)
         self._tolerance = tolerance
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
@@ -221,11 +178,7 @@ class ConsoleOperator(AutomaticOperator):
                 )
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Ask the operator how to continue.
-
-        Raises:
-            OperatorStopError: The operator did not answer in time.
-        """
+        """Ask the operator how to continue; no answer in time stops the run (OperatorStopError)."""
         if self._control is not None:
             self._control.begin(Topic.PAUSE)
         self.tell(f"Paused after stage {stage}; the drive is off.")
@@ -258,16 +211,7 @@ def operator_for(
     control: ControlSocket | None = None,
     only_there: bool = False,
 ) -> AutomaticOperator:
-    """Return the operator object that answers the prompts of a run.
-
-    Args:
-        yes: Whether the program answers the prompts with the plan, without asking.
-        screen: Terminal for questions and messages.
-        patience_s: Longest wait for an answer, s, or None for no time-out.
-        tolerance: Greatest relative difference between typed and planned mass.
-        control: Socket on which answers may arrive as well, or None for none.
-        only_there: Whether answers can arrive only on the socket, because there is no terminal.
-    """
+    """Return who answers the prompts of a run; ``only_there``: only on the control socket."""
     if yes:
         return AutomaticOperator(screen=screen, control=control)
     asker = Prompt(screen, patience_s=patience_s, control=control, only_there=only_there)
@@ -275,9 +219,7 @@ def operator_for(
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Return a typed mass in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``, or None if the text
-    is not a mass.
-    """
+    """Return a typed mass in kg (``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``), or None."""
     found = _MASS.fullmatch(text.strip())
     if found is None:
         return None

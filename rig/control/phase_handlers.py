@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.sample import Phase, Sample
-from rig.config.sequence import approach
+from rig.config.sequence import Array, approach
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import Operator, Verb
 from rig.planning.feedforward import Compensator
@@ -58,11 +59,7 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
 
 
 def next_phase(phase: Phase, event: Event) -> Phase:
-    """Return the next phase by the transition table.
-
-    Raises:
-        ValueError: The table has no such transition; the message states phase and event.
-    """
+    """Return the next phase by the transition table; a ValueError names an illegal move."""
     try:
         return TRANSITIONS[phase, event]
     except KeyError:
@@ -77,13 +74,7 @@ class WeightError(Exception):
 
 @dataclass(frozen=True)
 class Console:
-    """The operator's interface: prompts, stop button and progress display.
-
-    Attributes:
-        operator: Object that answers the prompts.
-        stop: Stop button, which is read in every cycle.
-        progress: Progress callback.
-    """
+    """The operator's interface: prompts, stop button and progress display."""
 
     operator: Operator
     stop: StopButton
@@ -92,14 +83,7 @@ class Console:
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """The point at which a run starts.
-
-    Attributes:
-        stage: Index of the first stage.
-        segment: Number of the last excitation of an earlier part of the run.
-        reset_fault: Whether to clear a drive fault after the operator has answered the weight
-            prompt.
-    """
+    """The point at which a run starts: stage, last excitation before, clearing of a fault."""
 
     stage: int = 0
     segment: int = 0
@@ -107,14 +91,7 @@ class StartingPoint:
 
 
 class PhaseHandlers:
-    """The handlers of the phases of a run, with its present stage.
-
-    Attributes:
-        cycle: The control cycle, with its counters.
-        off: Proves that the drive is off.
-        own_limits: The limits that were stored in the drive before the run; None until the limits
-            are read.
-    """
+    """The handlers of the phases of a run; ``own_limits`` of the drive are None until read."""
 
     def __init__(
         self,
@@ -187,33 +164,30 @@ class PhaseHandlers:
             for words in require_ready(devices, limits, cycle_s, self._reset_fault):
                 self._operator.tell(f"warning: {words}")
         self._journal.stage_started(self._stage_index)
-        self._recorder.event(
-            self.cycle.now_ns,
-            "prompt",
-            stage=stage.name,
-            index=self._stage_index,
-            weight_kg=stage.weight_kg,
-            **seen,
-        )
+        planned = {"index": self._stage_index, "weight_kg": stage.weight_kg}
+        self._event("prompt", **planned, **seen)
         hot = stage.stage == "hot_fire"
         if hot:
             self._operator.tell(hot_fire_words(stage.name, devices.ignite is not None))
         with self._stop.interruptible():
             confirmed = self._operator.confirm_weight(stage.name, stage.weight_kg)
         if isinstance(confirmed, Verb):
-            return self._go_back()
-        self._recorder.event(self.cycle.now_ns, "answer", stage=stage.name, weight_kg=confirmed)
+            if self._stage_index:
+                self._stage_index -= 1
+                self._event("repeat")
+            else:
+                self._operator.tell("there is no stage before this one")
+            return Event.REPEAT_STAGE
+        self._event("answer", weight_kg=confirmed)
         self._journal.weight_confirmed(self._stage_index, confirmed)
         # Force, feed-forward and weight check use the weighed mass, not the planned mass.
-        self._stages[self._stage_index] = stage = with_mass(
-            self._plan, self._plan.stages[self._stage_index], confirmed
-        )
+        self._stages[self._stage_index] = stage = with_mass(self._plan, stage, confirmed)
         # With the confirmation of the weight, the operator requests the enabling and the reset of
         # the latch.
         self.cycle.ask_reset()
         if self._reset_fault and devices.servo.state() is ServoState.FAULT:
             devices.servo.reset_fault()
-            self._recorder.event(self.cycle.now_ns, "fault reset", stage=stage.name)
+            self._event("fault reset")
             self._operator.tell(
                 "the drive was in fault; the fault is cleared, and the drive is still off"
             )
@@ -221,16 +195,8 @@ class PhaseHandlers:
             devices.hang(self._operator.hangs(stage.name, stage.weight_kg))
         if hot and devices.ignite is not None:
             devices.ignite()
-            self._recorder.event(self.cycle.now_ns, "ignition", stage=stage.name)
+            self._event("ignition")
         return Event.DONE
-
-    def _go_back(self) -> Event:
-        if self._stage_index:
-            self._stage_index -= 1
-            self._recorder.event(self.cycle.now_ns, "repeat", stage=self.stage.name)
-        else:
-            self._operator.tell("there is no stage before this one")
-        return Event.REPEAT_STAGE
 
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
@@ -243,7 +209,7 @@ class PhaseHandlers:
             self.own_limits = own
         servo.write_limits(plan.servo_limits)
         require_written(servo, plan.servo_limits, plan.cycle_s)
-        self._recorder.event(self.cycle.now_ns, "stage start", stage=self.stage.name)
+        self._event("stage start")
         return Event.DONE
 
     def _enable(self) -> Event:
@@ -258,14 +224,10 @@ class PhaseHandlers:
     def _first_pass(self) -> Event:
         planned = self.stage.first_passes[self._pass]
         cycle, plan = self.cycle, self._plan
-        self._recorder.event(
-            cycle.now_ns, "first pass", stage=self.stage.name, amplitude=planned.amplitude
-        )
+        self._event("first pass", amplitude=planned.amplitude)
         cycle.use(planned.move_limits)
         speed = min(plan.approach_speed, APPROACH_SPEED_SHARE * planned.move_limits.speed)
-        self._follow(
-            approach(self._target, float(planned.targets[0]), speed, plan.cycle_s).tolist()
-        )
+        self._go(planned.targets, speed)
         self._rest(self.stage.settle_s)
         cycle.use(planned.limits)
         self._first_samples = []
@@ -282,7 +244,7 @@ class PhaseHandlers:
         shown = {
             name: None if math.isnan(factor) else factor for name, factor in proof.found.items()
         }
-        self._recorder.event(self.cycle.now_ns, "units", stage=self.stage.name, factors=shown)
+        self._event("units", factors=shown)
         if proof.moved:
             self.cycle.units = None
             if proof.unproven:
@@ -299,10 +261,8 @@ class PhaseHandlers:
             self.cycle.resume()
             return Event.FIRST_PASS
         weighing = self._scale.weigh(self.stage, level)
-        self._recorder.event(
-            self.cycle.now_ns,
+        self._event(
             "weight check",
-            stage=self.stage.name,
             verdict=weighing.verdict.value,
             measured_kg=weighing.measured_kg,
             message=weighing.message,
@@ -316,10 +276,7 @@ class PhaseHandlers:
         return Event.DONE
 
     def _approach(self) -> Event:
-        end = float(self.stage.targets[0])
-        self._follow(
-            approach(self._target, end, self._plan.approach_speed, self._plan.cycle_s).tolist()
-        )
+        self._go(self.stage.targets, self._plan.approach_speed)
         return Event.DONE
 
     def _settle(self) -> Event:
@@ -328,8 +285,8 @@ class PhaseHandlers:
 
     def _excite(self) -> Event:
         self._segment += 1
-        start = {"stage": self.stage.name, "index": self._stage_index, "repeat": self._repeat + 1}
-        self._recorder.event(self.cycle.now_ns, "segment", number=self._segment, **start)
+        place = {"index": self._stage_index, "repeat": self._repeat + 1}
+        self._event("segment", number=self._segment, **place)
         self._journal.segment_started(
             self._stage_index, self._repeat + 1, self._segment, self.cycle.next_s
         )
@@ -356,18 +313,17 @@ class PhaseHandlers:
         self._recorder.frames(self.cycle.now_ns, self._devices.link.take_frames())
         self._journal.stage_finished(self._stage_index)
         seen = self.off.require("at the end of the stage").seen
-        self._recorder.event(self.cycle.now_ns, "stage end", stage=self.stage.name, **seen)
+        self._event("stage end", **seen)
         self._repeat = 0
         return Event.DONE
 
     def _boundary(self) -> Event:
-        """Pause after a stage if requested; the drive is de-energised."""
         verb = Verb.GO_ON
         if self._stop.pausing:
-            self._recorder.event(self.cycle.now_ns, "paused", stage=self.stage.name)
+            self._event("paused")
             with self._stop.interruptible():
                 verb = self._operator.paused(self.stage.name, self._stop)
-            self._recorder.event(self.cycle.now_ns, verb.value, stage=self.stage.name)
+            self._event(verb.value)
         if verb is Verb.ABORT:
             raise OperatorStopError("aborted by the operator between stages")
         if verb is Verb.REPEAT:
@@ -376,6 +332,13 @@ class PhaseHandlers:
             return Event.DONE
         self._stage_index += 1
         return Event.NEXT_STAGE
+
+    def _event(self, name: str, **details: Any) -> None:
+        self._recorder.event(self.cycle.now_ns, name, stage=self.stage.name, **details)
+
+    def _go(self, targets: Array, speed: float) -> None:
+        """Move the joint to the first of the targets."""
+        self._follow(approach(self._target, float(targets[0]), speed, self._plan.cycle_s).tolist())
 
     def _rest(self, duration_s: float) -> None:
         self._follow([self._target] * round(duration_s / self._plan.cycle_s))

@@ -1,6 +1,4 @@
-"""Reads the values of all devices before a run, and finds values that would prevent the run from
-starting.
-"""
+"""Reads the values of all devices before a run, and finds those that would prevent it."""
 
 from __future__ import annotations
 
@@ -24,13 +22,7 @@ class Readings:
     NaN.
 
     Attributes:
-        state: State of the drive, as text.
         motor_encoder_at_joint_rad: Angle of the drive's encoder, divided by the gear ratio.
-        joint_encoder_rad: Angle measured by the joint encoder.
-        speed_rad_s: Joint speed as estimated by the drive.
-        current_A: Motor current.
-        supply_V: Supply voltage of the drive's power stage.
-        temperature_C: Temperature reported by the drive.
         pressure_Pa: Pressure in the gas generator's chamber; None on a bench without a pressure
             transmitter.
     """
@@ -74,15 +66,7 @@ class Readings:
 
 
 def take_readings(devices: Devices, gear_ratio: float) -> Readings:
-    """Read the values of every device, without writing to a device.
-
-    Args:
-        devices: The devices, on an open link.
-        gear_ratio: Motor turns per joint turn.
-
-    Raises:
-        DeviceError: A device does not answer.
-    """
+    """Read the values of every device without writing, or raise a DeviceError."""
     servo = devices.servo.readings()
     return Readings(
         state=devices.servo.state().value,

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +25,7 @@ _BAR = 12
 
 
 class RunProgress:
-    """Shows elapsed and remaining run time, stage, angle error and current.
-
-    Run time is the time of the control cycles, without the wait at a prompt. Nothing is shown if
-    the output is not a terminal.
-
-    Args:
-        cycle_s: Control cycle, s.
-        duration_s: Expected time in motion, s.
-        screen: Terminal of the status line.
-    """
+    """Shows elapsed and remaining time in motion, stage, angle error and current at a terminal."""
 
     def __init__(self, cycle_s: float, duration_s: float, screen: Screen | None = None) -> None:
         self._cycle_s = cycle_s
@@ -62,45 +53,25 @@ class RunProgress:
         )
 
 
-@contextmanager
 def reachable(
     stop: StopButton, screen: Screen, inputs: Inputs, plan: Plan, path: Path, required: bool = False
-) -> Iterator[ControlSocket | None]:
+) -> AbstractContextManager[ControlSocket | None]:
     """Open the control socket of a run, and close it at the end.
 
     If the socket cannot be created, a run at a terminal continues without it, with a message.
 
-    Args:
-        stop: The stop button of the run.
-        screen: Shows what was commanded through the socket.
-        inputs: The inputs of the run.
-        plan: The plan computed from the inputs.
-        path: The run folder.
-        required: Whether the prompts can only be answered through the socket.
-
     Raises:
         InputError: The socket is required and cannot be created.
     """
-    with _opened(stop, screen, about_run(inputs, plan, path), required) as control:
-        yield control
+    return _opened(stop, screen, about_run(inputs, plan, path), required)
 
 
-@contextmanager
 def stoppable(
     stop: StopButton, screen: Screen, bench: Bench, name: str
-) -> Iterator[ControlSocket | None]:
-    """Open the control socket of a program that moves a bench without a run, such as a jog, so that
-    STOP in `rig console` reaches it.
-
-    Args:
-        stop: The stop button of the program.
-        screen: Shows what was commanded through the socket.
-        bench: The bench that moves.
-        name: Name of the program for the operator.
-    """
+) -> AbstractContextManager[ControlSocket | None]:
+    """Open the control socket of a program that moves a bench without a run, such as a jog."""
     about = {"name": name, "bench": bench.name, "real": not bench.simulated}
-    with _opened(stop, screen, about, False) as control:
-        yield control
+    return _opened(stop, screen, about, False)
 
 
 @contextmanager
@@ -121,9 +92,7 @@ def _opened(
 
 
 def observed(devices: Devices, control: ControlSocket | None, progress: RunProgress) -> Devices:
-    """Wrap the devices so that a control socket, if there is one, states phases and progress of the
-    run.
-    """
+    """Wrap the devices so that a control socket, if any, states phases and progress of the run."""
     if control is None:
         return devices
     control.left_s = lambda: progress.left_s
@@ -164,10 +133,7 @@ def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
 
 
 def limit_records(limits: Limits) -> list[dict[str, Any]]:
-    """Return the limits of the channels against which every cycle is checked, in SI units.
-
-    An upper or lower limit is None if there is no limit, or if the drive does not report the value.
-    """
+    """Return the limits that every cycle checks, SI units; an end without a limit is None."""
     both: Mapping[str, tuple[float, float]] = {
         "angle": (limits.angle_min, limits.angle_max),
         "velocity": (-limits.speed, limits.speed),

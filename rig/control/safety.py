@@ -82,12 +82,7 @@ AGAIN = ", then run again"
 
 
 def remedy(check: Check, trip: Mapping[str, Any] = MappingProxyType({})) -> str:
-    """Return the remedy of a trip, which the operator must apply before the next motion.
-
-    Args:
-        check: The check that failed.
-        trip: Record of the trip in ``run.json``.
-    """
+    """Return the remedy of a trip, which the operator must apply before the next motion."""
     if trip.get("against"):
         return AGAINST
     if foreseen(trip):
@@ -99,24 +94,13 @@ def remedy(check: Check, trip: Mapping[str, Any] = MappingProxyType({})) -> str:
 
 
 def foreseen(trip: Mapping[str, Any]) -> bool:
-    """Return whether the peak that was predicted before the run is above the limit that tripped,
-    which is negative in the negative direction.
-    """
+    """Return whether the predicted peak is above the limit that tripped, which may be negative."""
     return bool((trip.get("predicted") or 0.0) > abs(trip.get("limit", math.inf)))
 
 
 @dataclass(frozen=True, slots=True)
 class Trip:
-    """A limit that was exceeded, with the sample that exceeded it.
-
-    Attributes:
-        check: The check that failed.
-        value: Measured value.
-        limit: The limit that was exceeded.
-        unit: Unit of ``value`` and ``limit``.
-        time: Time of the sample since the start of the run, s.
-        against: Whether the joint has moved against the command.
-    """
+    """A limit that was exceeded, with the sample that exceeded it."""
 
     check: Check
     value: float
@@ -156,7 +140,7 @@ class Trip:
 
 
 def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-    """Compare one sample with the limits.
+    """Return the first limit that one sample violates, or None.
 
     Each condition is written as "inside the limit", so that NaN counts as outside.
 
@@ -165,9 +149,6 @@ def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | Non
         age: Time since the last complete sample, s.
         late: Delay of the start of the cycle, s.
         limits: The limits of this run.
-
-    Returns:
-        The first violated limit, or None.
     """
     time = sample.time
     if not late <= limits.lateness:
@@ -249,12 +230,7 @@ class Latch:
         self._asked = True
 
     def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Close the latch if the operator requested this and the sample is inside every limit; else
-        store the reason for which the latch stays open.
-
-        Returns:
-            None if the latch is now closed, else the trip.
-        """
+        """Close the latch if this was requested and the sample is inside every limit."""
         if self._asked:
             self._trip = check(sample, age, late, limits)
             self._asked = False

@@ -30,11 +30,7 @@ from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a run: ending, reason, remedy and final state of the drive.
-
-    ``error`` is an unexpected exception, which is a defect of this program; it is raised after all
-    data are recorded.
-    """
+    """Outcome of a run; ``error`` is a defect of this program, raised after all is recorded."""
 
     ending: Ending
     message: str
@@ -46,23 +42,11 @@ class Outcome:
 _FAILURES = frozenset(
     {Check.SAMPLE_AGE, Check.PAUSE, Check.DRIVE_STATE, Check.LATENESS, Check.SLEEP}
 )
-"""Checks that fail because of a device, the bus or the computer, and not because the bench reaches
-a physical limit.
-"""
+"""Checks that fail by a device, the bus or the computer, not by a physical limit."""
 
 
 class Sequencer:
-    """One run of one plan.
-
-    Args:
-        plan: The plan to run.
-        devices: The devices, on an open link.
-        console: Operator, stop button and progress display.
-        recorder: The open recording.
-        journal: Object that writes the state of the run to disk.
-        scale: Object that checks the weights.
-        start: The point at which the run starts.
-    """
+    """One run of one plan."""
 
     def __init__(
         self,
@@ -134,7 +118,6 @@ class Sequencer:
         return outcome
 
     def _wait_cycle(self) -> None:
-        """Let the time of one cycle pass."""
         clock = self._devices.link.clock
         clock.sleep_until_ns(clock.now_ns() + self._plan.cycle_ns)
 

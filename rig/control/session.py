@@ -15,11 +15,11 @@ from drivers.clock import NS, RealClock
 from identification.recording import Dataset
 from rig.common.errors import InputError, StorageError
 from rig.common.provenance import sha256, sha256_file, utc_now, versions
-from rig.common.sample import Phase, Sample
+from rig.common.sample import Phase
 from rig.config.bench import Bench, calibration_records, overdue, redacted
 from rig.config.configuration import Document
 from rig.config.sequence import Sequence
-from rig.control.cycle import Cycle, Progress
+from rig.control.cycle import Progress
 from rig.control.operator import AutomaticOperator, Operator
 from rig.control.phase_handlers import Console, StartingPoint
 from rig.control.safety import Check, Trip, remedy
@@ -56,7 +56,6 @@ from rig.wiring.drive_limits import only_here
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
 DEVICES = ("servo", "encoder", "pressure")
-"""Roles of devices; a bench need not have all of them."""
 
 
 @dataclass(frozen=True)
@@ -64,19 +63,12 @@ class Inputs:
     """The inputs of a run.
 
     Attributes:
-        bench: The validated bench file.
-        sequence: The validated sequence file.
-        seed: Seed of a simulated bench's noise.
-        realtime: Whether a simulated bench runs in real time.
         operator: Name of the person who runs the bench, as stated by the user.
-        reference: Accepted identification of the bench, for the weight check.
-        reset_fault: Whether a drive fault may be cleared.
         feedforward: Model of the feed-forward torque that the drive adds, or None for none.
         resumed: ``run.json`` of a stopped run to continue at its first unfinished stage, or None
             for a new run.
         acceptance: File of the limits by which the complete run is judged, or None for the limits
             in the sequence file.
-        load: Predicted peaks of the stages to run, or None if nothing was predicted.
     """
 
     bench: Document[Bench]
@@ -102,6 +94,8 @@ class Inputs:
 def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
     """Return the initial ``run.json``, before any motion."""
     paths = (inputs.bench.path, inputs.sequence.path)
+    model = inputs.feedforward
+    offset = {} if model is None else {FEEDFORWARD_INPUT: input_entry(model.source, model.sha256)}
     calibrations = calibration_records(inputs.bench.value, utc_now().date())
     return RunRecord(
         name=plan.name,
@@ -119,7 +113,7 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
             name: input_entry(path, sha256_file(path))
             for name, path in device_files(inputs.bench).items()
         }
-        | _feedforward_entry(inputs.feedforward),
+        | offset,
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
         operator=inputs.operator,
@@ -128,20 +122,6 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
             f"{warning}; the results depend on this value" for warning in overdue(calibrations)
         ],
     )
-
-
-def _record_of(inputs: Inputs, plan: Plan) -> RunRecord:
-    """Return ``run.json`` at the start of a new or resumed run."""
-    record = inputs.resumed or new_record(inputs, plan)
-    if inputs.acceptance is not None:
-        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
-    return record
-
-
-def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
-    if feedforward is None:
-        return {}
-    return {FEEDFORWARD_INPUT: input_entry(feedforward.source, feedforward.sha256)}
 
 
 def execute(
@@ -158,23 +138,15 @@ def execute(
 
     The link is open at the call and stays open.
 
-    Args:
-        inputs: The inputs of the run.
-        plan: The plan computed from the inputs.
-        devices: The devices to command.
-        path: The run folder.
-        operator: The person or program that hangs the weights.
-        stop: Stop button, which is read in every cycle.
-        progress: Progress callback.
-        start_recording: Function that creates the recording.
-
     Raises:
         DeviceError: A device cannot be identified; nothing was energised.
         StorageError: The recording cannot be started; nothing was energised.
     """
     wall = RealClock()
     began_ns = wall.now_ns()
-    record = _record_of(inputs, plan)
+    record = inputs.resumed or new_record(inputs, plan)
+    if inputs.acceptance is not None:
+        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
     folder = RunFolder(path, record, _warn(inputs, plan, record, devices, operator))
@@ -192,12 +164,20 @@ def execute(
             recorder,
             folder,
             Scale(inputs.reference),
-            _starting_point(record, inputs.reset_fault),
+            StartingPoint(
+                stage=first_unfinished(record) or 0,
+                segment=max((segment.index for segment in record.segments), default=0),
+                reset_fault=inputs.reset_fault,
+            ),
         )
         outcome = sequencer.run()
         if outcome.trip is not None:
             record.trip = _trip_record(outcome.trip, inputs.load, sequencer)
-        _count(record, part, sequencer.cycle)
+        cycle = sequencer.cycle
+        part.cycles, part.timing = cycle.count, cycle.timing.record()
+        record.cycles += cycle.count
+        record.overruns += cycle.overruns
+        record.stale += cycle.stale
     finally:
         outcome = _close(recorder, outcome)
         part.seconds = (wall.now_ns() - began_ns) / NS
@@ -224,20 +204,8 @@ def _warn(
     return frozenset(told)
 
 
-def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
-    """Return the first unfinished stage, and the number of finished excitations."""
-    return StartingPoint(
-        stage=first_unfinished(record) or 0,
-        segment=max((segment.index for segment in record.segments), default=0),
-        reset_fault=reset_fault,
-    )
-
-
 def _start_recording(
-    folder: RunFolder,
-    inputs: Inputs,
-    identities: dict[str, Any],
-    start: Callable[[Path], Recorder],
+    folder: RunFolder, inputs: Inputs, identities: dict[str, Any], start: Callable[[Path], Recorder]
 ) -> Recorder:
     """Create the recording; if this fails, ``run.json`` says that nothing was energised."""
     recorder = None
@@ -258,7 +226,6 @@ def _start_recording(
 
 
 def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
-    """Add a recording to the record of a run."""
     record.state, record.message, record.trip, record.de_energised = "running", "", None, None
     record.drive_state = record.drive = None
     part = PartRecord(
@@ -273,19 +240,8 @@ def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]
     return part
 
 
-def _count(record: RunRecord, part: PartRecord, cycle: Cycle) -> None:
-    part.cycles, part.timing = cycle.count, cycle.timing.record()
-    record.cycles += cycle.count
-    record.overruns += cycle.overruns
-    record.stale += cycle.stale
-
-
 def describe_devices(devices: Devices) -> dict[str, Any]:
-    """Read identities and the limits that are stored in the drive.
-
-    Raises:
-        DeviceError: A device does not answer.
-    """
+    """Read identities and the limits stored in the drive, or raise a DeviceError."""
     told = {
         "servo": dataclasses.asdict(devices.servo.identity()),
         "encoder": dataclasses.asdict(devices.encoder.identity()),
@@ -297,12 +253,7 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 
 
 def held_limits(devices: Devices) -> dict[str, float | None]:
-    """Read the limits that are stored in the drive; a limit is None if the drive has no object for
-    it, or if the following error window is off.
-
-    Raises:
-        DeviceError: The drive does not answer.
-    """
+    """Read the limits stored in the drive; None without an object, or with the window off."""
     limits = dataclasses.asdict(devices.servo.read_limits())
     if not limits["quick_stop_option"] >= 0:
         limits["quick_stop_option"] = None
@@ -379,14 +330,12 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
     part.ended = utc_now().isoformat(timespec="seconds")
     if outcome is None:
         record.state, record.message = Ending.CRASHED.value, "the program failed"
-        part.state, part.message = record.state, record.message
-        record.stage_ended(record.state)
-        return
-    record.state, record.message = outcome.ending.value, outcome.message
+    else:
+        record.state, record.message = outcome.ending.value, outcome.message
+        record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
+        record.drive = outcome.safe.record()
     part.state, part.message = record.state, record.message
     record.stage_ended(record.state)
-    record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
-    record.drive = outcome.safe.record()
 
 
 def _trip_record(trip: Trip, load: PredictedLoad | None, sequencer: Sequencer) -> dict[str, Any]:
@@ -419,24 +368,11 @@ def run_simulated(
     folder: Path,
     feedforward: Feedforward | None = None,
 ) -> Dataset:
-    """Run a sequence on a simulated bench with the planned weights, and return its recordings.
-
-    Args:
-        bench: A simulated bench.
-        sequence: The sequence to run.
-        seed: Seed of the bench's noise.
-        folder: The run folder; new or empty.
-        feedforward: Model of the feed-forward torque that the drive adds, or None for none.
-
-    Raises:
-        InputError: The bench is a real bench, or the run did not end regularly.
-        KeyboardInterrupt: The run was stopped.
-    """
+    """Run a sequence on a simulated bench with the planned weights, and return its recordings."""
     if not bench.value.simulated:
         raise InputError(
             bench.problem(
-                ("bus",),
-                "this command runs without an operator, so the bench must be simulated",
+                ("bus",), "this command runs without an operator, so the bench must be simulated"
             )
         )
     plan = make_plan(sequence, bench, feedforward=feedforward)
@@ -445,7 +381,9 @@ def run_simulated(
         create_folder(folder, "rig"),
         connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices,
     ):
-        _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
+        _, outcome = execute(
+            inputs, plan, devices, folder, _Unattended(), StopButton(), lambda *_: None
+        )
     if outcome.error is not None:
         raise outcome.error
     if outcome.ending is Ending.STOPPED:
@@ -453,7 +391,3 @@ def run_simulated(
     if outcome.ending is not Ending.DONE:
         raise InputError(f"{sequence.value.name} on {bench.value.name}: {outcome.message}")
     return load_run(folder)
-
-
-def _silent(stage: str, cycles: int, sample: Sample) -> None:
-    pass

@@ -47,11 +47,7 @@ class FileLimit:
         self._before: tuple[int, int] | None = None
 
     def fill(self) -> None:
-        """Make every further write to a file fail, as on a full disk.
-
-        Raises:
-            InputError: This operating system cannot limit the size of files.
-        """
+        """Make every write to a file fail, as on a full disk; InputError if impossible."""
         try:
             import resource
         except ImportError as error:
@@ -84,11 +80,8 @@ class Finding:
     """Result of one fault.
 
     Attributes:
-        row: Number of the fault in the schedule, from 1.
-        applied_s: Bench time of the fault, or None if it was never triggered.
         off_after_s: Time from the fault to the final de-energised state; None while energised, or
             if current flows or the joint moves in the simulated machine at the end.
-        as_expected: Whether the reaction was as expected; None without an expectation.
         peak_deg_s: Greatest true speed of the joint since the last fault, deg/s.
         travel_deg: True travel of the joint since then, deg.
     """
@@ -107,13 +100,7 @@ class Finding:
 
 
 class FaultInjector:
-    """Executes one schedule in one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`.
-
-    Args:
-        schedule: The faults.
-        sequence: The sequence of the run; determines the phase ``ramp_out``.
-        patience_s: Time that the run waits for an answer, s, or None to wait without limit.
-    """
+    """Executes one schedule in one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`."""
 
     def __init__(
         self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None
@@ -165,7 +152,6 @@ class FaultInjector:
             self._disk.restore()
 
     def _observe(self, stage: str, phase: Phase) -> None:
-        """Note the start of a phase, and trigger the faults that wait for it."""
         if self._observer is not None:
             self._observer(stage, phase)
         name = _PHASES.get(phase, phase.value)
@@ -179,25 +165,14 @@ class FaultInjector:
                 self._schedule(number, self._ramp_out[stage])
 
     def _hang(self, mass_kg: float) -> None:
-        """Hang the right weight, or the wrong weight of the schedule."""
         self._scene.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
 
     def _start_recording(self, path: Path) -> Recorder:
-        """Create the recording on a file that can fail."""
         self._file = _DyingFile(path, "xb")
         return Recorder(io.BufferedWriter(self._file), path)
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices run for some time without the host, judge every row of the schedule, and
-        write the findings.
-
-        Args:
-            status: Exit status of the run, or None if the process is about to be killed.
-            message: Last message of the run.
-
-        Raises:
-            OSError: The findings cannot be written.
-        """
+        """Let the devices run on and judge; ``status`` None: about to be killed."""
         clock = self._scene.clock
         if self._off_ns is None or self._scene.live:
             clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))
@@ -289,19 +264,15 @@ class FaultInjector:
             )
 
     def _kill(self, row: FaultRow) -> None:
-        clock = self._scene.clock
-        clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
+        self._wait(row)
         self.conclude(None, "")
         os.kill(os.getpid(), signal.SIGKILL)
 
-    def _hang_up(self, row: FaultRow) -> None:
+    def _wait(self, row: FaultRow) -> None:
         clock = self._scene.clock
         clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
 
-    def _fill_disk(self) -> None:
-        self._disk.fill()
-
-    def _break_recorder(self) -> None:
+    def _break_recorder(self, _: FaultRow) -> None:
         if self._file is not None:
             self._file.dead = True
 
@@ -310,28 +281,22 @@ class FaultInjector:
         if self._off_ns is not None and self._weight_kg is not None:
             self._scene.machine.hang(self._weight_kg)
 
-    def _be_silent(self, row: FaultRow) -> None:
-        self._answer_after_s = row.amount
-
 
 _Action = Callable[[FaultInjector, FaultRow], None]
 
 
 ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("host", "killed"): FaultInjector._kill,
-    ("host", "hangs"): FaultInjector._hang_up,
+    ("host", "hangs"): FaultInjector._wait,
     ("host", "clock_step"): lambda s, r: s._clock.step(r.amount or 0.0),
-    ("host", "recorder_fails"): lambda s, _: s._break_recorder(),
-    ("disk", "full"): lambda s, _: s._fill_disk(),
+    ("host", "recorder_fails"): FaultInjector._break_recorder,
+    ("disk", "full"): lambda s, _: s._disk.fill(),
     ("operator", "stop"): lambda s, _: s._stop.press(),
-    ("operator", "unanswered"): FaultInjector._be_silent,
+    ("operator", "unanswered"): lambda s, r: setattr(s, "_answer_after_s", r.amount),
     ("operator", "weight_removed"): lambda s, r: s._scene.machine.hang(r.amount or 0.0),
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
-"""Actions on this program and its operator, by target and name of the fault.
-
-Actions on the bench are in :mod:`rig.fault_injection.scene`.
-"""
+"""Actions on program and operator; those on the bench are in :mod:`rig.fault_injection.scene`."""
 
 
 def fault_injector(
@@ -340,11 +305,7 @@ def fault_injector(
     sequence: Document[Sequence],
     patience_s: float | None = None,
 ) -> FaultInjector:
-    """Read a schedule for a run on a simulated bench; the run waits ``patience_s`` for answers.
-
-    Raises:
-        InputError: The schedule is not valid, or the bench is real.
-    """
+    """Read a schedule for a simulated bench; the run waits ``patience_s`` for answers."""
     schedule = load_faults(path)
     if not bench.value.simulated:
         text = "faults can only be injected on a simulated bench; set bus.interface to mock"
@@ -384,8 +345,6 @@ def describe(findings: list[Finding]) -> str:
 
 
 class _Unreliable:
-    """An operator with scheduled faults."""
-
     def __init__(self, inner: Operator, answer: Callable[[str], None]) -> None:
         self._inner = inner
         self._answer = answer
@@ -400,29 +359,20 @@ class _Unreliable:
         return self._inner.hangs(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the end of a pause as the real operator does."""
         return self._inner.paused(stage, stop)
 
     def tell(self, words: str) -> None:
-        """Show a message to the real operator."""
         self._inner.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show a result to the real operator."""
         self._inner.result(words, good)
 
 
 class _DyingFile(io.FileIO):
-    """A file whose medium can fail."""
-
     dead = False
 
     def write(self, data: Any) -> int:
-        """Write the data, or fail as a broken medium does.
-
-        Raises:
-            OSError: The medium is broken.
-        """
+        """Write the data, or raise an OSError as a broken medium does."""
         if self.dead:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return super().write(data)

@@ -35,9 +35,7 @@ _DBC_FRAMES: Final[Mapping[str, int]] = {
     "speed": dbc_drive.POWER,
     "heartbeat": dbc_drive.STATUS,
 }
-"""Frames of the simulated DBC drive that correspond to the functions of a CANopen drive in
-``frames``.
-"""
+"""Frames of the simulated DBC drive by the functions of a CANopen drive in ``frames``."""
 _DBC_IDENTIFIERS: Final = frozenset(
     {
         dbc_drive.STOP,
@@ -84,11 +82,7 @@ def impossible(row: FaultRow, bench: Bench) -> str | None:
 
 
 class Scene:
-    """One simulated bench, with the faults of its buses and lines.
-
-    Args:
-        bench: Booted bench, with no host connected yet.
-    """
+    """One simulated bench, with the faults of its buses and lines."""
 
     def __init__(self, bench: SimulatedBench | SimulatedDbcBench) -> None:
         self.clock, self.machine = bench.clock, bench.machine
@@ -97,9 +91,7 @@ class Scene:
         self._lines: dict[str, LineFaults] = {}
 
     def watch(self, told: Callable[[str, bool], None]) -> None:
-        """Set a callback for every new state of the drive: the name of the state in a schedule, and
-        whether the drive is energised.
-        """
+        """Set a callback for every new state of the drive: name, and whether energised."""
         drive = self.bench.drive
         if isinstance(drive, DbcDrive):
             drive.entered.append(lambda state: told(_DBC_STATES[state], state in dbc_drive.POWERED))
@@ -120,9 +112,7 @@ class Scene:
         ACTIONS[row.target, row.fault](self, row)
 
     def line(self, device: str) -> LineFaults:
-        """Return the fault injector of a serial line; the injector exists only after the host has
-        created the driver of the line.
-        """
+        """Return the fault injector of a line, which exists once the host has made its driver."""
         if device not in self._lines:
             assert isinstance(self.bench, SimulatedBench)
             self._lines[device] = LineFaults(self.bench.lines[device], self.clock)
@@ -255,4 +245,3 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("encoder", "frozen"): lambda s, _: faults.freeze(s.sensor),
     ("encoder", "reversed"): lambda s, _: faults.reverse(s.sensor),
 }
-"""Actions on a bench, by target and name of the fault."""

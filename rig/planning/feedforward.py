@@ -37,10 +37,6 @@ class Feedforward:
     Attributes:
         values: Values of the parameters by name, SI; the load parameters may be missing. A rise of
             friction toward rest that the identification did not determine is zero.
-        alpha: Stribeck exponent.
-        moment_per_kg: Contact moment of one kilogram on the lever, N m.
-        source: The result file.
-        sha256: SHA-256 of that file.
         left_open: Parameters of the rise of friction toward rest that the identification did not
             determine.
     """
@@ -96,13 +92,7 @@ class Offsets:
 
 
 class Compensator:
-    """Returns the torque offset of each cycle of one excitation, in order.
-
-    Args:
-        offsets: Torque offsets of the stage.
-        gear_ratio: Motor turns per joint turn.
-        cycle_s: Control cycle, s.
-    """
+    """Returns the torque offset of each cycle of one excitation, in order."""
 
     def __init__(self, offsets: Offsets, gear_ratio: float, cycle_s: float) -> None:
         columns = (offsets.torque, offsets.stiffness, offsets.damping, offsets.angle, offsets.speed)
@@ -112,12 +102,7 @@ class Compensator:
         self._before: float | None = None
 
     def __call__(self, sample: Sample | None) -> float:
-        """Return the next torque offset, N m, within its limit.
-
-        Args:
-            sample: Sample of the previous cycle; None in the first cycle. An incomplete sample
-                gives no feedback; damping needs two successive complete samples.
-        """
+        """Return the next torque offset, N m; feedback needs complete samples, damping two."""
         torque, stiffness, damping, commanded, speed = next(self._rows)
         angle = (
             sample.motor_angle / self._gear_ratio if sample is not None and sample.fresh else None
@@ -134,10 +119,8 @@ class Compensator:
 def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
-    Raises:
-        InputError: The file cannot be read, is not a result of ``rig identify``, or does not
-            determine the parameters of the unloaded joint other than the rise of friction toward
-            rest.
+    Raises an InputError if it does not determine the parameters of the unloaded joint, other than
+    the rise of friction toward rest.
     """
     names = (*UNLOADED, *LOADED, *(name for rise in RISES for name in rise[1:]))
     values, alpha = read_values(path, names)
@@ -155,12 +138,7 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
 
 
 def require_torque_offset(bench: Document[Bench]) -> None:
-    """Reject a bench whose drive cannot add a torque that is sent in every cycle.
-
-    Raises:
-        InputError: The drive cannot add a torque; the message states the reason and the place in
-            the bench file.
-    """
+    """Reject (InputError) a bench whose drive cannot add a torque that is sent in every cycle."""
     value = bench.value
     if isinstance(value.servo, DbcServoSection):
         if value.servo.torque_offset is not None:

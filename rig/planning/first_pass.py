@@ -1,12 +1,10 @@
-"""Plans the first passes before a stage: the stage's motion, smaller, under tighter limits.
-
-If the joint does not move, passes with larger amplitude follow.
-"""
+"""Plans the first passes before a stage: its motion, smaller, under tighter limits."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,22 +14,12 @@ from rig.planning.limits import Limits
 LONGEST_RAMP_SHARE = 0.25
 """Longest fade-in or fade-out, as a share of the duration of the pass."""
 GROWTH = 2.0
-"""Factor on the amplitude from one pass to the next while the joint does not move; with soft gains
-the command must lead by degrees before the joint breaks away.
-"""
+"""Factor on the amplitude from pass to pass while the joint, as with soft gains, does not move."""
 
 
 @dataclass(frozen=True)
 class PlannedPass:
-    """A first pass, ready to run.
-
-    Attributes:
-        targets: Joint angles in rad, one per cycle, shape (n,).
-        amplitude: Amplitude as a share of the stage's amplitude.
-        duration_s: Duration, s.
-        move_limits: Limits during the move to the start of the pass.
-        limits: Limits during the pass.
-    """
+    """A first pass, with its share of the amplitude, and limits also of the move to its start."""
 
     targets: Array
     amplitude: float
@@ -43,14 +31,13 @@ class PlannedPass:
 def plan_passes(
     section: StageSection, low: FirstPass, limits: Limits, cycle_s: float
 ) -> tuple[PlannedPass, ...]:
-    """Return the first pass of a stage, and the passes with larger amplitude that follow while the
-    joint does not move.
-    """
+    """Return the first pass of a stage, and larger ones while the joint does not move."""
     passes: list[PlannedPass] = []
     amplitude = low.amplitude
     while amplitude < 1.0:
         planned = _plan_pass(section, low, amplitude, limits, cycle_s)
-        if passes and _peak_speed(planned.targets, cycle_s) > planned.limits.speed:
+        peak = float(np.max(np.abs(np.diff(planned.targets)), initial=0.0)) / cycle_s
+        if passes and peak > planned.limits.speed:
             break
         passes.append(planned)
         amplitude *= GROWTH
@@ -65,14 +52,13 @@ def _plan_pass(
         ramp = section.ramp.model_copy(
             update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1}
         )
-        small = section.model_copy(update={"ramp": ramp, "duration_s": ramp.moving_s})
-        return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
-    slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
-    wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
-    duration_s = min(wanted_s, section.duration_s)
-    ramp_s = LONGEST_RAMP_SHARE * duration_s
-    small = section.model_copy(
-        update={
+        changes: dict[str, Any] = {"ramp": ramp, "duration_s": ramp.moving_s}
+    else:
+        slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
+        wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
+        duration_s = min(wanted_s, section.duration_s)
+        ramp_s = LONGEST_RAMP_SHARE * duration_s
+        changes = {
             "tones": tuple(
                 tone.model_copy(update={"amplitude_deg": amplitude * tone.amplitude_deg})
                 for tone in section.tones
@@ -81,29 +67,23 @@ def _plan_pass(
             "ramp_in_s": min(section.ramp_in_s, ramp_s),
             "ramp_out_s": min(section.ramp_out_s, ramp_s),
         }
-    )
-    return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
-
-
-def _judged(
-    targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
-) -> PlannedPass:
-    """Return a first pass with the limits that follow from its targets."""
+    targets = excitation(section.model_copy(update=changes), cycle_s)
     moving = _tighter(limits, low.limit_share)
-    return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
-
-
-def _peak_speed(targets: Array, cycle_s: float) -> float:
-    return float(np.max(np.abs(np.diff(targets)), initial=0.0)) / cycle_s
+    # The angle range of the pass is that of its targets, widened by the allowed following error.
+    slack = moving.following_error
+    around = dataclasses.replace(
+        moving,
+        angle_min=max(moving.angle_min, float(np.min(targets, initial=np.inf)) - slack),
+        angle_max=min(moving.angle_max, float(np.max(targets, initial=-np.inf)) + slack),
+    )
+    return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, around)
 
 
 def _tighter(limits: Limits, share: float) -> Limits:
     """Return reduced limits.
 
-    Static friction does not decrease with the amplitude, so that the limits of torque and current
-    are reduced only half as much as the limit of the speed. The limit of the following error is
-    also reduced half as much, because the error of a drive with soft gains is proportional to
-    torque.
+    Static friction does not decrease with the amplitude, and soft gains need an error for it:
+    torque, current and following error are reduced half as much as the speed.
     """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(
@@ -112,14 +92,4 @@ def _tighter(limits: Limits, share: float) -> Limits:
         following_error=torque_share * limits.following_error,
         torque=torque_share * limits.torque,
         current=torque_share * limits.current,
-    )
-
-
-def _around(targets: Array, limits: Limits) -> Limits:
-    """Return limits with the angle range of the pass, widened by the allowed following error."""
-    slack = limits.following_error
-    return dataclasses.replace(
-        limits,
-        angle_min=max(limits.angle_min, float(np.min(targets, initial=np.inf)) - slack),
-        angle_max=min(limits.angle_max, float(np.max(targets, initial=-np.inf)) + slack),
     )

@@ -32,8 +32,6 @@ class FlowLaw:
         gain: Valve angle per unit of ln(p/p_c), rad.
         integral: Integral gain per cycle, as a share of the gain.
         share: Weight of a new reading in the low-pass filter.
-        least: Least angle, rad.
-        most: Greatest angle, rad.
         step: Greatest change in one cycle, rad.
     """
 
@@ -55,9 +53,7 @@ class LawState:
 
 
 def make_law(controller: FlowController, cycle_s: float, speed_rad_s: float) -> FlowLaw:
-    """Return the controller of a sequence file for the cycle time ``cycle_s``, with the speed limit
-    ``speed_rad_s``.
-    """
+    """Return the controller of a sequence file for a cycle time and a speed limit."""
     gain = math.radians(controller.gain_deg)
     return FlowLaw(
         gain=gain,
@@ -70,14 +66,7 @@ def make_law(controller: FlowController, cycle_s: float, speed_rad_s: float) -> 
 
 
 def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> LawState:
-    """Return the state of the controller after one cycle.
-
-    Args:
-        law: The controller.
-        state: State after the previous cycle.
-        wanted: Pressure command p_c, Pa.
-        reading: Measured pressure, Pa.
-    """
+    """Return the state of the controller after a cycle with pressure command and reading, Pa."""
     pressure = state.pressure + law.share * (max(reading, _LEAST_PRESSURE_PA) - state.pressure)
     error = math.log(pressure / wanted)
     integral = state.integral + law.integral * error
@@ -90,14 +79,7 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
 
 
 class Regulator:
-    """The controller in the control cycle: it yields a target, receives the resulting sample, and
-    yields the next target.
-
-    Args:
-        law: The controller.
-        pressures: Pressure command of each cycle, Pa.
-        angle: Valve angle at the start, rad.
-    """
+    """The controller in the control cycle: it yields a target, gets the sample, yields the next."""
 
     def __init__(self, law: FlowLaw, pressures: Sequence[float], angle: float) -> None:
         self._law = law
@@ -125,9 +107,7 @@ def pressure_for(flow: Array, g: GasGenerator) -> Array:
 
 
 def angle_for(flow: Array, g: GasGenerator) -> Array:
-    """Return the steady valve angle for a flow (kg/s), eq. 3, rad; for a flow outside the valve's
-    range, the angle with the nearest throat area.
-    """
+    """Return the steady valve angle for a flow (kg/s), eq. 3, rad, as near as the valve can."""
     angles = np.linspace(0.0, g.valve.clearing_angle, _ANGLES)
     areas = throat_area(angles, g.valve)
     opening = np.flatnonzero(np.diff(areas) > 0.0)
@@ -144,13 +124,7 @@ NEEDS_PRESSURE = (
 
 @dataclass(frozen=True)
 class FlowPlan:
-    """A closed-loop excitation, ready to run.
-
-    Attributes:
-        law: The controller.
-        pressures: Pressure command of each cycle, Pa, shape (n,).
-        angles: Expected valve angles, rad, shape (n,).
-    """
+    """A closed-loop excitation: pressure commands, Pa, and expected valve angles, rad, (n,)."""
 
     law: FlowLaw
     pressures: Array
@@ -164,9 +138,7 @@ def nominal_generator(bench: Bench) -> GasGenerator | None:
 
 
 def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPlan | None:
-    """Return the closed-loop excitation of a stage, or None if the stage has no flow command or the
-    bench no gas generator.
-    """
+    """Return the closed-loop excitation of a stage, or None without a flow command or generator."""
     generator = nominal_generator(bench)
     if section.flow is None:
         return None
@@ -183,10 +155,7 @@ def expected_force(targets: Array, bench: Bench) -> float:
 
 
 def steady_force(targets: Array, bench: Bench) -> Array:
-    """Return the contact force at these joint angles at steady pressure, N, shape (n,).
-
-    The force is zero on a bench without a gas generator.
-    """
+    """Return the contact force at steady pressure, N, shape (n,); zero without a gas generator."""
     generator = nominal_generator(bench)
     if generator is None or not len(targets):
         return np.zeros(len(targets))
@@ -221,8 +190,7 @@ def hot_objections(
         yield (
             ("stage",),
             f"contact force {force:.0f} N is above the bench limit contact_force_N "
-            f"{bench.limits.contact_force_N:g} N; "
-            "keep the valve further open",
+            f"{bench.limits.contact_force_N:g} N; keep the valve further open",
             section.stage,
         )
     if section.flow is not None:

@@ -14,18 +14,11 @@ from rig.common.errors import InputError
 from rig.common.tables import table
 from rig.config.bench import NOT_REPORTED, Bench
 from rig.config.configuration import Document
-from rig.config.sequence import (
-    Array,
-    FirstPass,
-    Sequence,
-    SequenceLimits,
-    StageSection,
-    excitation,
-)
+from rig.config.sequence import Array, FirstPass, Sequence, SequenceLimits, StageSection, excitation
 from rig.planning.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.planning.first_pass import PlannedPass, plan_passes
 from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
-from rig.planning.limits import GasLimits, Limits
+from rig.planning.limits import Limits
 from rig.runs.run_record import Load, Role, StageRecord
 
 SAMPLES_PER_PERIOD = 20
@@ -69,17 +62,7 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole run, ready to start.
-
-    Attributes:
-        name: Name of the sequence.
-        stages: Stages in the order in which they run.
-        limits: The limits that apply: limits of the bench, tightened by the sequence.
-        servo_limits: The limits to be written into the drive.
-        approach_speed: Peak speed of moves to a start angle, rad/s.
-        cycle_ns: Control cycle, ns.
-        feedforward: Source of the stages' torque offsets, or None for none.
-    """
+    """A whole run, ready to start, with the bench's limits as tightened by the sequence."""
 
     name: str
     stages: tuple[PlannedStage, ...]
@@ -118,14 +101,6 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a run: compute all targets, and check them against the limits of the
     bench.
-
-    Args:
-        sequence: The sequence.
-        bench: The bench.
-        first_pass: Whether to make a first pass at low amplitude, or None for the setting of the
-            sequence.
-        feedforward: Identified parameters of the bench for the torque that the drive adds during
-            excitations, or None for no feed-forward.
 
     Raises:
         InputError: A stage exceeds a limit of the bench, or a limit of the sequence is wider than
@@ -210,7 +185,9 @@ def _plan_stage(
         name=section.name,
         stage=section.stage,
         weight_kg=section.weight_kg,
-        contact_force_N=_contact_force(section, targets, bench),
+        contact_force_N=expected_force(targets, bench)
+        if section.stage == "hot_fire"
+        else bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2,
         targets=targets,
         repeats=section.repeats,
         settle_s=section.settle_s,
@@ -238,13 +215,6 @@ def _plan_stage(
     moves_s = across_s * (stage.repeats + passes)
     longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
     return dataclasses.replace(stage, time_limit_s=longest_s)
-
-
-def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float:
-    """Return the greatest contact force of a stage, N."""
-    if section.stage == "hot_fire":
-        return expected_force(targets, bench)
-    return bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2
 
 
 _Objection = tuple[tuple[str | int, ...], str, object]
@@ -299,13 +269,9 @@ def _motion_objections(
     section: StageSection, stage: PlannedStage, limits: Limits
 ) -> Iterator[_Objection]:
     """Yield key, message and value if targets exceed the angle range or the speed limit."""
-    way: tuple[str, ...]
-    pace: tuple[str, ...]
-    way, pace, slower = (
-        ("tones",),
-        ("tones",),
-        "reduce amplitude or frequency, or lengthen the ramps",
-    )
+    way: tuple[str, ...] = ("tones",)
+    pace: tuple[str, ...] = ("tones",)
+    slower = "reduce amplitude or frequency, or lengthen the ramps"
     if section.ramp is not None:
         way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
     elif section.flow is not None:
@@ -315,9 +281,8 @@ def _motion_objections(
             yield (
                 way,
                 f"the joint would go to {math.degrees(extreme):.4g} deg, outside "
-                f"{math.degrees(limits.angle_min):.4g} "
-                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or "
-                f"move center_deg",
+                f"{math.degrees(limits.angle_min):.4g} to {math.degrees(limits.angle_max):.4g} "
+                "deg; reduce amplitude or travel, or move center_deg",
                 math.degrees(extreme),
             )
     if stage.peak_speed_rad_s > limits.speed:
@@ -342,18 +307,14 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
             problems.append(sequence.problem(("limits", name), text, asked))
         elif asked is not None and name in bench.unreported:
             problems.append(sequence.problem(("limits", name), NOT_REPORTED, asked))
-    if values["angle_min_deg"] >= values["angle_max_deg"]:
-        text = (
-            f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is "
-            "empty; angle_min_deg must be below angle_max_deg"
-        )
-        problems.append(sequence.problem(("limits",), text))
-    if values["supply_min_V"] >= values["supply_max_V"]:
-        text = (
-            f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; "
-            "supply_min_V must be below supply_max_V"
-        )
-        problems.append(sequence.problem(("limits",), text))
+    for what, unit in (("angle", "deg"), ("supply", "V")):
+        least, most = f"{what}_min_{unit}", f"{what}_max_{unit}"
+        if values[least] >= values[most]:
+            text = (
+                f"{what} range {values[least]:g} to {values[most]:g} {unit} is empty; {least} must "
+                f"be below {most}"
+            )
+            problems.append(sequence.problem(("limits",), text))
     return values, problems
 
 
@@ -428,15 +389,15 @@ def describe(plan: Plan) -> str:
         ],
         right=range(2, 8),
     )
-    limits = plan.limits
+    limits, gas = plan.limits, list[list[str]]()
+    if limits.gas is not None:
+        gas.append(["chamber pressure", f"{limits.gas.pressure * 1e-6:g}", "MPa"])
+        gas.append(["contact force", f"{limits.gas.contact_force:g}", "N"])
+    low, high = (f"{math.degrees(angle):g}" for angle in (limits.angle_min, limits.angle_max))
     held = table(
         ["limit", "value", "unit"],
         [
-            [
-                "joint angle",
-                f"{math.degrees(limits.angle_min):g} to {math.degrees(limits.angle_max):g}",
-                "deg",
-            ],
+            ["joint angle", f"{low} to {high}", "deg"],
             ["joint speed", f"{math.degrees(limits.speed):g}", "deg/s"],
             ["joint torque", f"{limits.torque:g}", "N m"],
             ["motor current", f"{limits.current:g}", "A"],
@@ -444,7 +405,7 @@ def describe(plan: Plan) -> str:
             ["encoder against drive", f"{math.degrees(limits.encoder_disagreement):g}", "deg"],
             ["motor temperature", _stated(f"{limits.temperature:g}"), "deg C"],
             ["DC link", _stated(f"{limits.supply_min:g} to {limits.supply_max:g}"), "V"],
-            *(_gas_rows(limits.gas) if limits.gas else []),
+            *gas,
             ["sample age", f"{limits.sample_age * 1e3:g}", "ms"],
             ["lateness of a cycle", f"{limits.lateness * 1e3:g}", "ms"],
         ],
@@ -462,13 +423,6 @@ def describe(plan: Plan) -> str:
 
 def _stated(value: str) -> str:
     return "not reported" if "inf" in value else value
-
-
-def _gas_rows(limits: GasLimits) -> list[list[str]]:
-    return [
-        ["chamber pressure", f"{limits.pressure * 1e-6:g}", "MPa"],
-        ["contact force", f"{limits.contact_force:g}", "N"],
-    ]
 
 
 def _feedforward(stage: PlannedStage) -> list[str]:
@@ -501,8 +455,7 @@ def _plan_text_first_pass(stage: PlannedStage) -> str:
     )
     return (
         f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} "
-        f"amplitude{again} within "
-        f"{math.degrees(limits.angle_min):z.1f} to {math.degrees(limits.angle_max):z.1f} deg, "
-        f"{math.degrees(limits.speed):.3g} deg/s, {limits.torque:.3g} N m, then the weight is "
-        f"checked"
+        f"amplitude{again} within {math.degrees(limits.angle_min):z.1f} to "
+        f"{math.degrees(limits.angle_max):z.1f} deg, {math.degrees(limits.speed):.3g} deg/s, "
+        f"{limits.torque:.3g} N m, then the weight is checked"
     )

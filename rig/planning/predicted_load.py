@@ -1,14 +1,11 @@
-"""Predicts peak torque and current of the stages of a plan from friction, load and inertia, and
-judges them before any motion.
-
-Friction and load follow eq. 9 to 13.
-"""
+"""Predicts peak torque and current of a plan (eq. 9 to 13), and judges them before any motion."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,9 +26,7 @@ from rig.planning.reference import moment_per_kg, read_values
 from rig.runs.run_file import read_record, recorded_bench
 
 NOMINAL_ALPHA = 2.0
-"""Stribeck exponent of the paper."""
 RUNS = Path("runs")
-"""Default folder of runs and their identifications."""
 
 _UNLOADED_FRICTION = ("Mc", "Ms")
 _LOAD_FRICTION = ("mu_c", "mu_s")
@@ -39,17 +34,7 @@ _LOAD_FRICTION = ("mu_c", "mu_s")
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Friction and inertia of a bench for predictions.
-
-    Attributes:
-        values: The nine parameters, SI, at the joint.
-        alpha: Stribeck exponent.
-        moment_arm_m: Moment arm L1, m.
-        moment_per_kg: Contact moment of one kilogram on the lever, N m.
-        source: Origin of the values, as text.
-        measured: Whether the values come from an identification.
-        from_paper: Names of the parameters with values of the paper.
-    """
+    """Friction and inertia of a bench, SI, at the joint; ``from_paper`` lists what is assumed."""
 
     values: Mapping[str, float]
     alpha: float
@@ -60,12 +45,7 @@ class FrictionModel:
     from_paper: tuple[str, ...] = ()
 
     def friction_measured(self, loaded: bool) -> bool:
-        """Return whether the friction torques of a stage were measured on this bench.
-
-        Args:
-            loaded: Whether the stage has a load, so that its friction also depends on the load
-                parameters.
-        """
+        """Return whether the friction of a stage, ``loaded`` or not, was measured on this bench."""
         needed = _UNLOADED_FRICTION + (_LOAD_FRICTION if loaded else ())
         return self.measured and not set(needed) & set(self.from_paper)
 
@@ -73,20 +53,15 @@ class FrictionModel:
 def friction_model(
     bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
 ) -> FrictionModel:
-    """Return the best known friction of a bench.
-
-    Args:
-        bench: Constants of the bench.
-        named: Result of ``rig identify --json`` to use.
-        runs: Folder in which the newest result of a bench with the same constants is searched if
-            ``named`` is None.
-
-    Raises:
-        InputError: ``named`` cannot be read, or is not a result of ``rig identify``.
+    """Return the friction ``named``, else the newest result in ``runs`` of such a bench, or the
+    paper.
     """
     if named is not None:
         return _identified(named, bench)
-    for path in _newest_first(runs):
+    newest: list[tuple[float, Path]] = []
+    with suppress(OSError):
+        newest += sorted((p.stat().st_mtime, p) for p in runs.glob(f"*/{RESULT_FILE}"))
+    for _, path in reversed(newest):
         try:
             if recorded_bench(read_record(path.parent)) == bench:
                 return _identified(path, bench)
@@ -96,20 +71,11 @@ def friction_model(
         f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
         f"because there is no identification of this bench; give a result with --identification"
     )
-    arm = bench.moment_arm or 0.0
-    per_kg = moment_per_kg(bench)
-    return FrictionModel(
-        NOMINAL, NOMINAL_ALPHA, arm, per_kg, words, measured=False, from_paper=tuple(NOMINAL)
-    )
+    return _model(bench, {}, NOMINAL_ALPHA, words, measured=False)
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
-    """Return a warning if an identification is of a run on a bench with other constants, else None.
-
-    Args:
-        path: Result of ``rig identify --json``.
-        bench: Constants of the bench for which the result is used.
-    """
+    """Return a warning if an identification is of a run on a bench with other constants."""
     try:
         recorded = recorded_bench(read_record(path.parent))
     except InputError:
@@ -134,33 +100,27 @@ def _shown(value: object) -> str:
     )
 
 
-def _newest_first(runs: Path) -> list[Path]:
-    try:
-        found = [(path.stat().st_mtime, path) for path in runs.glob(f"*/{RESULT_FILE}")]
-    except OSError:
-        return []
-    return [path for _, path in sorted(found, reverse=True)]
-
-
 def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     known, alpha = read_values(path, NOMINAL)
     missing = [name for name in NOMINAL if name not in known]
     words = f"the identification {path}"
     if missing:
         words += f"; {', '.join(missing)}, not determined by the result, from the paper"
-    arm = bench.moment_arm or 0.0
-    per_kg = moment_per_kg(bench)
-    return FrictionModel(
-        {**NOMINAL, **known}, alpha, arm, per_kg, words, measured=True, from_paper=tuple(missing)
-    )
+    return _model(bench, known, alpha, words, measured=True)
+
+
+def _model(
+    bench: BenchConstants, known: Mapping[str, float], alpha: float, source: str, measured: bool
+) -> FrictionModel:
+    missing = tuple(name for name in NOMINAL if name not in known)
+    values, arm = {**NOMINAL, **known}, bench.moment_arm or 0.0
+    return FrictionModel(values, alpha, arm, moment_per_kg(bench), source, measured, missing)
 
 
 WARNING_SHARE = 0.8
 """Predicted peak, as a share of its limit, above which the program warns."""
 LOOP_S = 0.005
-"""Time in which a drive with stiff gains follows a step of the commanded speed, s; with softer
-gains the torque is less.
-"""
+"""Time in which a drive with stiff gains follows a step of the speed, s."""
 FIRST_PASS = "first pass"
 LESS = "use less weight, or a slower or smaller motion"
 _HIGHER = "a greater limit_share of first_pass in the sequence"
@@ -174,16 +134,7 @@ _FROM_PAPER = (
 
 @dataclass(frozen=True)
 class PredictedPeak:
-    """The greatest torque of one part of a stage, and its limits.
-
-    Attributes:
-        stage: Name of the stage.
-        part: ``first pass`` or ``stage``.
-        torque_N_m: Peak torque at the joint.
-        torque_limit_N_m: Torque limit that applies.
-        current_A: Peak motor current.
-        current_limit_A: Current limit that applies.
-    """
+    """The greatest torque of one part of a stage, and its limits."""
 
     stage: str
     part: str
@@ -210,13 +161,7 @@ class PredictedPeak:
 
 @dataclass(frozen=True)
 class PredictedLoad:
-    """The predicted peaks of a plan, and what they mean before the run.
-
-    Attributes:
-        plan: The plan.
-        model: Friction and inertia from which the peaks are predicted.
-        peaks: Predicted peaks in the order of the run.
-    """
+    """The predicted peaks of a plan, and what they mean before the run."""
 
     plan: Plan
     model: FrictionModel
@@ -234,9 +179,7 @@ class PredictedLoad:
 
     @property
     def warnings(self) -> list[str]:
-        """Messages on peaks near their limits, and on peaks that are predicted from the paper's
-        friction and exceed their limits.
-        """
+        """Messages on peaks near their limits, or above them by the paper's friction."""
         found: list[str] = []
         for peak in self.peaks:
             measured = self._measured(peak)
@@ -248,11 +191,7 @@ class PredictedLoad:
         return found
 
     def require_within(self, sequence: Document[Sequence]) -> None:
-        """Refuse a run that would exceed its limits.
-
-        Raises:
-            InputError: A peak that is predicted from measured friction exceeds its limit.
-        """
+        """Refuse (InputError) a run with a peak from measured friction above its limit."""
         names = [stage.name for stage in sequence.value.stages]
         problems = [
             sequence.problem(
@@ -332,10 +271,7 @@ def _peaks(
 
 
 def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
-    """Return the joint angles of each move to the start of a part of a stage, rad.
-
-    The first move starts at angle 0. A part that starts at the present angle has no move.
-    """
+    """Return the angles of each move to the start of a part, rad, from 0 on."""
     parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
     moves, here = [], 0.0
     for targets in parts:

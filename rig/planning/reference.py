@@ -18,20 +18,11 @@ from rig.config.sequence import Array
 NEEDED = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2")
 _SIGMA_OF_90 = 1.6449
 LARGEST_ALPHA = 100.0
-"""Greatest Stribeck exponent of a valid result."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Friction of a bench from an accepted identification.
-
-    Attributes:
-        values: Values of the parameters by name, SI units.
-        sigmas: Standard errors of the parameters by name.
-        alpha: Stribeck exponent.
-        moment_per_kg: Contact moment F_P L1 of one kilogram on the lever, N m (eq. 13, 17).
-        source: The result file.
-    """
+    """Friction of a bench from an accepted identification."""
 
     values: Mapping[str, float]
     sigmas: Mapping[str, float]
@@ -59,20 +50,8 @@ def moment_per_kg(bench: Bench) -> float:
 
 
 def load_reference(path: Path, bench: Bench) -> Reference:
-    """Read the result of ``rig identify`` on an earlier run of this bench.
-
-    Raises:
-        InputError: The file cannot be read, is not a result of ``rig identify``, or does not
-            determine a parameter that the weight check needs.
-    """
-    raw = read_identification(path)
-    keys = ("value", "low", "high")
-    try:
-        stated = {n: [raw["parameters"].get(n, {}).get(key) for key in keys] for n in NEEDED}
-        found = {n: [float(v) for v in row] for n, row in stated.items() if None not in row}
-        alpha = float(raw["alpha"])
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    """Read a result of ``rig identify`` as reference; InputError without what the check needs."""
+    found, alpha = _stated(path, NEEDED, ("value", "low", "high"))
     problems = [
         f"{path}: parameters.{name}: not identified; the weight check needs the result of a run "
         f"with an unloaded and a loaded stage"
@@ -87,12 +66,7 @@ def load_reference(path: Path, bench: Bench) -> Reference:
 
 
 def read_identification(path: Path) -> dict[str, Any]:
-    """Read the result file of ``rig identify`` on a rotary bench.
-
-    Raises:
-        InputError: The file cannot be read, or is not a result of ``rig identify`` on a rotary
-            bench.
-    """
+    """Read a result of ``rig identify`` on a rotary bench, or raise an InputError."""
     raw = read_json(path)
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
@@ -119,17 +93,19 @@ def read_identification(path: Path) -> dict[str, Any]:
 
 
 def read_values(path: Path, names: Iterable[str]) -> tuple[dict[str, float], float]:
-    """Return the determined values of parameters, SI units, and the Stribeck exponent, from a
-    result file of ``rig identify``.
+    """Return determined values, SI units, and the Stribeck exponent of a result, or InputError."""
+    found, alpha = _stated(path, names, ("value",))
+    return {name: value for name, (value,) in found.items() if math.isfinite(value)}, alpha
 
-    Raises:
-        InputError: The file cannot be read, is not such a result, or is damaged.
-    """
+
+def _stated(
+    path: Path, names: Iterable[str], keys: tuple[str, ...]
+) -> tuple[dict[str, list[float]], float]:
+    """Return these keys of the parameters that have all of them, and the Stribeck exponent."""
     raw = read_identification(path)
     try:
-        stated = {name: raw["parameters"].get(name, {}).get("value") for name in names}
-        values = {name: float(value) for name, value in stated.items() if value is not None}
-        alpha = float(raw["alpha"])
+        stated = {n: [raw["parameters"].get(n, {}).get(key) for key in keys] for n in names}
+        found = {n: [float(v) for v in row] for n, row in stated.items() if None not in row}
+        return found, float(raw["alpha"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
-    return {name: value for name, value in values.items() if math.isfinite(value)}, alpha

@@ -1,6 +1,4 @@
-"""Reads recordings of other programs: one reader for each file format, and the conversion to
-channels in SI units.
-"""
+"""Reads recordings of other programs: a reader for each format, channels in SI units."""
 
 from __future__ import annotations
 

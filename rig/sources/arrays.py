@@ -28,7 +28,7 @@ class _Column(NamedTuple):
 
 
 class ArrayTable(Table):
-    """Named arrays as a table. Each series of a matrix is one column: ``name[0]``, ``name[1]``, ...
+    """Named arrays as a table; the series of a matrix are ``name[0]``, ``name[1]``, ...
 
     The longer side of a matrix counts as time. Single numbers and text are not columns.
     """
@@ -76,9 +76,6 @@ class MatTable(ArrayTable):
 
     Arrays inside structs are named with dots: ``data.t``, ``out.signals.values[0]``,
     ``recordings[1].angle``. Members that are objects, functions or sparse arrays are left out.
-
-    Raises:
-        InputError: The file has no arrays of numbers, or is not a MATLAB file.
     """
 
     remedy = "save it again with save(..., '-v7')"
@@ -120,10 +117,7 @@ class MatTable(ArrayTable):
         return loaded
 
     def _members(self, name: str, value: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-        """Yield dotted name and array of every array of real numbers inside a struct or a cell.
-
-        An element of a struct array is ``name[0]``, unless there is only one element.
-        """
+        """Yield dotted name and array of every array of real numbers inside a struct or a cell."""
         matlab = self._matlab.matlab
         if not isinstance(value, np.ndarray) or isinstance(
             value, matlab.MatlabOpaque | matlab.MatlabFunction
@@ -141,11 +135,7 @@ class MatTable(ArrayTable):
 
 
 class NpzTable(ArrayTable):
-    """A numpy archive; pickled objects are never read.
-
-    Raises:
-        InputError: The file is damaged, or is not an archive.
-    """
+    """A numpy archive; pickled objects are never read."""
 
     remedy = "save it again with numpy.savez, without object arrays"
 
@@ -188,9 +178,6 @@ class NpzTable(ArrayTable):
 class NpyTable(ArrayTable):
     """One numpy array; pickled objects are never read. The columns of a matrix are ``array[0]``,
     ...; those of a structured array are its fields.
-
-    Raises:
-        InputError: The file is damaged, or is not a numpy array.
     """
 
     remedy = "save it again with numpy.save"
@@ -211,11 +198,7 @@ class NpyTable(ArrayTable):
 
 
 class ParquetTable(Table):
-    """A Parquet file as a table; time stamps are read as seconds since the first stamp.
-
-    Raises:
-        InputError: pyarrow is not installed, or the file is damaged.
-    """
+    """A Parquet file as a table; time stamps are read as seconds since the first stamp."""
 
     def __init__(self, path: Path, _: object = None) -> None:
         self.path = path
@@ -267,9 +250,6 @@ class Hdf5Table(ArrayTable):
     of MATLAB are named as in files of its version 7. ``scale_factor``, ``add_offset`` and
     ``_FillValue`` of the CF conventions are applied, with a note. Links to other files, virtual
     datasets and objects of MATLAB are left out, with a note.
-
-    Raises:
-        InputError: h5py is not installed, or the file is damaged or holds no numbers.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -335,9 +315,7 @@ class Hdf5Table(ArrayTable):
     def _field(
         self, inner: str, name: str, key: str, member: Any, kind: str, depth: int
     ) -> Iterator[tuple[str, Any]]:
-        """Yield the members of one field; in an array of structs, each element has its own
-        members.
-        """
+        """Yield the members of one field; in an array of structs, of each element."""
         references = isinstance(member, self._h5py.Dataset) and self._h5py.check_ref_dtype(
             member.dtype
         )
@@ -403,7 +381,6 @@ def _holds_numbers(kind: np.dtype[Any]) -> bool:
 
 
 def _text(attributes: Any, keys: Iterable[str]) -> str:
-    """Return the first of these attributes that is a text; empty if none is a text."""
     for key in keys:
         value = attributes.get(key)
         if isinstance(value, bytes):

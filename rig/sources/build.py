@@ -37,15 +37,7 @@ from rig.sources.table import Table
 
 @dataclass(frozen=True)
 class Read:
-    """The recordings of one file, and the time span of the file.
-
-    Attributes:
-        recordings: One recording per piece without gaps.
-        first: First time stamp of the whole file, s.
-        last: Last time stamp of the whole file, s.
-        section: Entry of the file in the campaign.
-        index: Position of the entry in ``recordings``.
-    """
+    """The recordings of one file, its entry in the campaign, and its first and last stamp, s."""
 
     recordings: tuple[Recording, ...]
     first: float
@@ -140,9 +132,7 @@ Rows = NDArray[np.intp]
 LEAST_JITTER = 0.005
 """Rms deviation of the stamps from an even grid, in periods, below which stamps count as even."""
 MOST_OFF = 0.25
-"""Greatest mean deviation of neighbouring stamps from the grid, in periods. A lost sample or a
-changing rate shifts all later stamps; jitter and single late stamps do not.
-"""
+"""Greatest mean deviation of neighbouring stamps from the grid, in periods, as by a lost sample."""
 WINDOW = 101
 """Number of neighbouring stamps over which the deviation from the grid is averaged."""
 SMOOTHER = 0.8
@@ -153,19 +143,14 @@ Quantisation and noise contribute equally to both roughnesses. If quantisation a
 jitter of the stamps, the jitter has little effect on results.
 """
 FAST, MOST = 0.25, 0.99
-"""Share and quantile: a sample is compared only if its travel is at least this share of this
-quantile of the travels of all samples, because at rest a wrong stamp has no effect.
-"""
+"""A sample is compared if its travel is at least this share of this quantile of all travels."""
 NEIGHBOURS = (-2, -1, 1, 2)
 
 
 def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
-    """Return the times of evenly taken samples and the rms jitter of their stamps, s, or None if
-    the stamps are even, no grid fits them, or the samples themselves are uneven.
+    """Return the times of evenly taken samples and the rms jitter of their stamps, s, shape (n,).
 
-    Args:
-        time: Time stamps, s, shape (n,), increasing.
-        angle: Angle or position, shape (n,).
+    The result is None if stamps are even, no grid fits them, or the samples are uneven.
     """
     found = _grid(time)
     if found is None:
@@ -182,9 +167,7 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
 
 
 def _grid(time: Array) -> tuple[Array, Rows] | None:
-    """Return the times on the line through the stamps, and the number of each sample, or None if
-    the mean over neighbouring stamps deviates from the line by more than :data:`MOST_OFF`.
-    """
+    """Return the times on the line through the stamps, and sample numbers; None without a fit."""
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
     # Jitter may look like a lost sample; therefore lost samples are assumed only if necessary.
@@ -200,20 +183,14 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
 
 
 def _with_neighbours(index: Rows, time: Array) -> Rows:
-    """Return the rows that have two neighbours on either side, each one period from the next, with
-    different stamps.
-    """
+    """Return the rows with two neighbours on either side, each one period from the next."""
     consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
     runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
     return np.flatnonzero(runs) + 2
 
 
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
-    """Return the median distance of samples from the cubic polynomial through their neighbours.
-
-    A mean is not used: nearly coinciding stamps magnify the noise of their samples without limit,
-    so that these few samples would determine a mean.
-    """
+    """Return the median distance, robust to near stamps, from the cubic through the neighbours."""
     apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
     predicted = np.zeros(len(rows))
     for j, k in enumerate(NEIGHBOURS):
@@ -235,13 +212,6 @@ def build(
     file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
 ) -> Read:
     """Read one file, convert its channels to SI units, and make the allowed corrections.
-
-    Args:
-        file: The recording.
-        section: Entry of the file in the campaign.
-        bench: Constants of the machine.
-        document: The campaign; error messages state the line of the entry.
-        index: Position of the entry in ``recordings``.
 
     Returns:
         One recording per piece without gaps, with its corrections as notes, and the time span of
@@ -268,8 +238,20 @@ def build(
     )
     stamps = channels.pop(ANGLE_TIME, None)
     found += [*cut, *mended, *unit_row_doubts(table, section)]
-    doubted = _doubts(file, channels, section, bench)
-    notes = [*table.notes, *found, *doubted, *_load_notes(section, bench)]
+    problems, doubts = findings(
+        channels,
+        bench.gear_ratio,
+        driven_by_weight=section.known_load,
+        has_lever=bench.moment_arm is not None,
+    )
+    if problems:
+        raise InputError(f"{file}: {problem}" for problem in problems)
+    doubts += [
+        f"`{name}` is constant ({values[0]:.6g})"
+        for name, values in channels.items()
+        if name != "enabled" and np.all(values == values[0])
+    ]
+    notes = [*table.notes, *found, *doubts, *_load_notes(section, bench)]
     whole = Recording(
         name=(file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem,
         channels=channels,
@@ -288,26 +270,6 @@ def build(
         notes=tuple(notes),
     )
     return Read(tuple(_cut(whole, timing, stamps)), first, last, section, index)
-
-
-def _doubts(
-    file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
-) -> list[str]:
-    """Return notes on channels with implausible values."""
-    problems, notes = findings(
-        channels,
-        bench.gear_ratio,
-        driven_by_weight=section.known_load,
-        has_lever=bench.moment_arm is not None,
-    )
-    if problems:
-        raise InputError(f"{file}: {problem}" for problem in problems)
-    constant = [
-        name
-        for name, values in channels.items()
-        if name != "enabled" and np.all(values == values[0])
-    ]
-    return [*notes, *(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)]
 
 
 def _windowed(
@@ -340,7 +302,6 @@ def _windowed(
 
 
 def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
-    """Return notes on the known loads of a recording that do not depend on the angle."""
     unit = "N" if bench.motion == "linear" else "N m"
     notes = []
     if section.constant_torque:
@@ -423,9 +384,7 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
     return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
 
 
-def _without_other_topics(
-    channels: dict[str, Array],
-) -> tuple[dict[str, Array], list[str], Rows]:
+def _without_other_topics(channels: dict[str, Array]) -> tuple[dict[str, Array], list[str], Rows]:
     """Drop rows that contain a time but no channel; a log of several topics has such rows.
 
     If there are few such rows, they count as missing samples, which are interpolated instead.
@@ -462,9 +421,7 @@ def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per piece without gaps, each on one clock; several pieces are numbered
-    from 1.
-    """
+    """Return one recording per piece without gaps, each on one clock, numbered from 1."""
     n = len(whole.time)
     if timing.pieces == ((0, n),):
         return [_on_one_clock(whole, stamps)]
@@ -481,9 +438,7 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
-    """Return a recording whose channels have common times; if the time stamps are uneven but the
-    samples are not, the times are made even.
-    """
+    """Return a recording with common times, made even if the samples are."""
     if stamps is None:
         return _on_even_stamps(recording)
     channels, words = aligned(

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from decimal import Decimal
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, NoReturn, TextIO, cast
+from typing import Any, BinaryIO, NamedTuple, TextIO, cast
 
 import can
 import can.io
@@ -49,7 +49,7 @@ from rig.sources.table import (
     open_binary,
 )
 from rig.sources.text import encoding_of, open_text
-from rig.wiring.connect import eds_path
+from rig.wiring.connect import eds_path, never_opened
 from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_scales
 
 ERROR_FLAG = 0x20000000
@@ -66,15 +66,7 @@ _TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")
 
 @dataclass
 class Lines:
-    """State of the filtering of a file: the current line, and the counts of dropped lines.
-
-    Attributes:
-        path: The file.
-        number: Number of the line that was read last, from 1.
-        stamped: Number of lines with a time stamp.
-        errors: Number of dropped error frames.
-        notes: Messages to the user.
-    """
+    """State of the filtering of a file: the current line, and the counts of dropped lines."""
 
     path: Path
     number: int = 0
@@ -96,11 +88,7 @@ class Lines:
 
 
 def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the frames of a ``candump -L`` file, with time stamps since the first frame.
-
-    Raises:
-        InputError: A line is not a frame; the message names the line.
-    """
+    """Yield the frames of ``candump -L``, with times since the first, or raise an InputError."""
     begin: int | None = None
     for text in lines.whole(stream):
         if not text.strip():
@@ -152,11 +140,7 @@ def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
 
 
 def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the lines of a PEAK TRC file without its date.
-
-    Raises:
-        InputError: The file is of a version that python-can does not read.
-    """
+    """Yield the lines of a PEAK TRC file without its date; InputError for an unknown version."""
     for text in lines.whole(stream):
         word = text.strip()
         if word.startswith(";$FILEVERSION"):
@@ -203,9 +187,7 @@ class Frames:
 
 
 def _read_traffic(path: Path) -> tuple[dict[Key, Frames], list[str]]:
-    """Return the data frames of a file by bus and identifier, in order of appearance, and notes;
-    error frames and remote frames are left out and counted.
-    """
+    """Return data frames by bus and identifier, in order of appearance, and notes."""
     kind = format_of(path)
     lines = Lines(path)
     notes = lines.notes
@@ -267,8 +249,6 @@ def _messages(path: Path, kind: str, lines: Lines) -> Iterator[can.Message]:
 
 
 class _Source:
-    """File object of filtered lines, from which python-can reads."""
-
     def __init__(self, lines: Iterator[str]) -> None:
         self._lines = lines
 
@@ -284,7 +264,6 @@ class _Source:
 
 
 def _mf4(path: Path) -> Iterator[can.Message]:
-    """Yield the frames of the bus logging of an MF4 file, with times since its start."""
     library("asammdf", path, "MDF", "mdf")
     with heard("asammdf"), open_binary(path) as stream:
         reader = can.io.MF4Reader(cast(BinaryIO, stream))
@@ -294,7 +273,6 @@ def _mf4(path: Path) -> Iterator[can.Message]:
 
 
 def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
-    """Yield the frames of a BLF file, with times since the start of the file."""
     with open_binary(path) as stream:
         reader = can.io.BLFReader(cast(BinaryIO, stream))
         # Seconds since 1970 leave a double a quarter of a microsecond.
@@ -325,16 +303,11 @@ class BusSignal:
     """One signal of a CAN message.
 
     Attributes:
-        name: Name of the signal's column.
         positions: Numbers of the bits in the frame, least significant first; bit 0 is the lowest
             bit of the first byte.
         signed: Whether the raw value is in two's complement.
         real: Whether the raw value is a number by IEEE 754.
-        factor: Value of one raw unit.
-        offset: Value at raw 0.
-        unit: Unit as the source states it.
         low: Least value that the source allows, or None if the source states no range.
-        high: Greatest value that the source allows, or None.
         selector: The multiplexer that determines whether the signal is in a frame, or None for a
             signal that is in every frame.
         pages: Raw values of the selector with which the signal is in the frame.
@@ -353,9 +326,7 @@ class BusSignal:
     pages: frozenset[int] = frozenset()
 
     def present(self, frames: Frames) -> Mask:
-        """Return a mask of the frames that contain the signal, by their length and their
-        multiplexers.
-        """
+        """Return a mask of the frames that contain the signal, by their length and multiplexers."""
         there: Mask = frames.lengths > max(self.positions) // 8
         if self.selector is not None:
             there = there & self.selector.present(frames)
@@ -392,18 +363,7 @@ class BusSignal:
 
 @dataclass(frozen=True)
 class BusMessage:
-    """One CAN message with its signals.
-
-    Attributes:
-        name: First part of the names of the columns; empty if the names of the signals suffice.
-        identifier: Identifier, with the flag for 29 bits.
-        signals: Signals in the order of the source.
-        by_group: Whether frames with other priorities and source addresses are also this message,
-            as in SAE J1939.
-        left_out: Texts on the parts of the message that cannot be read.
-        fault: Text on wrong places of bits in the source, which are read nevertheless; empty for
-            none.
-    """
+    """One CAN message with its signals."""
 
     name: str
     identifier: int
@@ -414,9 +374,7 @@ class BusMessage:
 
 
 def big_endian(start: int, width: int) -> tuple[int, ...]:
-    """Return the bits of a big-endian signal whose most significant bit has the DBC number
-    ``start``, least significant first.
-    """
+    """Return the bits of a big-endian signal by the DBC number of its highest, lowest first."""
     positions = [start]
     while len(positions) < width:
         at = positions[-1]
@@ -428,7 +386,6 @@ _FLOAT_WIDTHS = (16, 32, 64)
 
 
 def _messages_of(path: Path) -> list[BusMessage]:
-    """Return the messages of a DBC file."""
     try:
         database, faults = load_dbc(path)
     except ConfigurationError as error:
@@ -459,7 +416,6 @@ def _message(message: Any, fault: str) -> BusMessage:
 
 
 def _obstacle(signal: Any) -> str:
-    """Return the reason why a signal cannot be read; empty if it can be read."""
     if signal.length > MOST_BITS:
         return f"{signal.length} bits, at most {MOST_BITS} are read"
     if signal.is_float and signal.length not in _FLOAT_WIDTHS:
@@ -468,9 +424,7 @@ def _obstacle(signal: Any) -> str:
 
 
 def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -> BusSignal | None:
-    """Return a signal, after its multiplexers were added to ``found``, or None if a multiplexer
-    cannot be read.
-    """
+    """Return a signal, and add it and its multiplexers to ``found``; None if one cannot be read."""
     if signal.name in found:
         return found[signal.name]
     selector = None
@@ -505,9 +459,7 @@ def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -
 _UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
 _COUNTER_BITS = 32
 _PDO_STEP = 0x100
-"""Difference of the identifiers of two successive PDOs of a node in the predefined connection
-set.
-"""
+"""Difference of the identifiers of two successive PDOs in the predefined connection set."""
 _Scale = tuple[str, float, float]
 """Name of a column, SI units per raw unit, and SI value at raw value 0."""
 
@@ -533,12 +485,11 @@ def _messages_of_bench(path: Path) -> list[BusMessage]:
 
 
 def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessage]:
-    """Yield the PDOs of a CiA 402 drive as messages."""
     data = servo.device_data(document.path.parent)
     scales = servo_scales(servo, document.value.machine, data)
     motion = servo_motion(servo, scales, data)
     eds = eds_path(document, "servo")
-    link = CanopenLink(SimulatedClock(), _never_opened)
+    link = CanopenLink(SimulatedClock(), never_opened)
     node = link.add_node(servo.node, eds, servo_axis(servo, data))
     sent = objects.cyclic(node, scales)
     angle = (scales.motor_rad_per_count, scales.offset_rad * scales.gear_ratio)
@@ -607,9 +558,7 @@ def _pdo(
 
 
 def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessage]:
-    """Yield the messages of the drive's DBC file; a signal that the map assigns to a channel has
-    the name of the channel.
-    """
+    """Yield the messages of the drive's DBC file; a mapped signal has the name of its channel."""
     gear = document.value.machine.gear_ratio
     channels = {
         "position": ("motor_angle", 1.0, gear * servo.drive(gear, 1.0).offset_rad),
@@ -646,24 +595,16 @@ def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessa
         yield dataclasses.replace(message, signals=tuple(signals))
 
 
-def _never_opened() -> NoReturn:
-    raise AssertionError("only the map of this bench is read, and its bus must not be opened")
-
-
 STAMPS = "time"
 """Name of the column of a message's time stamps."""
 _OTHER_STAMPS = "frame_time"
 _MOST_NAMED = 6
 _DESTINATION_FORMATS = 240
-"""PDU format of SAE J1939 below which the PDU specific byte is a destination address, and not a
-group extension.
-"""
+"""PDU format of SAE J1939 below which the PDU specific byte is a destination address."""
 
 
 class _Base(NamedTuple):
-    """Frames that contain certain signals: all frames of a message, or the frames of some of its
-    pages.
-    """
+    """Frames with certain signals: all of a message, or those of some of its pages."""
 
     frames: Frames
     rows: Mask
@@ -683,14 +624,6 @@ class CanTable(Table):
     message also have their own time base (``Message.Signal.time``). All time bases are on the clock
     of the file. The name of a message that occurs on several buses begins with the bus. Error
     frames, remote frames and frames of unknown messages are left out and counted.
-
-    Args:
-        path: The file.
-        options: The DBC files or the bench file, and the bus.
-
-    Raises:
-        InputError: No DBC or bench file is given or can be read, none of its messages is in the
-            file, or the file is damaged.
     """
 
     def __init__(self, path: Path, options: ReadSection) -> None:
@@ -751,9 +684,7 @@ class CanTable(Table):
     def _named(
         self, frames: Mapping[Key, Frames], known: Mapping[int, BusMessage]
     ) -> list[tuple[str, BusMessage, Frames]]:
-        """Return name, message and frames of each message that is in the file, and note the frames
-        of unknown messages.
-        """
+        """Return name, message and frames of each message in the file; note the unknown frames."""
         groups = {_group(m.identifier): m for m in known.values() if m.by_group}
         found: list[tuple[str, int, BusMessage, Frames]] = []
         unknown: dict[Key, Frames] = {}
@@ -830,9 +761,7 @@ class CanTable(Table):
 
 
 def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
-    """Yield groups of signals that occur in equal sets of frames, each with a suffix for the name
-    of the group's time base.
-    """
+    """Yield signals that occur in equal sets of frames, with a suffix for their time base."""
     every = np.ones(len(frames.stamps), dtype=np.bool_)
     groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}
     for signal in message.signals:
@@ -846,7 +775,6 @@ def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, li
 
 
 def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, BusMessage]:
-    """Return messages by identifier."""
     found: dict[int, BusMessage] = {}
     for message in messages:
         other = found.setdefault(message.identifier, message)

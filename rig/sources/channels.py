@@ -17,25 +17,16 @@ from rig.sources.repair import GAP_PERIODS
 from rig.sources.table import Table
 
 SLOWER, FASTER = 0.9, 1.5
-"""Ratio of the rate of a channel to the rate of the result: below the first value, a note states
-that the course between samples is a guess; above the second value, that samples are left out.
-"""
+"""Ratio of a channel's rate to that of the result below, or above, which a note results."""
 EDGE_PERIODS = 1e-6
-"""Distance, in periods, from the first or last sample of another time base up to which a row counts
-as inside this time base, because time stamps are rounded.
-"""
+"""Periods beyond the first or last sample that count as inside, because stamps are rounded."""
 HELD = frozenset({"enabled"})
 """Channels whose values are not interpolated, but hold until the next sample."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """One time base of a file.
-
-    Attributes:
-        name: Name for messages.
-        stamps: Time stamps of the rows by the file's clock, s, shape (n,).
-    """
+    """One time base of a file, with the stamps of its rows by the file's clock, s, shape (n,)."""
 
     name: str
     stamps: Array
@@ -138,16 +129,12 @@ milliseconds and microseconds. Overflows of shorter counters are not searched in
 stamps, because successive recordings of 4096 or 65536 samples look like such overflows.
 """
 LEVELS = 8
-"""Least number of different values of a column that is read as signed; a column with fewer values
-may be a digital output.
-"""
+"""Least number of different values of a signed column; one with fewer may be a digital output."""
 DAY_S = 86400.0
 WHOLE_TOLERANCE = 1e-3
 """Greatest distance from an integer at which a value divided by the file's scale is a count."""
 ORDINARY_SHARE = 0.125
-"""Greatest step between overflows, as a share of the modulus; the direction of larger steps would
-be uncertain.
-"""
+"""Greatest step between overflows, as a share of the modulus; larger steps have no sure sign."""
 TIME_PERIODS = 100.0
 """Longest time step at an overflow, in median periods."""
 POSITIONS = frozenset({"angle", "motor_angle"})
@@ -155,15 +142,7 @@ TIMES = frozenset({"time", "angle_time"})
 
 
 def unwrapped(name: str, values: Array) -> tuple[Array, str]:
-    """Correct the overflows of a counter.
-
-    Args:
-        name: The channel of the column.
-        values: The column as stored, shape (n,).
-
-    Returns:
-        The corrected column and a note; ``values`` and an empty note if there is no overflow.
-    """
+    """Return a column without the overflows of a counter, shape (n,), and a note; empty if none."""
     if name == "enabled" or len(values) < 3:
         return values, ""
     if name in TIMES:
@@ -195,16 +174,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
 
 
 def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tuple[Array, str]:
-    """Correct the overflows of a counter to which the file has applied a scale.
-
-    Args:
-        name: The channel of the column.
-        values: Values in the file's unit, shape (n,).
-        scale: Factor and offset: value = factor x count + offset.
-
-    Returns:
-        See :func:`unwrapped`.
-    """
+    """Correct a counter, as :func:`unwrapped`, to which the file has applied factor and offset."""
     factor, offset = scale
     if name in TIMES or not np.isfinite(factor) or factor == 0.0:
         return values, ""
@@ -218,17 +188,13 @@ def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tu
 
 
 def _in_window(values: Array, modulus: float) -> bool:
-    """Return whether all values fit into the range of an unsigned or a signed counter with this
-    modulus.
-    """
+    """Return whether all values fit into an unsigned or a signed counter with this modulus."""
     low, high = float(values.min()), float(values.max())
     return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
 
 
 def _continued(values: Array, modulus: float) -> Array:
-    """Return the values with multiples of the modulus added, so that no step exceeds half of the
-    modulus.
-    """
+    """Return the values plus multiples of the modulus, so that no step exceeds half of it."""
     result = values.astype(np.float64)
     known = np.isfinite(result)
     steps = np.diff(result[known])
@@ -267,12 +233,6 @@ def read_channels(
 ) -> tuple[dict[str, Array], int, list[str]]:
     """Read the columns that a recording maps.
 
-    Args:
-        table: The opened file.
-        section: Entry of the file in the campaign.
-        document: The campaign, for the place of the entry in errors.
-        index: Position of the entry in ``recordings``.
-
     Returns:
         Canonical channels in SI units, all of shape (n,), including the time; the number of rows of
         the file before the first used row; and notes.
@@ -306,19 +266,9 @@ def read_channels(
 def on_one_time(
     table: Table, columns: Mapping[str, int], data: Mapping[int, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Unwrap counters, and resample the channels at the time stamps of the column of time.
+    """Unwrap counters, resample the channels at the stamps of the time, in units of the file.
 
-    Args:
-        table: The opened file.
-        columns: Column of each channel.
-        data: Values of each column, on its own time base.
-
-    Returns:
-        Channels in the units of the file, the number of rows of the file before the first used
-        row, and notes.
-
-    Raises:
-        InputError: The columns cannot be brought to common times.
+    Returns as well the number of rows before the first used one, and notes.
     """
     raw: dict[str, Array] = {}
     notes: list[str] = []
@@ -336,7 +286,6 @@ def on_one_time(
 def _columns(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
 ) -> tuple[dict[str, int], list[str]]:
-    """Return the index of the column of each channel, and notes on completed names."""
     columns: dict[str, int] = {}
     problems: list[str] = []
     notes: list[str] = []

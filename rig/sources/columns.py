@@ -73,13 +73,7 @@ _NAMES: Final[Mapping[str, str]] = {
 
 
 class Guess(NamedTuple):
-    """Column that is guessed for a channel.
-
-    Attributes:
-        column: Name, or index if the columns have no names.
-        scale: SI units per unit of the column.
-        sure: Whether the column states its unit.
-    """
+    """Column that is guessed for a channel; ``sure`` if it states its unit."""
 
     column: str | int
     scale: float
@@ -108,9 +102,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def channel_unit(channel: str, linear: bool = False) -> str:
-    """Return the SI unit of a channel on a rotary or a linear bench; channels of the motor are
-    rotary on either kind of bench.
-    """
+    """Return a channel's SI unit; channels of the motor are rotary also on a linear bench."""
     if channel == "motor_angle":
         return CHANNELS[channel]
     return unit_on("linear" if linear else "rotary", CHANNELS[channel])
@@ -123,12 +115,7 @@ def scale_of(name: str, channel: str, linear: bool = False) -> float:
 
 
 def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Guess]:
-    """Return the channels that columns with these names may contain, each column at most once.
-
-    Args:
-        names: Column names in the order of the file; empty for a column without a name.
-        linear: Whether the bench is linear: positions in m, forces in N.
-    """
+    """Return the channels of columns with these names, a column at most once; "" has no name."""
     columns = [(name, *split_unit(name)) for name in names if name]
     found: dict[str, Guess] = {}
     taken: set[str] = set()
@@ -160,9 +147,7 @@ def guess_mass(stem: str) -> float:
 
 
 def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
-    """Yield a note for each channel with scale 1 whose unit, by the file's row of units, is not
-    SI.
-    """
+    """Yield a note for each channel with scale 1 whose unit in the row of units is not SI."""
     if not table.units:
         return
     for name, channel in section.channels.items():

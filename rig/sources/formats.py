@@ -37,9 +37,7 @@ FORMATS: Mapping[str, str] = {
 }
 """Module and class of the reader by file extension, without dot and without ``.gz``."""
 SERVED = frozenset({"mat", "h5", "hdf5", "mf4", "mdf", "tdms", "parquet"})
-"""Formats that a second process reads, because their libraries may end the process, or ask for all
-of its memory, on a damaged file.
-"""
+"""Formats whose libraries may end the process, or ask for all of its memory, on a damaged file."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 """Signature of an HDF5 file, which follows a user block of 0, 512, 1024, ... bytes."""
 FOREIGN: Mapping[str, str] = {
@@ -66,12 +64,7 @@ def unknown_format(path: Path) -> str:
 
 
 def open_table(path: Path, options: ReadSection) -> Table:
-    """Open a recording file with the reader for its extension.
-
-    Raises:
-        InputError: The file is empty or damaged.
-        OSError: The file cannot be opened.
-    """
+    """Open a recording file with the reader for its extension."""
     open_binary(path).close()
     if format_of(path) in SERVED:
         return ServedTable(path, options.model_dump(exclude_defaults=True, mode="json"))

@@ -15,9 +15,7 @@ from rig.sources.table import EXACT, Array, Table
 from rig.sources.text import encoding_of, nanoseconds, open_text
 
 LONGEST_LIST = 64
-"""Greatest length of a list whose elements become columns; longer lists, such as images, are left
-out.
-"""
+"""Greatest length of a list whose elements become columns; longer lists are left out."""
 _STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"}, {"seconds", "nanos"})
 _LARGEST = 2**64
 """Integers with at least this magnitude are not read as numbers."""
@@ -25,18 +23,11 @@ _DATE_LENGTHS = range(8, 41)
 
 
 class Stamp(int):
-    """Time stamp in nanoseconds; its column is read as seconds since the first stamp of the
-    topic.
-    """
+    """Time stamp, ns; its column is read as seconds since the first stamp of the topic."""
 
 
 def parse(text: str) -> Any:
-    """Parse a JSON text.
-
-    Raises:
-        ValueError: The text is not JSON, or an object has a key twice.
-        RecursionError: The text is nested too deeply.
-    """
+    """Parse JSON; ValueError also for a key that an object has twice, or RecursionError."""
     return json.loads(text, object_pairs_hook=_object)
 
 
@@ -73,10 +64,7 @@ def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]
 
 
 def number(value: object) -> float | None:
-    """Return a JSON value as a number, or None if it is not a number.
-
-    Integers stay integers, dates become :class:`Stamp`.
-    """
+    """Return a JSON value as a number, integer or :class:`Stamp` (date), or None."""
     if isinstance(value, bool | float):
         return float(value)
     if isinstance(value, int):
@@ -88,9 +76,7 @@ def number(value: object) -> float | None:
 
 
 def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp in an object of seconds and nanoseconds, or None if the object has no
-    time stamp.
-    """
+    """Return the time stamp in an object of seconds and nanoseconds, or None."""
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
         return None
@@ -127,15 +113,11 @@ _Rows = tuple[str, Sequence[Mapping[str, float]]]
 
 
 class RowsTable(Table):
-    """Rows of numbers by name, in one or several time bases, as a table.
-
-    A row that lacks a name has NaN in its column.
-    """
+    """Rows of numbers by name, in one or several time bases, with NaN for what a row lacks."""
 
     def _lay_out(
         self, bases: Iterable[tuple[str, Sequence[Mapping[str, float]]]], prefixed: bool
     ) -> None:
-        """Set rows and columns."""
         names, self._bases = zip(*bases, strict=True)
         self._columns = [
             (base, name)
@@ -168,9 +150,6 @@ class JsonTable(RowsTable):
     (``columns`` and ``data``), ``table``, ``index`` and ``columns``. Each form may be inside an
     object; if a file has several tables, the names of the columns begin with the place of the
     table. A date in text is read as seconds since the first date.
-
-    Raises:
-        InputError: The file is not JSON, or has no numbers.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -201,7 +180,6 @@ class JsonTable(RowsTable):
         )
 
     def _tables(self, value: Any, place: str, depth: int) -> Iterator[_Rows]:
-        """Yield the tables inside a JSON value."""
         if depth > _DEEPEST:
             return
         if isinstance(value, list):
@@ -228,9 +206,7 @@ class JsonTable(RowsTable):
             self._left_out.append(f"{place or 'the file'} mixes objects, lists and values")
 
     def _of_object(self, value: dict[str, Any], place: str, depth: int) -> Iterator[_Rows]:
-        """Yield the columns of an object, grouped by their length, then the tables inside its
-        values.
-        """
+        """Yield the columns of an object by their length, then the tables inside its values."""
         lengths: dict[int, dict[str, list[Any]]] = {}
         rest: dict[str, Any] = {}
         for key, child in value.items():
@@ -272,9 +248,7 @@ class JsonTable(RowsTable):
 
 
 def _transposed(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, float]]:
-    """Return one mapping for each row from columns of equal length; values that are not numbers are
-    left out.
-    """
+    """Return one mapping for each row of columns of equal length, without what is no number."""
     count = len(next(iter(columns.values()))) if columns else 0
     rows: list[dict[str, float]] = [{} for _ in range(count)]
     for name, cells in columns.items():
@@ -295,14 +269,7 @@ def _are_labels(value: Mapping[str, Any]) -> bool:
 
 
 class JsonLinesTable(RowsTable):
-    """Table with one column for each number in the objects, named ``field``, ``field.inner`` or
-    ``field[0]``.
-
-    If a line lacks a field, the value is NaN.
-
-    Raises:
-        InputError: A line is not a JSON object, or no object contains a number.
-    """
+    """Table of the numbers in one object a line: ``field``, ``field.inner`` or ``field[0]``."""
 
     def __init__(self, path: Path, _: object = None) -> None:
         self.path = path

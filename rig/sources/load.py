@@ -28,10 +28,6 @@ from rig.sources.table import format_of
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
     """Load a run folder or a campaign file.
 
-    Args:
-        path: Path of the run folder or campaign file.
-        partial: Whether to load a run's unfinished excitations as well.
-
     Raises:
         InputError: The path is neither a run folder nor a campaign file, or a part of the source
             cannot be used; the message lists all problems.
@@ -102,10 +98,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _exported(
     file: Path, section: RecordingSection, document: Document[Campaign], index: int
 ) -> Read:
-    """Read a file of ``rig export``, which contains its own description.
-
-    Constants and the role that the campaign states replace those of the file.
-    """
+    """Read a file of ``rig export``; what the campaign states replaces its constants and role."""
     given = document.value.bench
     bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
     try:

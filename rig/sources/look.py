@@ -1,8 +1,4 @@
-"""Describes the content of a log for ``rig look``: columns, units, ranges, sample rate and gaps.
-
-This module converts and repairs nothing; it only states the repairs that are made when a campaign
-is loaded.
-"""
+"""Describes the content of a log for ``rig look``; converts and repairs nothing."""
 
 from __future__ import annotations
 
@@ -25,11 +21,8 @@ from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
 from rig.sources.table import Table, format_of
 
 STRIP = 40
-"""Greatest number of values in the small picture of a column."""
 FLICKER_SHARE = 0.02
-"""Share of steps to a neighbouring value that the next step reverses, above which a column counts
-as flickering.
-"""
+"""Share of reversed steps to a neighbouring value above which a column counts as flickering."""
 _INDEX = re.compile(r"\[\d+\]$")
 _COARSE = 1000
 """Greatest number of different values of a column for which the quantisation step is determined."""
@@ -40,19 +33,10 @@ class Column:
     """One column of a log.
 
     Attributes:
-        name: Name in the file; empty without a header.
-        index: Index of the column, from 0.
-        channel: The canonical channel that the column may contain; empty for none.
-        unit: Unit in the file; empty if the file states none.
         scale: SI units per unit of the column; 1 if the unit is unknown.
-        samples: Number of rows.
-        missing: Number of rows without a value.
-        low: Least value; NaN without values.
-        high: Greatest value.
         step: Quantisation step of a coarse column; 0 if none was found.
         flicker: Share of steps to a neighbouring value that the next step reverses.
         wrap: Text on a counter that overflows; empty for none.
-        problem: Reason why the column cannot be read as numbers; empty if it can be read.
         strip: Means of equal parts of the column, for a picture, at most :data:`STRIP` values.
     """
 
@@ -74,19 +58,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Clock:
-    """Time base of a log, s.
-
-    Attributes:
-        column: Index of the column of time.
-        scale: Seconds per unit of the column.
-        period: Median step.
-        low: 5th percentile of the steps.
-        high: 95th percentile of the steps.
-        gaps: Number of steps longer than five median periods.
-        longest: Longest step.
-        backwards: Number of negative steps, after the overflows of a counter were corrected.
-        repeated: Number of steps of zero.
-    """
+    """Time base of a log, s; percentiles 5, 50 and 95 of the steps, and counts of odd ones."""
 
     column: int
     scale: float
@@ -101,17 +73,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Look:
-    """Content of a log.
-
-    Attributes:
-        name: Name of the file or recording.
-        format: Format of the file.
-        columns: Columns in file order.
-        clock: Time base by the column that may be time, or None without such a column.
-        guesses: Column that may contain a channel, by channel.
-        notes: Messages on what was recognised on reading.
-        doubts: Guessed channels that contradict each other or themselves.
-    """
+    """Content of a log, with the guessed channels, and their contradictions as doubts."""
 
     name: str
     format: str
@@ -123,11 +85,7 @@ class Look:
 
 
 def look_at_file(path: Path, options: ReadSection) -> Look:
-    """Describe a file of any format that campaigns support.
-
-    Raises:
-        InputError: The format is unknown, or the file cannot be read.
-    """
+    """Describe a file of any format of campaigns; raise an InputError if it cannot be read."""
     kind = format_of(path)
     if kind not in FORMATS:
         raise InputError(f"{path}: {unknown_format(path)}")
@@ -166,9 +124,7 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
 
 
 def _time_of_most(table: Table, leaves: list[str], guesses: dict[str, Guess]) -> dict[str, Guess]:
-    """Return the guesses, with the time column of the time base that contains most of the other
-    guessed channels.
-    """
+    """Return the guesses, with the time column of the time base of most guessed channels."""
     if not table.bases or "time" not in guesses or len(guesses) < 2:
         return guesses
     bases = [table.bases[int(g.column)] for name, g in guesses.items() if name != "time"]
@@ -274,9 +230,7 @@ def _column(
 
 
 def _step(known: Array) -> float:
-    """Return the least distance between two values if all distances are multiples of this least
-    distance; else 0.
-    """
+    """Return the least distance between two values if all distances are its multiples, else 0."""
     levels = np.unique(known[: 1 << 20])
     if not 2 <= len(levels) <= max(_COARSE, len(known) // 10):
         return 0.0

@@ -1,6 +1,4 @@
-"""Reads MCAP logs with JSON, CDR (ROS 2) and protobuf messages, which robot and vehicle loggers
-write.
-"""
+"""Reads MCAP logs with JSON, CDR (ROS 2) and protobuf messages."""
 
 from __future__ import annotations
 
@@ -37,15 +35,12 @@ from rig.sources.table import Array, library, open_binary
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
-"""Format of the head of a chunk: start time, end time, size, checksum and length of the
-compression's name.
-"""
+"""Head of a chunk: start, end, size, checksum and length of the compression's name."""
 
 Found = tuple[Schema | None, Channel, Message]
 
 
 def _until_cut(stream: IO[bytes]) -> Iterator[Found]:
-    """Yield the messages of an incomplete file."""
     data = _rest(stream)
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
@@ -73,11 +68,9 @@ def _until_cut(stream: IO[bytes]) -> Iterator[Found]:
 def _rest(stream: IO[bytes]) -> bytes:
     """Return the readable bytes of a file, which may be an incomplete gzip file."""
     parts = []
-    try:
+    with suppress(EOFError, zlib.error):
         while part := stream.read(1 << 16):
             parts.append(part)
-    except (EOFError, zlib.error):
-        pass
     return b"".join(parts)
 
 
@@ -132,11 +125,7 @@ class Decoders:
         self._factories: dict[str, Any] = {}
 
     def of(self, encoding: str, schema: Schema | None) -> Decoder | None:
-        """Return the decoder of a channel, or None if no decoder reads its encoding.
-
-        Raises:
-            InputError: The library that decodes this encoding is not installed.
-        """
+        """Return the decoder of a channel, or None; InputError if its library is missing."""
         if encoding == "json":
             return lambda data: dict(numbers(parse(data.decode("utf-8")), ""))
         if encoding not in _LIBRARIES:
@@ -169,9 +158,7 @@ def _of_ros(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
 
 
 def _of_protobuf(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a protobuf message; a field that has neither a value nor a default is
-    left out.
-    """
+    """Yield the numbers of a protobuf message without fields that have no value and no default."""
     descriptor = getattr(value, "DESCRIPTOR", None)
     if descriptor is None:
         found = None if isinstance(value, bytes | str) else number(value)
@@ -225,10 +212,6 @@ class McapTable(RowsTable):
     end, the complete messages are read, with a note. A topic whose messages cannot be decoded is
     left out, with a note that states the reason. Each topic has its own time base; the logger's
     time is the common clock.
-
-    Raises:
-        InputError: The file is damaged, holds no messages that can be read, or a library that
-            decodes the messages is not installed.
     """
 
     remedy = "recover this file with `mcap recover`; open a run of this program by its folder"
@@ -269,7 +252,6 @@ class McapTable(RowsTable):
         self._lay_out(self._rows.items(), True)
 
     def _take(self, messages: Iterable[tuple[Schema | None, Channel, Message]]) -> None:
-        """Store the numbers of messages, and why topics are left out."""
         decoders = Decoders(self.path)
         known: dict[int, Decoder] = {}
         for schema, channel, message in messages:

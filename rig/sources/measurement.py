@@ -1,6 +1,4 @@
-"""Readers of measurement files: ASAM MDF (MF4, and MDF versions 2 and 3) with the optional library
-asammdf, and TDMS of LabVIEW and DIAdem with the optional library npTDMS.
-"""
+"""Reads ASAM MDF (asammdf) and TDMS of LabVIEW and DIAdem (npTDMS)."""
 
 from __future__ import annotations
 
@@ -17,7 +15,6 @@ from rig.common.errors import InputError
 from rig.sources.table import Array, Table, heard, library, open_binary, seconds_per
 
 TIME_MASTER = 1
-"""Sync type of a master channel that contains the time, s."""
 _MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
 _LINEAR = {3: 0, 4: 1}
 """Type number of the linear conversion, by version of the format."""
@@ -37,9 +34,6 @@ class MdfTable(Table):
     applied; samples that are marked by invalidation bits are NaN. Labels (value to text) are read
     as raw numbers, with a note. Each channel group has its own time base; all time bases are on the
     clock of the file.
-
-    Raises:
-        InputError: asammdf is not installed, or the file is damaged or holds no samples.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -76,9 +70,7 @@ class MdfTable(Table):
         self.bases = tuple(where[found.group] for found in self._columns)
 
     def _require_inside(self, mdf: Any, groups: Sequence[int]) -> None:
-        """Check that each channel lies within the records of its group; asammdf reads beyond them,
-        which ends the process or returns other data.
-        """
+        """Check that each channel lies within its records; asammdf reads beyond."""
         for group in groups:
             record_bits = 8 * mdf.groups[group].channel_group.samples_byte_nr
             for channel in mdf.groups[group].channels:
@@ -95,7 +87,6 @@ class MdfTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with asammdf, and close it at the end; note its warnings."""
         zipped = self.path.suffix.lower() == ".gz"
         with heard("asammdf") as said:
             source: Any = open_binary(self.path) if zipped else str(self.path)
@@ -109,9 +100,7 @@ class MdfTable(Table):
             return [self._values(mdf, self._columns[k], self.names[k]) for k in columns]
 
     def stamps(self, base: int) -> Array | None:
-        """Return the master channel of a group if it contains the time; see
-        :meth:`Table.stamps`.
-        """
+        """Return the master channel of a group if it is time; see :meth:`Table.stamps`."""
         group = self._groups[base]
         index = self._masters.get(group)
         if index is None:
@@ -183,9 +172,7 @@ def _group_names(mdf: Any, groups: Sequence[int]) -> list[str]:
 
 
 def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
-    """Yield a channel, or each element of an array channel; the members of a structure are
-    channels.
-    """
+    """Yield a channel, or each element of an array; the members of a structure are channels."""
     dependency = mdf.groups[group].channel_dependencies[index]
     if not dependency:
         yield _Channel(group, index, None)
@@ -206,9 +193,7 @@ def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
 
 
 def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
-    """Return factor and offset of a linear conversion, or None for a channel without a conversion
-    or with a conversion of another type.
-    """
+    """Return factor and offset of a linear conversion, else None."""
     if conversion is None:
         return None
     linear = _LINEAR.get(min(4, max(3, int(str(version)[0]))))
@@ -252,9 +237,6 @@ class TdmsTable(Table):
     Channels of one group with equal length and equal waveform properties have common rows; the time
     of a waveform is a further column, ``time``. Scales of the file are applied. A channel of time
     stamps is read as seconds since the first stamp.
-
-    Raises:
-        InputError: npTDMS is not installed, or the file is damaged or holds no channels.
     """
 
     def __init__(self, path: Path, _: object = None) -> None:
@@ -300,9 +282,7 @@ class TdmsTable(Table):
         return self._bases[column.base].group
 
     def _base_of(self, channel: Any, status: Any) -> int:
-        """Return the time base of a channel; in a file that is cut off, by the channel's length
-        before the cut.
-        """
+        """Return the time base of a channel, by its length before the cut of a file."""
         cut = (status.channel_statuses or {}).get(channel.path)
         lost = 0 if cut is None else cut.expected_length - cut.read_length
         whole = _Base(channel.group_name, len(channel) + lost, _waveform(channel))
@@ -322,7 +302,6 @@ class TdmsTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with npTDMS, and close it at the end; note its warnings."""
         with (
             heard("nptdms") as said,
             open_binary(self.path) as stream,
@@ -384,9 +363,7 @@ def _unit(properties: Mapping[str, Any]) -> str:
 
 
 def _waveform(channel: Any) -> _Waveform | None:
-    """Return the waveform properties of a channel, or None if the channel has none, or if its
-    waveform is not over time.
-    """
+    """Return the waveform properties of a channel, or None if it has none over time."""
     properties = channel.properties
     try:
         increment = float(properties["wf_increment"])
@@ -408,7 +385,6 @@ def _is_dated(channel: Any) -> bool:
 
 
 def _dated_channels(file: Any) -> Iterator[Any]:
-    """Yield the channels of a file that contain time stamps."""
     for group in file.groups():
         yield from (channel for channel in group.channels() if len(channel) and _is_dated(channel))
 
@@ -419,13 +395,11 @@ def _exact(channel: Any) -> tuple[int, int]:
 
 
 def _since(stamp: tuple[int, int], first: tuple[int, int]) -> float:
-    """Return the time between two stamps, s."""
     whole = ((stamp[0] - first[0]) << 64) + stamp[1] - first[1]
     return whole / 2**64
 
 
 def _stamp_seconds(stamps: Any) -> Array:
-    """Return time stamps as seconds since the first stamp."""
     seconds = np.asarray(stamps.seconds, np.int64)
     fractions = np.asarray(stamps.second_fractions, np.uint64)
     first = fractions[0]

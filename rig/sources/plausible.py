@@ -1,7 +1,4 @@
-"""Checks the channels of a recording for plausible sizes, units and mutual signs.
-
-The functions depend only on their arguments, and return the texts of errors and notes.
-"""
+"""Checks the channels of a recording for plausible sizes, units and mutual signs."""
 
 from __future__ import annotations
 
@@ -14,16 +11,11 @@ import numpy as np
 from identification.recording import CHANNELS, Array
 
 BLOCK_S = 0.02
-"""Time over which samples are averaged before the check of signs, s, so that encoder steps and
-noise do not hide the sign.
-"""
+"""Time over which samples are averaged before the check of signs, s, against quantisation."""
 OPPOSED = -0.3
-"""Correlation of torque and velocity in motion below which the signs count as opposite.
-"""
+"""Correlation of torque and velocity in motion below which the signs count as opposite."""
 LARGEST, SMALLEST = 1e12, 1e-12
-"""Greatest plausible magnitude of a channel, and least plausible magnitude of a channel of drive or
-motion that is not zero, SI units.
-"""
+"""Greatest plausible magnitude of a channel, and least of one of drive or motion, SI units."""
 _MOVING = frozenset({"torque", "current", "voltage", "angle", "motor_angle", "velocity"})
 UNRELATED = 0.5
 """Ratio of the mean square step of a position to twice its variance above which neighbouring
@@ -31,9 +23,7 @@ samples count as unrelated. The ratio is 1 for rows in random order and for nois
 sine with a frequency up to a sixth of the sample rate.
 """
 STILL_LEVELS = 8
-"""Greatest number of different values with which a position counts as at rest, so that the order of
-its rows is not checked. At rest an encoder may flicker between neighbouring counts.
-"""
+"""Greatest number of values of a position at rest, where an encoder may flicker between counts."""
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peak of each channel above which a note suggests that its unit is a thousandth of the SI unit."""
 RELATED = 0.9
@@ -102,17 +92,13 @@ def _sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> It
     if correlation < OPPOSED:
         yield (
             f"`{effort}` opposes the motion (correlation {correlation:.2f} with velocity while "
-            f"moving), as if the load"
-            f" drove the motor: negate the scale of `{effort}` or of `{mover}`; a weight that "
-            f"turns with the joint is"
-            " declared by `gravity`"
+            f"moving), as if the load drove the motor: negate the scale of `{effort}` or of "
+            f"`{mover}`; a weight that turns with the joint is declared by `gravity`"
         )
 
 
 def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
-    """Yield an error for each channel with impossible values, and for a position whose rows are out
-    of order.
-    """
+    """Yield an error for each channel with impossible values or rows out of order."""
     for name, values in channels.items():
         top = _peak(values)
         if name != "time" and (top > LARGEST or (name in _MOVING and 0.0 < top < SMALLEST)):
@@ -140,23 +126,16 @@ def unit_hints(
                 f"scale to 0.001"
             )
     for name, gear in (("angle", 1.0), ("motor_angle", gear_ratio)):
-        turns = (
-            float(np.ptp(channels[name])) / (2.0 * np.pi * gear)
-            if name in channels and has_lever
-            else 0.0
-        )
-        if turns > 1.0:
+        way = float(np.ptp(channels[name])) if name in channels and has_lever else 0.0
+        if (turns := way / (2.0 * np.pi * gear)) > 1.0:
             yield (
                 f"`{name}` turns the joint {turns:.3g} times, which a lever with weights cannot: "
-                f"if it is in degrees,"
-                " set its scale to 0.017453292519943295"
+                "if it is in degrees, set its scale to 0.017453292519943295"
             )
 
 
 def _gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
-    """Compare motor and joint angle; if the angles disagree, return a text, and whether the
-    disagreement is an error.
-    """
+    """Compare motor and joint angle; return None, or a text, and whether it is an error."""
     motor, joint = _finite(motor_angle, angle)
     motor, joint = motor - motor.mean(), joint - joint.mean()
     energy = float(joint @ joint)
@@ -205,25 +184,16 @@ def _finite(*arrays: Array) -> tuple[Array, ...]:
 
 
 FACTOR_TOLERANCE = 0.1
-"""Relative deviation of a measured speed from the derivative of the position above which a note
-results.
-"""
+"""Relative deviation of a measured speed from the derivative of the position for a note."""
 AGREEMENT = 0.9
 """Correlation of speed and derivative above which the ratio of the two is meaningful."""
 BOTH_WAYS = 0.1
-"""Least share of the motion in each direction that is required to check whether the current changes
-its sign.
-"""
+"""Least share of the motion in each direction that the check of the current's sign requires."""
 ALIKE = 1.5
-"""Greatest ratio of the efforts (torque, current or voltage) in the two directions at which a log
-may contain magnitudes only.
-"""
+"""Greatest ratio of the efforts in the two directions of a log of magnitudes."""
 FAR = 100.0
-"""Ratio of a sample's distance from its neighbours to the greatest such distance of all other
-samples, above which a note results.
-"""
+"""Distance of an outlier from its neighbours, over the greatest such distance of the others."""
 OUTLIERS = 3
-"""Greatest number of samples of a channel that count as single outliers."""
 _FACTORS = (
     (30.0 / np.pi, "rpm", "0.10471975511965977"),
     (180.0 / np.pi, "degrees per second", "0.017453292519943295"),
@@ -235,14 +205,7 @@ _FACTORS = (
 def doubts(
     channels: Mapping[str, Array], gear_ratio: float, *, driven_by_weight: bool
 ) -> Iterator[str]:
-    """Yield a note for each channel that contradicts another channel or has contradictory samples.
-
-    Args:
-        channels: Canonical channels in SI units, shape (n,); time increasing.
-        gear_ratio: Gear ratio of the bench.
-        driven_by_weight: Whether a weight that turns with the joint is declared; the torque may
-            then have one sign.
-    """
+    """Yield a note for each channel that contradicts another one or itself."""
     time = channels["time"]
     position = "angle" if "angle" in channels else "motor_angle"
     if position in channels:
@@ -314,7 +277,6 @@ def _signless(
 
 
 def _single(name: str, values: Array, time: Array) -> Iterator[str]:
-    """Yield a note if single samples are far from both neighbours."""
     known = np.isfinite(values)
     x, t = values[known], time[known]
     if len(x) < 10:

@@ -23,11 +23,8 @@ MISSING_RUN = 5
 GAP_PERIODS = 5.0
 """Length of a time step, in median periods, above which the recording is split."""
 MIN_SAMPLES = 50
-"""Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
-"""Difference of the 95th and 5th percentiles of the sample period, relative to the median, above
-which a note results.
-"""
+"""Relative range (5 to 95 %) of the sample period above which a note results."""
 UNEVEN = "uneven sampling kept as recorded"
 """Beginning of the note on uneven sampling."""
 SLOW_PERIOD_S = 0.5
@@ -37,11 +34,7 @@ Mask = NDArray[np.bool_]
 
 
 class UnusableError(Exception):
-    """The data cannot be used.
-
-    Attributes:
-        row: The first bad row, or None for the whole recording.
-    """
+    """The data cannot be used; ``row`` is the first bad row, or None for all of them."""
 
     def __init__(self, message: str, row: int | None = None) -> None:
         super().__init__(message)
@@ -55,7 +48,6 @@ class Timing:
     Attributes:
         keep: Mask of the rows that are used, shape (n,), or None for all rows.
         pieces: (start, stop) of each piece without a gap, as numbers of the used rows.
-        notes: Message on each correction.
     """
 
     keep: Mask | None
@@ -65,9 +57,6 @@ class Timing:
 
 def examine_time(time: Array) -> Timing:
     """Check time stamps and find rows to drop and places to split.
-
-    Args:
-        time: Time stamps, s, shape (n,).
 
     Raises:
         UnusableError: Samples are too few, a time stamp is NaN, the time runs backwards, or

@@ -26,20 +26,11 @@ from rig.common.errors import InputError
 from rig.sources.table import Array, Table, damaged, undamaged
 
 Answer = tuple[dict[str, Any], list[Array]]
-"""Head and arrays of an answer."""
 _START = "import sys; sys.path[:] = sys.argv[1:]; from rig.sources.served import serve; serve()"
 
 
 class ServedTable(Table):
-    """A table that the second process reads.
-
-    Args:
-        path: The file.
-        options: Options of the reader that differ from their defaults.
-
-    Raises:
-        InputError: The second process cannot read the file, or it has ended.
-    """
+    """A table that the second process reads; InputError if it cannot, or has ended."""
 
     def __init__(self, path: Path, options: dict[str, Any]) -> None:
         self.path = path
@@ -72,11 +63,7 @@ class ServedTable(Table):
 
 
 class Reader:
-    """The second process; it is started by the first request, and again after it has died.
-
-    Attributes:
-        process: The process that is running, or None.
-    """
+    """The second process; it is started by the first request, and again after it has died."""
 
     def __init__(self) -> None:
         self.process: subprocess.Popen[bytes] | None = None
@@ -142,7 +129,6 @@ class Reader:
 
 
 READER = Reader()
-"""The second process of this program."""
 atexit.register(READER.close)
 
 

@@ -1,6 +1,4 @@
-"""Interface of the readers of all file formats: named columns of numbers, and the place of each row
-in the file.
-"""
+"""Interface of the readers of all formats: named columns, and the place of each row."""
 
 from __future__ import annotations
 
@@ -30,9 +28,7 @@ class Table(ABC):
     returns tables whose errors name file and remedy.
 
     Attributes:
-        path: The file.
         names: Column names in file order; an empty string for a column without a name.
-        notes: Messages to the user about the reading.
         units: Units as the file states them, in column order; empty if the file states no units.
         bases: Number of the time base of each column, in column order; empty if all columns have
             the same rows.
@@ -84,12 +80,7 @@ class Table(ABC):
         return f"{self.path}: {name}row {row + 1}"
 
     def stamps(self, base: int) -> Array | None:
-        """Return the time stamps of the rows of a time base, s, on one clock for the whole file,
-        shape (n,).
-
-        Returns:
-            None if the file has no clock that all its time bases share.
-        """
+        """Return the stamps of a time base on the file's clock, s, shape (n,), or None."""
         return None
 
     def note(self, text: str) -> None:
@@ -98,11 +89,7 @@ class Table(ABC):
             self.notes = (*self.notes, text)
 
     def doubles(self, name: str, values: NDArray[Any], kind: str = "channel") -> Array:
-        """Return the values of a column as doubles, with a note if the conversion changed them.
-
-        Raises:
-            InputError: The values are not real numbers.
-        """
+        """Return a column as doubles, with a note on changes; InputError if not real numbers."""
         try:
             found, note = as_doubles(values)
         except NotNumbersError as error:
@@ -116,11 +103,7 @@ class Table(ABC):
 
 @contextmanager
 def undamaged(path: Path, remedy: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into an error that names the file.
-
-    Raises:
-        InputError: The file is damaged.
-    """
+    """Turn whatever a library raises on a damaged file into an InputError that names the file."""
     try:
         yield
     except InputError:
@@ -138,11 +121,7 @@ def damaged(path: Path, error: Exception | str, remedy: str) -> InputError:
 
 
 def open_binary(path: Path) -> IO[bytes]:
-    """Open a file for reading; it is decompressed by gzip if its name ends in ``.gz``.
-
-    Raises:
-        OSError: The file cannot be opened.
-    """
+    """Open a file for reading; it is decompressed by gzip if its name ends in ``.gz``."""
     require_plain(path)
     zipped = path.suffix.lower() == ".gz"
     return cast("IO[bytes]", gzip.open(path, "rb")) if zipped else path.open("rb")
@@ -163,9 +142,7 @@ _TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µ
 
 
 def seconds_per(unit: str) -> float | None:
-    """Return the length of a unit of time, as files write it, in seconds, or None for any other
-    unit.
-    """
+    """Return a unit of time, as files write it, in seconds; None for any other unit."""
     return _TIME_UNITS.get(unit.strip().lower())
 
 
@@ -178,9 +155,6 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
 
     Integers beyond 2^53 are read as differences to the first integer; dates and times are read as
     seconds since the first date or time; missing dates and times are NaN.
-
-    Args:
-        values: Shape (n,), of any type.
 
     Raises:
         NotNumbersError: The values are text, complex, objects or an array for each row.
@@ -239,17 +213,7 @@ _MOST_WORDS = 200
 
 
 def library(name: str, path: Path, format_name: str, extra: str) -> Any:
-    """Import an optional library.
-
-    Args:
-        name: Name of the module.
-        path: The file that needs the library, for the message.
-        format_name: Format of the file, for the message.
-        extra: The extra of this program that installs the library.
-
-    Raises:
-        InputError: The library is not installed; the message names the extra.
-    """
+    """Import an optional library of a format; the InputError names the ``extra``."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -272,9 +236,7 @@ class _Heard(logging.Handler):
 
 @contextmanager
 def heard(logger: str) -> Iterator[list[str]]:
-    """Do not show the warnings of a library on the terminal; yield a list that contains them at the
-    end.
-    """
+    """Keep the warnings of a library from the terminal; the list contains them at the end."""
     log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
     propagate, handlers = log.propagate, log.handlers
     # Some libraries install their own handlers, which print the warnings.

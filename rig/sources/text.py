@@ -42,23 +42,12 @@ _QUOTED = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 
 
 def open_text(path: Path, encoding: str) -> TextIO:
-    """Open a text file; it is decompressed by gzip if its name ends in ``.gz``.
-
-    Raises:
-        OSError: The file cannot be opened.
-    """
+    """Open a text file, decompressed by gzip if its name ends in ``.gz``; OSError if it fails."""
     return io.TextIOWrapper(open_binary(path), encoding, errors="replace")
 
 
 def encoding_of(path: Path) -> str:
-    """Return the encoding of a file: UTF-16 if its first bytes show this, else Latin-1.
-
-    Latin-1 decodes every byte, so that a degree sign in the header of a file cannot prevent the
-    reading of numbers.
-
-    Raises:
-        OSError, EOFError, zlib.error: The file cannot be read.
-    """
+    """Return the encoding: UTF-16 if the first bytes show this, else Latin-1, which never fails."""
     with open_binary(path) as stream:
         head = stream.read(64)
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -72,9 +61,7 @@ def encoding_of(path: Path) -> str:
 
 
 def _utf8(text: str) -> str:
-    """Return a line that was decoded as Latin-1; if the bytes of the line are UTF-8, return the
-    line decoded as UTF-8.
-    """
+    """Return a line that was decoded as Latin-1, decoded as UTF-8 if its bytes are UTF-8."""
     try:
         return text.encode("latin-1").decode("utf-8").lstrip("\ufeff")
     except UnicodeError:
@@ -146,7 +133,6 @@ def _is_empty(cell: str) -> bool:
 
 
 def _is_number(cell: str) -> bool:
-    """Return whether a cell contains a number, or a word for a missing number."""
     text = cell.strip(' "\t')
     if _is_empty(text):
         return text != ""
@@ -171,19 +157,14 @@ def _without_comment(text: str) -> str:
 
 
 def _counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
-    """Return whether the first line is 0, 1, 2, ...: the header of a table whose columns have no
-    names.
-    """
+    """Return whether the first line is 0, 1, 2, ...: the header of columns without names."""
     if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
         return False
     return len(cells) > 2 or (len(cells) == 2 and any("." in cell for cell in below))
 
 
 def _are_units(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line below the names is a line of units: only short words and no number.
-
-    A dash means no unit if another cell has a unit.
-    """
+    """Return whether a line below the names has units: short words, no number, dashes for none."""
     given = [cell.strip(' "\t') for cell in cells]
     words = [word for word in given if word != "-"]
     return (
@@ -223,15 +204,7 @@ _HEAD_LINES = 6
 
 
 class DelimitedTable(Table):
-    """A text file with one row of numbers per line, with or without a header line.
-
-    Args:
-        path: The file; it is decompressed by gzip if its name ends in ``.gz``.
-        options: Delimiter and lines to skip.
-
-    Raises:
-        InputError: The file contains no line after the skipped lines, or is damaged.
-    """
+    """A text file with one row of numbers per line, with or without a header line."""
 
     def __init__(self, path: Path, options: ReadSection) -> None:
         self.path = path
@@ -294,9 +267,7 @@ class DelimitedTable(Table):
     def _find_row_names(
         self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
     ) -> None:
-        """Detect row names: every row has one cell more than the header has names, and the first
-        cell is quoted or a word.
-        """
+        """Detect row names: a word or quoted cell before the cells that the header names."""
         width = len(self.names)
         if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
             return
@@ -344,9 +315,7 @@ class DelimitedTable(Table):
         return super().place(row)
 
     def _even(self) -> bool:
-        """Return whether each row has as many cells as the header, and no row has quotes or
-        comments.
-        """
+        """Return whether each row has as many cells as the header, without quotes and comments."""
         if self._first_row:
             return False
         delimiter, others = self._delimiter, 0
@@ -380,9 +349,7 @@ class DelimitedTable(Table):
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row. Rows without values count as missing samples, and
-        are dropped at the end of the file.
-        """
+        """Yield the required cells row by row; rows without values are missing samples."""
         empty: list[int] = []
         short = 0
         for line, text in self._rows(stream):
@@ -411,7 +378,6 @@ class DelimitedTable(Table):
             self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
-        """Add a note on the line that marks the end of the file."""
         if any(text.strip() for text in stream):
             raise InputError(
                 f"{self.path}:{line}: {mark}, but more lines follow; if the file ends here, remove "
@@ -420,9 +386,7 @@ class DelimitedTable(Table):
         self.note(f"line {line} ({mark}) read as the end of the file")
 
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
-        """Reject a row that is longer than the header; return whether the row is shorter than the
-        header.
-        """
+        """Reject a row that is longer than the header; return whether it is shorter."""
         width = len(self.names) + self._first_row
         if not any(cells[width:]):
             return len(cells) < width
@@ -472,7 +436,6 @@ class DelimitedTable(Table):
         return f"{name!r}" if name else f"{column}"
 
     def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
-        """Yield line number and text of each line with a row of numbers."""
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
                 content = _without_comment(text)
@@ -487,9 +450,7 @@ def _names_its_row(line: str, cell: str) -> bool:
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
-    """Return number (from 1) and text of the first lines with content; ``skip`` lines have been
-    read before.
-    """
+    """Return number (from 1) and text of the first lines with content after ``skip`` lines."""
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
         if found and (text.strip().lower() in END_MARKS or not _without_comment(text)):

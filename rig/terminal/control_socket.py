@@ -28,11 +28,8 @@ from rig.terminal.stop_button import StopButton
 VERSION: Final = 1
 """Version of the messages; a program of another version only watches."""
 LONGEST_BYTES: Final = 4096
-"""Length of the longest message that a run reads, bytes."""
 REPLY_BYTES: Final = 65_536
-"""Length of the longest message that a run sends, bytes."""
 LONGEST_TEXT: Final = 200
-"""Longest answer to a prompt, characters."""
 STALE_NS: Final = 5 * NS
 """Age, ns, from which a command other than `stop` is refused: its sender may have been frozen."""
 RECEIVED_BEFORE: Final = "this command, or a later command, was already received"
@@ -55,12 +52,9 @@ class Order:
     """A command that was read from a message.
 
     Attributes:
-        command: Action to perform.
-        run: Value of the run for which the command is meant.
         number: Monotonic time at which the command was sent, ns.
         who: Sender of the command, as text.
         prompt: Number of the prompt that ``text`` answers; 0 for none.
-        text: The answer.
     """
 
     command: Command
@@ -89,11 +83,7 @@ def encode(message: Mapping[str, Any]) -> bytes:
 
 
 def decode(data: bytes) -> dict[str, Any]:
-    """Read a datagram.
-
-    Raises:
-        MessageError: The datagram is not a JSON object.
-    """
+    """Read a datagram; MessageError if it is not a JSON object."""
     try:
         message = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -104,11 +94,7 @@ def decode(data: bytes) -> dict[str, Any]:
 
 
 def order_of(message: Mapping[str, Any]) -> Order:
-    """Check the fields of a command.
-
-    Raises:
-        MessageError: A field is missing, unknown, or of the wrong type.
-    """
+    """Check the fields of a command; MessageError if one is missing, unknown or of a wrong type."""
     try:
         command = Command(message["command"])
         order = Order(**{**message, "command": command})
@@ -124,14 +110,7 @@ def order_of(message: Mapping[str, Any]) -> Order:
 
 
 def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
-    """Return why a command is refused, or None if it is accepted.
-
-    Args:
-        order: The command.
-        run: Value that identifies this run.
-        last: Number of the last command that was accepted.
-        now_ns: Monotonic time, ns.
-    """
+    """Return why a command is refused, or None; ``last`` is the number of the last accepted one."""
     if order.run != run:
         return "this command is meant for another run"
     if order.number <= last:
@@ -148,12 +127,7 @@ def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
 
 
 def socket_folders() -> list[Path]:
-    """Return the folders that control sockets of this user can be in, the folder for new sockets
-    first: in ``XDG_RUNTIME_DIR`` if this variable is set, and in ``/tmp``.
-
-    Raises:
-        OSError: The system has no Unix sockets.
-    """
+    """Return the folders of this user's control sockets, that of new ones first, or OSError."""
     if not (hasattr(os, "geteuid") and hasattr(socket, "AF_UNIX")):
         raise OSError("this system has no Unix sockets")
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
@@ -173,11 +147,7 @@ def remove_left(folder: Path) -> None:
 
 
 def bound_socket(path: Path) -> socket.socket:
-    """Return a non-blocking datagram socket at a path that only this user can open.
-
-    Raises:
-        OSError: The socket cannot be created.
-    """
+    """Return a non-blocking datagram socket at a path that only this user can open, or OSError."""
     made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         made.setblocking(False)
@@ -194,13 +164,7 @@ def bound_socket(path: Path) -> socket.socket:
 
 
 def require_own_folder(folder: Path) -> None:
-    """Create the folder of the sockets if it is missing, and check that only this user can enter
-    it.
-
-    Raises:
-        SocketFolderError: The folder belongs to another user, is a link, or is open to others.
-        OSError: The folder cannot be created.
-    """
+    """Create the folder of the sockets if it is missing; SocketFolderError if open to others."""
     with suppress(FileExistsError):
         os.mkdir(folder, _FOLDER_MODE)
     status = os.lstat(folder)
@@ -237,13 +201,7 @@ class ControlSocket:
     """Receives commands for one run and answers questions on it. A context manager.
 
     Args:
-        stop: The stop button on which `stop` and `pause` act; whenever the button is read, it reads
-            the messages of this socket.
         about: Data that do not change during the run: bench, limits, folder.
-        say: Shows the operator at the terminal the commands that arrived on this socket.
-        folder: Folder of the socket; :func:`rig.terminal.control_socket.socket_folders`
-            by default.
-        clock: Clock by which commands are numbered.
 
     Attributes:
         run: Value that identifies this run in commands.
@@ -332,11 +290,7 @@ class ControlSocket:
         }
 
     def answered(self) -> str | None:
-        """Read the waiting messages, and return the answer to the open prompt, if there is one.
-
-        Raises:
-            OperatorStopError: A stop was commanded.
-        """
+        """Read the waiting messages; return the answer to the open prompt, or None, or stop."""
         self.take()
         self._stop.raise_if_pressed()
         return self._answer
@@ -357,7 +311,6 @@ class ControlSocket:
             self._handle(data, peer if isinstance(peer, str) else "")
 
     def _handle(self, data: bytes, peer: str) -> None:
-        """Answer a question, or execute a command."""
         try:
             if len(data) > LONGEST_BYTES:
                 raise MessageError(f"longer than {LONGEST_BYTES} bytes")
@@ -376,7 +329,6 @@ class ControlSocket:
         self._send({"to": order.number, "taken": refused is None, "words": refused or ""}, peer)
 
     def _carry_out(self, order: Order) -> str | None:
-        """Execute a command; return the reason if it is refused, or None."""
         who = valid(order.who).strip() or "the console"
         if order.command is Command.STOP:
             self._stop.press(f"STOP by {who}")
@@ -424,11 +376,7 @@ class ControlSocket:
 
 
 def _bound(folder: Path) -> tuple[Path, socket.socket]:
-    """Create a socket in a folder; sockets left by programs that have ended are removed.
-
-    Raises:
-        OSError: The socket cannot be created.
-    """
+    """Create a socket in a folder, without those of programs that have ended, or OSError."""
     require_own_folder(folder)
     remove_left(folder)
     path = folder / f"{PREFIX}{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"

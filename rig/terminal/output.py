@@ -19,24 +19,12 @@ from typing import Any, Final, Self
 from tqdm import tqdm
 
 SHOWN: Final = "rig.shown"
-"""Error handler of the encoder: undecoded bytes are written unchanged, other characters as
-escapes.
-"""
+"""Error handler of the encoder: undecoded bytes unchanged, other characters as escapes."""
 _GONE: Final = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENXIO})
 
 
 class Outlet(io.FileIO):
-    """The raw end of an output stream.
-
-    After the first failure all further output is discarded.
-
-    Args:
-        descriptor: Open file descriptor; it stays open.
-
-    Attributes:
-        failure: Reason why output cannot be stored, or None if output can be stored or only the
-            reader has closed the stream.
-    """
+    """The raw end of an output stream; after a ``failure`` further output is discarded."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)
@@ -45,9 +33,7 @@ class Outlet(io.FileIO):
         self._terminal = self.isatty()
 
     def write(self, data: Any, /) -> int:
-        """Write, and return the number of bytes written; the method waits even if the descriptor is
-        non-blocking.
-        """
+        """Write and return the number of bytes; waits also if the descriptor is non-blocking."""
         size = memoryview(data).nbytes
         while not self._ended:
             try:
@@ -67,22 +53,12 @@ class Outlet(io.FileIO):
 
 
 def reader_gone(error: OSError, *, terminal: bool) -> bool:
-    """Return whether the reader closed the stream (otherwise the output could not be stored).
-
-    Args:
-        error: Error of a write.
-        terminal: Whether the write was to a terminal; a closed terminal gives "input/output error",
-            like a broken disk.
-    """
+    """Return whether the reader has closed; a closed terminal gives EIO, like a broken disk."""
     return error.errno in _GONE or (terminal and error.errno == errno.EIO)
 
 
 class Inlet(io.FileIO):
-    """The raw end of the input; an unreadable input (closed terminal) counts as end of file.
-
-    Args:
-        descriptor: Open file descriptor; it stays open.
-    """
+    """The raw end of the input; an unreadable input (closed terminal) counts as end of file."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "r", closefd=False)
@@ -102,9 +78,7 @@ class Inlet(io.FileIO):
 
 
 class Streams:
-    """The standard streams of this process, made safe; :meth:`finish` returns the final error,
-    if any.
-    """
+    """The standard streams, made safe; :meth:`finish` returns the final error, if any."""
 
     def __init__(self) -> None:
         _occupy_standard_descriptors()
@@ -142,11 +116,7 @@ def complain(words: str) -> None:
 
 
 def _occupy_standard_descriptors() -> None:
-    """Open the null device wherever a standard descriptor is closed.
-
-    If a standard descriptor stayed closed, the next opened file (recording or port) would get its
-    number and receive everything written to stderr.
-    """
+    """Open the null device for every closed standard descriptor, whose number a file would get."""
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
@@ -184,7 +154,6 @@ def _encoding(stream: object) -> str:
 
 
 def _shown(error: UnicodeError) -> tuple[bytes, int]:
-    """Encode characters that a stream's encoding lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = bytearray()
@@ -201,9 +170,7 @@ _PERIOD_S: Final = 0.1
 
 
 class ShareBar:
-    """Progress bar that shows the present work and its share; shows nothing if the output is not a
-    terminal.
-    """
+    """Progress bar of the present work and its share; nothing if the output is not a terminal."""
 
     def __init__(self) -> None:
         tqdm.monitor_interval = 0  # no helper thread

@@ -29,12 +29,8 @@ class Asker(Protocol):
     """Puts questions to the operator."""
 
     def ask(self, words: str) -> str:
-        """Show a question and return the line that answers it, stripped.
-
-        Raises:
-            InputEndedError: The input has ended.
-            OperatorStopError: The operator did not answer in time.
-            KeyboardInterrupt: The operator asked to stop.
+        """Show a question and return the stripped answer; InputEndedError, or a stop of the
+        operator.
         """
         ...
 
@@ -59,10 +55,7 @@ class Prompt:
     """Asks on a screen and reads the answer from a stream.
 
     Args:
-        screen: Shows the question.
-        stream: Input stream, by default ``sys.stdin``, or None if the program has none.
         patience_s: Time to wait for an answer, s, or None to wait without limit.
-        clock: Clock for the time of the wait.
         control: Socket on which an answer may arrive as well, or None for none.
         only_there: Whether nobody is at the input, so that an answer can arrive only on
             ``control``.
@@ -106,7 +99,6 @@ class Prompt:
                 self._control.close_prompt()
 
     def _flush(self) -> None:
-        """Drop what was typed before the question."""
         if self._descriptor is None or not os.isatty(self._descriptor):
             return
         import termios
@@ -118,18 +110,13 @@ class Prompt:
             raise InputEndedError("the terminal is gone") from error
 
     def _from_stream(self) -> str:
-        """Read a line of a stream without descriptor, without a time-out."""
         line = "" if self._stream is None else self._stream.readline()
         if not line:
             raise InputEndedError("the input has ended")
         return line.strip()
 
     def _from_descriptor(self, descriptor: int | None) -> str:
-        """Return the first answer, from the input or from the control socket.
-
-        Args:
-            descriptor: Descriptor of the input, or None to read no answer from the input.
-        """
+        """Return the first answer, from the input (None: not there) or from the control socket."""
         began_ns = self._clock.now_ns()
         while b"\n" not in self._rest or descriptor is None:
             answer = self._wait(descriptor, began_ns)
@@ -151,11 +138,7 @@ class Prompt:
         return line.decode(errors="replace").strip()
 
     def _wait(self, descriptor: int | None, began_ns: int) -> str | None:
-        """Wait for input; meanwhile write the queued output of a stalled terminal.
-
-        Returns:
-            None if the input can be read; the answer if one arrived on the control socket.
-        """
+        """Wait, and write queued output: None for input, else the answer on the control socket."""
         sources = [source for source in (descriptor, self._control) if source is not None]
         while True:
             wait_s = _LONGEST_WAIT_S

@@ -35,13 +35,6 @@ class Outlet:
 
     A terminal is opened again for this purpose, because the non-blocking mode belongs to the open
     file, which other programs share. A stream without descriptor (in tests) is written directly.
-
-    Args:
-        stream: ``sys.stdout`` or ``sys.stderr``, or None if the program has none.
-
-    Attributes:
-        trouble: Reason why the stream cannot be written any more, or None if it can be written.
-        terminal: Whether the stream is a terminal.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -114,10 +107,7 @@ class Outlet:
             del self._pending[:written]
 
     def echo(self, shown: bool) -> None:
-        """Switch the echo of typed keys on or off.
-
-        The method does nothing if the stream is no terminal, is gone, or belongs to another job.
-        """
+        """Switch the echo of keys, unless the terminal is gone or of another job."""
         if not self.terminal or self._descriptor is None:
             return
         # Imported here, because systems without POSIX terminals do not have this module.
@@ -152,19 +142,10 @@ def _wrapped(words: str, columns: int) -> str:
 
 
 class Screen:
-    """The operator's view of a run.
-
-    Args:
-        clock: Paces the status line and :meth:`drain`.
-        out: Stream for results, by default ``sys.stdout``.
-        err: Stream for messages, prompts and the status line, by default ``sys.stderr``.
-    """
+    """The operator's view of a run."""
 
     def __init__(
-        self,
-        clock: Clock | None = None,
-        out: TextIO | None = None,
-        err: TextIO | None = None,
+        self, clock: Clock | None = None, out: TextIO | None = None, err: TextIO | None = None
     ) -> None:
         self._clock = clock or RealClock()
         self._err = Outlet(err if err is not None else sys.stderr)
@@ -201,17 +182,11 @@ class Screen:
         outlet.put(f"{_wrapped(words, outlet.columns) if outlet.terminal else words}\n")
 
     def share(self) -> None:
-        """Begin every message on a new line of the terminal: another program, or the shell, may
-        have left a line unfinished.
-        """
+        """Begin every message on a new line: another program may have left a line unfinished."""
         self._shared = self._err.terminal
 
     def silence(self) -> None:
-        """Switch off the echo of typed keys, except in answers, until :meth:`close`.
-
-        Without this, keys typed during a run would appear within its messages, such as ``^C``
-        before the verdict.
-        """
+        """Switch off the echo of keys, as ``^C``, until :meth:`close`, except in answers."""
         self._silent = True
         self._err.echo(False)
 
@@ -233,9 +208,7 @@ class Screen:
         self._line_open = False
 
     def status(self, text: str) -> None:
-        """Replace the status line; nothing is written if the terminal is blocked, or if the last
-        status line was drawn less than :data:`STATUS_NS` ago.
-        """
+        """Replace the status line, unless the terminal is blocked or this was just done."""
         self.pump()
         now = self._clock.now_ns()
         recent = self._drawn_ns is not None and now - self._drawn_ns < STATUS_NS
@@ -250,7 +223,6 @@ class Screen:
         self._shown = len(line)
 
     def _begin_line(self) -> None:
-        """Move the cursor to an empty line."""
         if self._shown:
             self._err.put(self._erase())
             self._shown = 0
@@ -259,9 +231,7 @@ class Screen:
             self._line_open = False
 
     def _erase(self) -> str:
-        """Return the characters that erase the status line, even if a narrower window has broken it
-        into several rows.
-        """
+        """Return what erases the status line, also if a narrower window has broken it into rows."""
         rows = max(self._shown - 1, 0) // max(self._err.columns, 1)
         up = f"\x1b[{rows}A" if rows else ""
         return f"\r{up}\x1b[J" if self._shown else "\r"
@@ -272,13 +242,7 @@ class Screen:
         self._out.pump()
 
     def drain(self, patience_s: float = DRAIN_S) -> bool:
-        """Wait until all output is shown or the time is over.
-
-        The method must be used only while the drive is off.
-
-        Returns:
-            Whether everything was shown.
-        """
+        """Wait, only while the drive is off, until all is shown or the time over; whether it is."""
         deadline = self._clock.now_ns() + round(patience_s * NS)
         self.pump()
         while self._out.pending or self._err.pending:

@@ -51,12 +51,7 @@ class StopButton:
     A context manager; outside the main thread, where signals cannot be caught, only the methods set
     the flags.
 
-    Args:
-        tell: Shows a message to the operator without blocking; called from a signal handler.
-
     Attributes:
-        pressed: Whether a stop was requested.
-        presses: Number of stop requests.
         cause: Source of the first request, as text.
         pausing: Whether a pause at the next stage boundary was requested.
         listen: Function that takes commands from another source, such as the control socket, and
@@ -116,22 +111,14 @@ class StopButton:
         )
 
     def check(self) -> None:
-        """Read requests from other sources, and raise an error if a stop was requested.
-
-        Raises:
-            OperatorStopError: The button was pressed.
-        """
+        """Read requests from other sources; raise an OperatorStopError if a stop was requested."""
         if self.listen is not None:
             self.listen()
         if self.pressed:
             raise OperatorStopError(self.words)
 
     def raise_if_pressed(self) -> None:
-        """Raise an error if a stop was requested.
-
-        Raises:
-            OperatorStopError: The button was pressed.
-        """
+        """Raise an OperatorStopError if a stop was requested."""
         if self.pressed:
             raise OperatorStopError(self.words)
 
@@ -153,9 +140,7 @@ class StopButton:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Context in which a stop raises KeyboardInterrupt at once, for long waits while the drive
-        is off.
-        """
+        """A stop raises KeyboardInterrupt at once in it: for long waits while the drive is off."""
         self._raise_at_once = True
         try:
             self.check()
@@ -179,11 +164,7 @@ class StopButton:
 
 
 def ignore_stops() -> None:
-    """Ignore every stop signal from now on.
-
-    The function is used when a stopped program ends: a further signal, such as another Ctrl-C,
-    would replace the exit status of the program.
-    """
+    """Ignore every stop signal, which would replace the exit status of a stopped program."""
     for name in STOP_SIGNALS:
         number = getattr(signal, name, None)
         if number is not None:

@@ -26,19 +26,13 @@ FALSE_ALARM = 1e-4
 LEAST_SHARE = 2.0 * TOLERANCE
 """Smallest change of the load that must be detected, as a share of the mass."""
 BETTER = 3.0
-"""Least ratio of the squared errors of a smooth drift to those of a step for which the change
-counts as a step.
-"""
+"""Least ratio of the squared errors of a smooth drift to those of a step."""
 SHORTEST_SHARE = 0.75
-"""Least distance of a half cycle, as a share of the median distance; shorter half cycles, as those
-of a fade-in, have other speeds.
-"""
+"""Least distance of a half cycle over the median; shorter ones, as of a fade-in, are slower."""
 FEWEST_HALF_CYCLES = 4
 """Least number of half cycles: with fewer, none repeats another one before and after a change."""
 WANTED_PIECES, MOST_PIECES = 24, 4
-"""Number of pieces into which the half cycles of a stage are divided if they are few, and the
-greatest number of pieces of a half cycle.
-"""
+"""Wanted number of pieces of a stage, and greatest number of pieces of a half cycle."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +44,6 @@ class Change:
             magnitude is a lower bound, because the whole friction is then taken as that of the
             weight.
         sigma_kg: Standard error of ``mass_kg`` by the scatter of the half cycles.
-        half_cycle: Number of the half cycle in which it happened, from 1.
-        half_cycles: Number of half cycles.
-        time_s: Start of this half cycle, since the start of the recording that contains it.
-        recording: Name of this recording.
     """
 
     mass_kg: float
@@ -67,17 +57,7 @@ class Change:
 def changed_loads(
     dataset: Dataset, stages: Sequence[str], reference: Reference | None = None
 ) -> dict[str, tuple[Change, Weighing]]:
-    """Find the loaded stages of a run during which the load changed.
-
-    Args:
-        dataset: The recordings of the run: one for each excitation.
-        stages: Names of the stages; the recordings of a repeated stage are named ``NAME[n]``.
-        reference: Identification of the bench, or None.
-
-    Returns:
-        The change, and a wrong weighing, by stage. A stage with fewer than
-        :data:`FEWEST_HALF_CYCLES` equal half cycles is not judged.
-    """
+    """Find the loaded stages during which the load changed: change, and weighing, by stage."""
     found = {}
     for name in stages:
         recordings = [
@@ -132,12 +112,10 @@ class _HalfCycle:
 
     @property
     def path(self) -> float:
-        """Commanded distance, rad."""
         return float(self.travelled[self.last - 1] - self.travelled[self.first])
 
     @property
     def time_s(self) -> float:
-        """Start since the start of the recording, s."""
         time = self.recording.channels["time"]
         return float(time[self.first] - time[0])
 
@@ -214,11 +192,6 @@ def _common(paths: Array, torques: Array, per_kg: Array) -> Array:
     cycle, and return the loads, kg, with mean zero.
 
     Strokes that reach different speeds are compared at the speeds that they share.
-
-    Args:
-        paths: Distances, rad, which are the weights, shape (half cycles, bins).
-        torques: Friction torques, N m, shape (half cycles, bins).
-        per_kg: Friction torque of one kilogram, N m, shape (bins,).
     """
     # The common torque of each bin is eliminated: it is the mean of the bin for given loads.
     total = paths.sum(axis=0)

@@ -25,17 +25,11 @@ if TYPE_CHECKING:
     from rig.planning.reference import Reference
 
 EDGES = np.geomspace(2e-3, 4.0, 67)
-"""Edges of the speed bins, rad/s; all motions have these bins, so that levels can be compared bin
-by bin.
-"""
+"""Edges of the speed bins, rad/s, the same for all motions."""
 SPEED_WINDOW_S = 0.006
-"""Time over which the speed is computed, s: shorter than the slips of a loaded joint (about 20
-ms).
-"""
+"""Time over which speed is computed, s: shorter than the slips of a loaded joint (20 ms)."""
 SLOWEST_SHARE = 0.2
-"""Least speed that is used, as a share of the greatest speed; at lower speeds friction changes
-steeply with speed, and the encoder quantisation is large.
-"""
+"""Least share of the greatest speed; below, friction is steep and the encoder coarse."""
 FEWEST_SAMPLES = 100
 
 
@@ -55,16 +49,7 @@ class FrictionLevel:
 
 
 def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLevel | None:
-    """Measure the friction of a motion.
-
-    Args:
-        angle: Joint angle at evenly spaced instants, rad, shape (n,).
-        torque: Mean torque at the joint over the period that ends at each instant, N m, shape (n,).
-        period_s: Sampling period, s.
-
-    Returns:
-        The level, or None if there is too little motion.
-    """
+    """Measure the friction, N m, of samples (n,) of an even period; None with too little motion."""
     half = max(1, round(0.5 * SPEED_WINDOW_S / period_s))
     if len(angle) < 2 * half + FEWEST_SAMPLES:
         return None
@@ -93,9 +78,7 @@ def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLeve
 
 
 TOLERANCE = 0.075
-"""Tolerance of the measured mass as a share of the confirmed mass. The smallest error of the mass
-that the check must detect is twice this tolerance, 15 %.
-"""
+"""Tolerance of the mass as a share; the least error that must be detected is twice this."""
 EMPTY_TOLERANCE_KG = 1.0
 """Largest measured mass, kg, with which an empty lever counts as empty."""
 UNCERTAINTY_SHARE = 0.4
@@ -104,9 +87,7 @@ UNCERTAINTY_SHARE = 0.4
 
 _LEAST_FREEDOM = 0.5
 SIGMAS = 2.0
-"""Number of standard errors beyond the tolerance at which a finished stage contradicts the other
-stages; it is high, because a false alarm makes a whole run useless.
-"""
+"""Standard errors beyond the tolerance that contradict; a false alarm makes a run useless."""
 
 
 @dataclass(frozen=True)
@@ -128,24 +109,25 @@ def weigh(
 ) -> Weighing:
     """Compare a stage's friction with its confirmed mass, by the best reference available."""
     if reference is not None:
-        return _against_reference(item, reference)
+        mass = _mass(item.level, reference)
+        errors = (_mass(item.level, reference.shifted(name)) - mass for name in reference.values)
+        return _judge(item, mass, math.hypot(*errors), f"the identification {reference.source}")
     if len({other.weight_kg for other in earlier}) < 2:
         text = (
-            "the weight cannot be checked yet: the check needs an accepted identification of this "
-            "bench (--identification), "
-            "or earlier stages of two different masses; look at the weight again"
+            " yet: the check needs an accepted identification of this bench (--identification), or "
+            "earlier stages of two different masses; look at the weight again"
         )
-        return Weighing(
-            item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, f"stage {item.stage}: {text}"
-        )
+        return _unchecked(item.stage, item.weight_kg, text)
     found = _from_line(item.level, earlier)
     if found is None:
-        text = (
-            f"stage {item.stage}: the weight cannot be checked: the stages before it moved at "
-            f"other speeds"
-        )
-        return Weighing(item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, text)
+        text = ": the stages before it moved at other speeds"
+        return _unchecked(item.stage, item.weight_kg, text)
     return _judge(item, *found, f"the stages {', '.join(other.stage for other in earlier)}")
+
+
+def _unchecked(stage: str, weight_kg: float, text: str) -> Weighing:
+    words = f"stage {stage}: the weight cannot be checked{text}"
+    return Weighing(stage, weight_kg, Verdict.UNCHECKED, None, None, words)
 
 
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
@@ -154,9 +136,6 @@ def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[
     With a reference each stage is judged by itself. Without a reference, a stage is reported if the
     other stages are mutually consistent; if this holds for several stages, the data do not decide
     between them, and all are reported.
-
-    Returns:
-        The stages that are or may be wrong.
     """
     if reference is not None:
         return [
@@ -178,25 +157,17 @@ def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[
 def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence[str]) -> Weighing:
     others = [other for other in items if other is not item]
     mass, sigma = _from_line(item.level, others) or (None, None)
-    alone = len(candidates) == 1
     words = (
-        f"stage {item.stage}: its friction is that of {mass or math.nan:.3g} kg, its label says "
-        f"{item.weight_kg:g} kg"
-        if alone
-        else (
-            f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; the "
-            f"label of one of {', '.join(candidates)} is wrong, and an identification or a stage "
-            "with one more mass would show which label"
+        f"its friction is that of {mass or math.nan:.3g} kg, its label says {item.weight_kg:g} kg"
+    )
+    if len(candidates) > 1:
+        words = (
+            f"its mass may not be the {item.weight_kg:g} kg of its label; the label of one of "
+            f"{', '.join(candidates)} is wrong, and an identification or a stage with one more "
+            "mass would show which label"
         )
-    )
-    return Weighing(
-        item.stage,
-        item.weight_kg,
-        Verdict.WRONG,
-        mass,
-        sigma,
-        f"{words}; weigh it before using the data",
-    )
+    words = f"stage {item.stage}: {words}; weigh it before using the data"
+    return Weighing(item.stage, item.weight_kg, Verdict.WRONG, mass, sigma, words)
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
@@ -211,13 +182,6 @@ def _consistent(items: Sequence[LoadedLevel]) -> bool:
         if abs(found[0] - item.weight_kg) > allowed + SIGMAS * found[1]:
             return False
     return True
-
-
-def _against_reference(item: LoadedLevel, reference: Reference) -> Weighing:
-    mass = _mass(item.level, reference)
-    errors = (_mass(item.level, reference.shifted(name)) - mass for name in reference.values)
-    sigma = math.hypot(*errors)
-    return _judge(item, mass, sigma, f"the identification {reference.source}")
 
 
 def _mass(level: FrictionLevel, reference: Reference) -> float:
@@ -235,10 +199,8 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, reference: str) -> Weig
         f"{item.weight_kg:g} kg were confirmed, and {allowed:.2g} kg of difference is the limit"
     )
     if not sigma <= UNCERTAINTY_SHARE * allowed:
-        verdict, rest = (
-            Verdict.UNCHECKED,
-            f"but that is uncertain by {sigma:.2g} kg: the weight cannot be checked",
-        )
+        verdict = Verdict.UNCHECKED
+        rest = f"but that is uncertain by {sigma:.2g} kg: the weight cannot be checked"
     elif abs(mass - item.weight_kg) <= allowed:
         verdict, rest = Verdict.RIGHT, "the weight is taken as right"
     else:
@@ -300,20 +262,12 @@ def _mean(weighted: Array, count: Array) -> Array:
 
 
 def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
-    """Find the recordings of a run or campaign whose mass differs from their label.
-
-    Without a reference, the check of a stage requires further stages of two different masses.
-
-    Returns:
-        The recordings whose label is or may be wrong; also empty if nothing can be compared.
-    """
+    """Find the recordings whose mass differs from their label, by a reference or two masses."""
     return suspects(_levels(dataset.recordings), reference)
 
 
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
-    """Whether masses can be judged: by a reference, or by at least two loaded stages if the stages
-    have at least two different masses.
-    """
+    """Whether masses can be judged: by a reference, or by loaded stages of different masses."""
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
     return reference is not None or (
         len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
@@ -351,28 +305,21 @@ def joint_torque(recording: Recording) -> Array | None:
 
 
 class Scale:
-    """Friction levels of the stages of a run at low amplitude.
-
-    Args:
-        reference: An accepted identification of the bench, or None.
-    """
+    """Friction levels of the stages of a run at low amplitude."""
 
     def __init__(self, reference: Reference | None = None) -> None:
         self._reference = reference
         self._seen: dict[str, LoadedLevel] = {}
 
     def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
-        """Check the weight of a stage by the friction of its first pass; only the levels of weights
-        that are right or unchecked are stored.
-        """
+        """Check a weight by the first pass; the level is kept unless the weight is wrong."""
         if level is None:
             text = (
-                f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves "
-                f"the joint, even at "
+                ": its first pass hardly moves the joint, even at "
                 f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
-                f"first_pass.duration_s or stiffen the drive"
+                "first_pass.duration_s or stiffen the drive"
             )
-            return Weighing(stage.name, stage.weight_kg, Verdict.UNCHECKED, None, None, text)
+            return _unchecked(stage.name, stage.weight_kg, text)
         item = LoadedLevel(stage.name, stage.weight_kg, level)
         others = [other for name, other in self._seen.items() if name != stage.name]
         weighing = weigh(item, self._reference, others)

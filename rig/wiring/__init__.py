@@ -1,3 +1,1 @@
-"""From configuration to devices: connect, guardian, teardown, limits in the drive, checks before a
-run.
-"""
+"""From configuration to devices: connect, guardian, teardown, limits, checks before a run."""

@@ -29,13 +29,9 @@ other than braking. After standstill the power stays on for at most this time, i
 control cycle.
 """
 UNHEARD_S: Final = 0.02
-"""Time, s, for which only cycles order the quick stop while the drive sends no state. A shorter
-outage of the bus ends within this time.
-"""
+"""Time for which only cycles order the quick stop of a silent drive, s; short outages end in it."""
 REACTION_S: Final = 0.3
-"""Time, s, after which the braking ends if the drive still operates; its watchdog has then had time
-to act.
-"""
+"""Time after which the braking of a drive that still operates ends, s; its watchdog has acted."""
 _BRAKING: Final = frozenset({ServoState.QUICK_STOP_ACTIVE, ServoState.FAULT_REACTION})
 
 
@@ -100,11 +96,7 @@ an order may restart the watchdog of a drive with frames of its own.
 
 
 def next_state(state: State, event: Event) -> State:
-    """Return the next state by the transition table.
-
-    Raises:
-        ValueError: The table has no such transition; the message states state and event.
-    """
+    """Return the next state by the transition table; a ValueError names an illegal move."""
     try:
         return TRANSITIONS[state, event]
     except KeyError:
@@ -252,9 +244,7 @@ class _Braking:
         return error
 
     def _note_order(self, error: BaseException | None, since_ns: int) -> None:
-        """End the cycles to a drive with a watchdog if it did not answer an order that was given by
-        a request at ``since_ns``.
-        """
+        """End the cycles to a watched drive without an answer to an order at ``since_ns``."""
         waited_s = (self._clock.now_ns() - since_ns) / NS
         unheard = isinstance(error, LinkError) and waited_s >= UNHEARD_S
         if self._prepared and self._watched and unheard:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NoReturn
 
 import drivers.mock
 from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Amt21Line, EncoderLink, Gate
@@ -79,7 +80,6 @@ def bus_resources(bench: Bench) -> tuple[Resource, ...]:
 
 
 def _channel(bus: Bus) -> list[Resource]:
-    """Return the channel of a CAN interface, or its serial port."""
     channel = bus.channel or ""
     if bus.interface == _IN_PROCESS:
         return []
@@ -104,21 +104,6 @@ def _port(path: str) -> list[Resource]:
     return [Resource(key, label) for key in dict.fromkeys((real, name))]
 
 
-def epos_link(
-    bus: SerialBus, simulated: SimulatedBench | None, clock: Clock, guard: Guard | None
-) -> EposSerialLink:
-    """Return the link of a drive on a serial line: a real port with its guard, or the simulated
-    bench's link in simulated time.
-    """
-    if simulated is None:
-        assert guard is not None
-        return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
-    station = SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive)
-    return EposSerialLink(
-        clock, _simulated(simulated, "drive", bus.baud, station), "simulated EPOS4"
-    )
-
-
 def amt21_encoder(
     section: Amt21Section,
     middle_rad: float,
@@ -127,16 +112,7 @@ def amt21_encoder(
     servo: Servo,
     gear_ratio: float,
 ) -> Amt21Encoder:
-    """Return an encoder on its line, real or simulated.
-
-    Args:
-        section: The encoder in the bench file.
-        middle_rad: Middle of the joint's travel, rad.
-        simulated: The simulated bench, if there is one.
-        clock: The host's clock.
-        servo: The drive; its position decides the number of turns after a long pause.
-        gear_ratio: Motor turns per joint turn.
-    """
+    """Return an encoder on its line, real or simulated."""
     connect: Callable[[], BytePort]
     if simulated is None:
         connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
@@ -172,9 +148,7 @@ TRANSMITTER_EDS = _EDS / "transmitter.eds"
 _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
 
 _ENCODER_NODES = (2, 3)
-"""Node identifier of the simulated CAN encoder on a bench that does not use this encoder: the first
-identifier that the drive does not occupy.
-"""
+"""Node of the unused simulated CAN encoder: the first that the drive does not occupy."""
 NO_BUS = (
     "this bench has no bus, so that only `rig paper` can simulate it; use another bench, such as "
     "`practical`, or add a bus"
@@ -182,11 +156,8 @@ NO_BUS = (
 _SPEED_SHARE = 2.0
 """Fastest plausible speed of the joint, in units of the limit of the bench file."""
 Hang = Callable[[float], None]
-"""Function that hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
-"""Function that is called with a simulated bench before its bus is opened, and returns the clock
-for the host.
-"""
+"""Function that gets a simulated bench before its bus is opened; returns the host's clock."""
 
 
 @contextmanager
@@ -201,15 +172,6 @@ def connect(
     """Open the bus of a bench with its devices, and close the bus at the end. No device moves.
 
     A real bench is locked before its bus is opened, and released after its bus is closed.
-
-    Args:
-        document: The bench.
-        seed: Seed of the simulated bench's noise.
-        realtime: Run the simulated bench in real time.
-        attach: Injects faults into a simulated bench.
-        torque_offset: Map the torque offset of a CANopen drive (60B2h); see
-            :func:`rig.planning.feedforward.require_torque_offset`.
-        purpose: The command that connects, for the message to other users of the bench.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -228,36 +190,12 @@ def connect(
         link.open()
         try:
             pacer = RealClock() if realtime and bench.simulated else None
-            yield Devices(
-                link,
-                wired.servo,
-                wired.encoder,
-                wired.hang,
-                pacer,
-                guard=guard,
-                pressure=wired.pressure,
-                ignite=wired.ignite,
-                lock=lock,
-                nominal=nominal_of(bench),
-                suspension=Suspension() if realtime or not bench.simulated else None,
-            )
+            suspension = Suspension() if realtime or not bench.simulated else None
+            yield dataclasses.replace(wired, pacer=pacer, lock=lock, suspension=suspension)
         finally:
             link.close()
             if guard is not None:
                 guard.close()
-
-
-@dataclass(frozen=True)
-class _Wired:
-    """Devices on a link that has not been opened."""
-
-    link: Link
-    servo: Servo
-    encoder: Encoder
-    pressure: PressureTransmitter | None
-    hang: Hang | None
-    ignite: Callable[[], None] | None
-    guard: Guard | None
 
 
 def _wire(
@@ -266,7 +204,7 @@ def _wire(
     seed: int,
     attach: Attach | None,
     torque_offset: bool,
-) -> _Wired:
+) -> Devices:
     """Choose the drivers of a bench, and create its link without opening it."""
     bench = document.value
     simulated: SimulatedBench | None = None
@@ -286,13 +224,11 @@ def _wire(
         axis = servo_axis(bench.servo, data)
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"), axis)
         scales = servo_scales(bench.servo, bench.machine, data)
-        servo = Cia402Servo(
-            drive,
-            link,
-            scales,
-            motion=servo_motion(bench.servo, scales, data, torque_offset),
-            stops_alone=bench.servo.stops_alone,
+        motion, alone = (
+            servo_motion(bench.servo, scales, data, torque_offset),
+            bench.servo.stops_alone,
         )
+        servo = Cia402Servo(drive, link, scales, motion=motion, stops_alone=alone)
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
         pressure = bench.pressure.transmitter(
@@ -300,43 +236,36 @@ def _wire(
         )
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
-        encoder = amt21 = amt21_encoder(
-            bench.encoder,
-            bench.limits.middle_rad,
-            simulated,
-            link.clock,
-            servo,
-            bench.machine.gear_ratio,
-        )
+        middle, gear = bench.limits.middle_rad, bench.machine.gear_ratio
+        encoder = amt21 = amt21_encoder(bench.encoder, middle, simulated, link.clock, servo, gear)
         at_instant = link.call_at_instant if isinstance(link, EposSerialLink) else None
         link = EncoderLink(link, amt21, at_instant)
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
     ignite = None if simulated is None or pressure is None else simulated.machine.ignite
-    return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
+    return Devices(
+        link,
+        servo,
+        encoder,
+        hang,
+        guard=guard,
+        pressure=pressure,
+        ignite=ignite,
+        nominal=nominal_of(bench),
+    )
 
 
 @dataclass(frozen=True)
 class BareBench:
-    """Drive and joint encoder of a real bench, only to stop the drive and to prove that it is off.
-
-    Attributes:
-        link: Link of the drive, which has not been opened.
-        servo: The drive.
-        encoder: The joint encoder, or None if its EDS file cannot be read.
-    """
+    """Drive of a real bench, to stop it, and its joint encoder, or None without an EDS file."""
 
     link: Link
     servo: Servo
     encoder: Encoder | None
 
     def open(self) -> None:
-        """Open what is not open. An encoder whose own line cannot be opened fails when it is read.
-
-        Raises:
-            LinkError: The link of the drive cannot be opened.
-        """
+        """Open what is not open; without the link of the drive, raise a LinkError."""
         self.link.open()
         if isinstance(self.encoder, Amt21Encoder):
             with suppress(LinkError):
@@ -370,7 +299,6 @@ def bare_bench(document: Document[Bench]) -> BareBench:
 
 
 def _bare_drive(document: Document[Bench]) -> tuple[Link, Servo]:
-    """Return the drive of a real bench on a link that has not been opened."""
     bench = document.value
     bus, section = bench.bus, bench.servo
     assert bus is not None
@@ -413,8 +341,14 @@ def _epos(
     simulated, clock = _simulated_bench(document, bench.servo, 1_000_000, seed, attach)
     eds, node = eds_path(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine, servo_data(document))
-    guard = Guard(bus.port, bus.baud, node, eds, scales) if simulated is None else None
-    link = epos_link(bus, simulated, clock, guard)
+    guard = None
+    if simulated is None:
+        guard = Guard(bus.port, bus.baud, node, eds, scales)
+        link = EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
+    else:
+        station = SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive)
+        line = _simulated(simulated, "drive", bus.baud, station)
+        link = EposSerialLink(clock, line, "simulated EPOS4")
     speed = _SPEED_SHARE * math.radians(bench.limits.speed_deg_s)
     channel = link.add_node(node, eds, speed / abs(scales.joint_rad_per_count))
     return link, Cia402Servo(channel, link, scales), simulated, guard
@@ -495,6 +429,11 @@ def _simulated_dbc(
     return bench, bench.clock
 
 
+def never_opened() -> NoReturn:
+    """Stand for the bus of a link on which devices are only declared."""
+    raise AssertionError("the files of this bench are only read, and its bus must not be opened")
+
+
 def nominal_of(bench: Bench) -> Nominal:
     """Return the constants of a bench with which its motions are compared.
 
@@ -507,19 +446,15 @@ def nominal_of(bench: Bench) -> Nominal:
     return Nominal(
         machine.torque_constant_N_m_A,
         machine.gear_ratio,
-        servo.rated_current_A if own and isinstance(servo, ServoSection) else None,
-        servo.rated_torque_N_m if own and isinstance(servo, ServoSection) else None,
+        getattr(servo, "rated_current_A", None) if own else None,
+        getattr(servo, "rated_torque_N_m", None) if own else None,
         bench.encoder.sign,
         machine.back_emf_constant_V_s_rad,
     )
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the paths of the EDS and DBC files of the devices, by name.
-
-    Raises:
-        InputError: A real device has no EDS or DBC file.
-    """
+    """Return the EDS and DBC files of the devices by name; InputError if a real one has none."""
     bench = document.value
     found = {}
     if isinstance(bench.servo, DbcServoSection):
@@ -534,9 +469,7 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
 
 
 def servo_data(document: Document[Bench]) -> DeviceData | None:
-    """Return the known data of the maker of the bench's drive, or None if the program has no data
-    of this maker.
-    """
+    """Return the maker's data of the bench's drive, or None."""
     servo = document.value.servo
     return servo.device_data(document.path.parent) if isinstance(servo, ServoSection) else None
 

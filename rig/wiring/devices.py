@@ -25,16 +25,7 @@ from rig.wiring.off import OffProof
 
 @dataclass(frozen=True)
 class Nominal:
-    """Constants of the machine in the bench file, with which the first motion is compared.
-
-    Attributes:
-        torque_constant_N_m_A: Motor torque per ampere.
-        gear_ratio: Motor turns per joint turn.
-        rated_current_A: Rated motor current from the file or from the drive, or None if unknown.
-        rated_torque_N_m: Rated motor torque from the file or from the drive, or None if unknown.
-        encoder_sign: Sign of the joint encoder.
-        back_emf_constant_V_s_rad: Voltage per rad/s of the motor, or None if it is not stated.
-    """
+    """Constants of the bench file with which the first motion is compared; None if not stated."""
 
     torque_constant_N_m_A: float
     gear_ratio: float
@@ -49,18 +40,13 @@ class Devices:
     """The devices of a run.
 
     Attributes:
-        link: The opened bus.
-        servo: The drive.
-        encoder: The joint encoder.
         hang: Function that puts a mass in kg on a simulated lever, or None if a person does.
         pacer: Real clock that slows simulated time to real time; None to run on the link's clock
             alone.
         observer: Called with stage name and phase at the start of every phase.
-        pressure: The transmitter on the gas generator's chamber, or None if there is none.
         ignite: Function that ignites a simulated gas generator, or None if a person does.
         guard: Process that stops a drive without a watchdog when this program dies, or None if
             there is none.
-        lock: Lock that prevents other programs from using the bench, or None for a simulated bench.
         nominal: Constants of the bench file with which motions are compared, or None for no
             comparison.
         suspension: Detects that this computer slept; None in simulated time.
@@ -87,11 +73,7 @@ class Devices:
         return OffProof(self.servo, clock, self.encoder, limits.speed, limits.current)
 
     def prepare(self, cycle_s: float) -> None:
-        """Check every device against the bench file and map its process data; nothing is energised.
-
-        Raises:
-            DeviceError: A device differs from the bench file, or does not answer.
-        """
+        """Check every device against the bench file and map its data, or raise a DeviceError."""
         self.servo.prepare(cycle_s)
         self.encoder.prepare(cycle_s)
         if self.pressure is not None:
@@ -106,12 +88,7 @@ def bench_line(document: Document[Bench]) -> str:
 
 @dataclass(frozen=True)
 class Watcher:
-    """Device or process that takes the power off when this program stops commanding the drive.
-
-    Attributes:
-        kind: ``drive``, ``guardian`` or ``nobody``.
-        after_s: Time, s, that drive or guardian waits for this program, or None for ``nobody``.
-    """
+    """What takes the power off when this program stops commanding: drive, guardian or nobody."""
 
     kind: str
     after_s: float | None = None

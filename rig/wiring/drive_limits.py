@@ -13,9 +13,7 @@ from drivers.interfaces import LimitSteps, Servo, ServoLimits
 ROUNDING = 1e-3
 """Relative difference up to which limits count as equal: bench files state three or four digits."""
 _WHOLE_STEP = 1.0 + 1e-6
-"""Difference, in steps of the drive, up to which two limits count as equal: one step, with a margin
-for floating-point rounding.
-"""
+"""Difference of equal limits, in steps of the drive: one step, and floating-point rounding."""
 _STAYING = frozenset({5, 6, 7, 8})
 """Options of 605Ah that leave the drive in QUICK STOP ACTIVE, with power, after the ramp."""
 
@@ -25,10 +23,7 @@ class Row:
     """Comparison of one limit, in SI units.
 
     Attributes:
-        name: Name of the limit for the operator.
         objects: Objects in which the drive holds the limit.
-        field: Field of :class:`~drivers.interfaces.ServoLimits`.
-        unit: Unit of ``first`` and ``second``.
         first: The limit under test, or None for no limit.
         second: The limit that ``first`` must not exceed.
         looser: Whether ``first`` is looser than ``second``.
@@ -64,9 +59,7 @@ _ROWS = (
         "quick_stop_deceleration_rad_s2",
     ),
 )
-"""Name, objects, field, unit, and the field of :class:`~drivers.interfaces.LimitSteps` that holds
-its resolution.
-"""
+"""Name, objects, field, unit, and field of :class:`~drivers.interfaces.LimitSteps`."""
 _REACTIONS = frozenset({"quick_stop_option", "quick_stop_deceleration_rad_s2"})
 
 
@@ -114,9 +107,7 @@ def loosened(
     places: Mapping[str, str] | None = None,
     unheld: Set[str] = frozenset(),
 ) -> list[Row]:
-    """Return the drive's own limits that ``wanted`` would loosen; see
-    :func:`require_within_own`.
-    """
+    """Return the drive's limits that ``wanted`` would loosen; see :func:`require_within_own`."""
     keeps_power = wanted.quick_stop_option in _STAYING and own.quick_stop_option not in _STAYING
     return [
         row
@@ -196,34 +187,13 @@ def require_held(
 
 
 def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
-    """Read the limits back from the drive, and refuse a drive that has not stored a limit that the
-    drive accepts.
-
-    Args:
-        servo: The drive.
-        wanted: The limits that were written.
-        cycle_s: Period of the cycle, s.
-
-    Raises:
-        ConfigurationError: See :func:`require_held`.
-        DeviceError: The drive does not answer.
-    """
+    """Read the limits back; refuse, as :func:`require_held`, a drive without one that it takes."""
     taken = servo.limits_taken - servo.lacks(cycle_s).limits
     require_held(servo.read_limits(), wanted, servo.limit_steps(), servo.limit_places, taken)
 
 
 def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | None:
-    """Return a text on the limits that only this program enforces, because the drive does not
-    accept them over its bus.
-
-    Args:
-        servo: The drive.
-        wanted: The limits that the program checks.
-        held: The limits of the drive, read from the drive or stated in the bench file.
-
-    Returns:
-        Text for the operator, or None if the drive holds, or will be set to, every limit.
-    """
+    """Return a text on the limits that the drive does not take over its bus, or None for none."""
     rows = [
         row
         for row in compare(held, wanted, servo.limit_steps(), servo.limit_places)
@@ -262,10 +232,7 @@ def _looser(field: str, first: float | None, second: float | None, step: float) 
 
 
 def show(field: str, value: float | None) -> str:
-    """Return a limit as the bench file states it: angles in degrees, with the unit.
-
-    Four digits are enough to distinguish limits that count as different.
-    """
+    """Return a limit as the bench file states it: angles in degrees, with the unit."""
     if value is None:
         return "off"
     if field == "quick_stop_option":

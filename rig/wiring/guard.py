@@ -1,6 +1,4 @@
-"""Starts the guardian (:mod:`rig.wiring.guardian`) with the port of a drive, arms the guardian,
-sends it signs of life, and receives its report after a takeover.
-"""
+"""Starts and arms the guardian (:mod:`rig.wiring.guardian`) of a port, and gets its report."""
 
 from __future__ import annotations
 
@@ -26,7 +24,6 @@ _START_S: Final = 20.0
 _END_S: Final = 2.0
 _FEED_NS: Final = NS // 50
 ANSWER_S: Final = 0.2
-"""Longest time without an answer of the guardian, s."""
 _TAKEOVER_S: Final = 3.0
 """Time to wait for the guardian's report after a takeover, s, longer than braking and reading back.
 """
@@ -40,23 +37,9 @@ class Guard:
     :meth:`feed` raises an error. The guardian answers every sign of life. A guardian that has
     ended, does not read, or does not answer for :data:`ANSWER_S` is reported once; the program can
     then take the power off itself.
-
-    Args:
-        port: Device of this computer.
-        baud: Bit/s.
-        node: Node identifier of the drive.
-        eds: EDS file of the drive.
-        scales: Units of the drive.
     """
 
-    def __init__(
-        self,
-        port: str,
-        baud: int,
-        node: int,
-        eds: Path,
-        scales: ServoScales,
-    ) -> None:
+    def __init__(self, port: str, baud: int, node: int, eds: Path, scales: ServoScales) -> None:
         self.name = f"EPOS4 at {port}"
         self._path, self._baud = port, baud
         self._drive = {
@@ -88,9 +71,7 @@ class Guard:
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
-        """Pass the bench's lock, as file descriptors, to the guardian, which holds the lock as long
-        as it runs.
-        """
+        """Pass the bench's lock, as descriptors, to the guardian, which holds it while it runs."""
         self._keep = tuple(descriptors)
 
     def record_in(self, folder: Path) -> None:
@@ -234,11 +215,7 @@ class Guard:
         return line.decode(errors="replace").strip()
 
     def _says(self, words: bytes, patience_s: float) -> bytes | None:
-        """Return the guardian's output up to and including a text; None after a time-out.
-
-        Raises:
-            LinkError: The guardian has ended.
-        """
+        """Return the guardian's output up to a text; None after a time-out, or a LinkError."""
         assert self._process is not None
         descriptor = _pipe(self._process.stdout).fileno()
         deadline_ns = time.monotonic_ns() + patience_s * NS

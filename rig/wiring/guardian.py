@@ -61,9 +61,7 @@ HAND_OVER: Final = getattr(signal, "SIGUSR1", signal.SIGTERM)
 """Signal by which `rig off` asks the guardian to leave the drive to it."""
 MODULE: Final = "rig.wiring.guardian"
 _PAUSE_NS: Final = NS // 5
-"""Pause between two attempts to stop the drive, s. On a lost port an attempt fails immediately;
-without a pause, repeated attempts would occupy the processor.
-"""
+"""Pause between two attempts to stop the drive, ns: on a lost port an attempt fails at once."""
 _CYCLE_NS: Final = NS // 1000
 _CHUNK: Final = 4096
 _REMIND_S: Final = 60.0
@@ -235,9 +233,7 @@ def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
 
 
 def report(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Write the report next to the recording, and return it as text; the text is returned also if
-    writing fails.
-    """
+    """Write the report next to the recording, if this is possible, and return it as text."""
     words = words_of(deed, ward, cause)
     if ward.folder is not None:
         record = {
@@ -259,9 +255,7 @@ def report(deed: Deed, ward: Ward, cause: Cause) -> str:
 
 
 def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
-    """Return the drive behind an open port, given as a file descriptor. If this port is gone, it is
-    opened again by its name.
-    """
+    """Return the drive behind an open port; a port that is gone is opened again by its name."""
     clock, told = RealClock(), ward.drive
     inherited_port = [InheritedPort(port)]
 
@@ -301,9 +295,7 @@ def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) ->
 
 
 def main() -> int:
-    """Run the guardian; the first argument is the descriptor of the port, further arguments are the
-    descriptors of the bench's lock.
-    """
+    """Run the guardian; arguments are the descriptors of the port and of the bench's lock."""
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
         # The guardian ignores stop signals; only the end of its input ends the process.
         signal.signal(getattr(signal, name), signal.SIG_IGN)

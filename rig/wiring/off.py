@@ -82,21 +82,15 @@ class Steps:
 WINDOW_S: Final = 0.05
 """Shortest time, s, over which current and motion are observed."""
 LEAST_READINGS: Final = 8
-"""Smallest number of readings of a window."""
 PATIENCE_S: Final = 2.0
 """Longest time, s, for which a joint may coast after the power went off."""
 TURN_WINDOWS: Final = 2
-"""Number of windows in succession in which a joint must rest whose angle leaves its resolution: a
-joint that swings seems to rest in a window about its turning point, and moves in the next.
-"""
+"""Windows in succession in which a joint must rest: about a turning point one seems to rest."""
 STILL_WINDOWS: Final = 4
 """The same number for a joint that was seen moving."""
 DECAY_WINDOWS: Final = 3
-"""Number of windows after which no current may flow in a motor at rest; the current of a winding
-decays with L/R, which is milliseconds.
-"""
+"""Windows after which no current may flow in a motor at rest; it decays in milliseconds."""
 REQUEST_INTERVAL_NS: Final = NS // 200
-"""Time between two readings by request, ns."""
 OFFSET_SHARE: Final = 0.02
 """Greatest zero error of a current sensor, in units of the rated current."""
 DRIFT_SHARE: Final = 0.005
@@ -164,9 +158,7 @@ def energised_doubt(state: ServoState) -> str:
 
 
 def seen_words(current_A: float | None, motion_rad_s: float | None, joint_read: bool | None) -> str:
-    """Return current and motion of a drive that is off as words that end a sentence; empty if
-    neither was observed.
-    """
+    """Return current and motion of a drive that is off as the end of a sentence."""
     if motion_rad_s is None:
         return ""
     current = "current not reported" if current_A is None else f"{abs(current_A):.2f} A"
@@ -188,8 +180,6 @@ class OffProof:
     """Observes one drive; learns the zero of its current sensor from the first proof.
 
     Args:
-        servo: The drive.
-        clock: Clock of the link.
         encoder: The joint encoder, or None to observe the motor alone.
         speed_limit_rad_s: Speed limit of the bench, at the joint; NaN if it is not known.
         current_limit_A: Current limit of the bench, for a drive whose rated current is not known.
@@ -367,8 +357,7 @@ class OffProof:
         """Greatest rms current, A, of a drive that is off, about the zero of its sensor."""
         measuring = self._servo.measuring()
         rated = min(
-            (x for x in (measuring.rated_current_A, self._current_limit) if x > 0.0),
-            default=0.0,
+            (x for x in (measuring.rated_current_A, self._current_limit) if x > 0.0), default=0.0
         )
         share = OFFSET_SHARE if self.zero_A is None else DRIFT_SHARE
         step = measuring.current_step_A

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import date
-from typing import Literal, NoReturn, Protocol
+from typing import Literal
 
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.link import MASTER_ID, CanopenLink
-from drivers.canopen.sensors import Cia406Encoder
+from drivers.canopen.sensors import Cia404Transmitter, Cia406Encoder
 from drivers.clock import SimulatedClock
 from drivers.dbc.link import DbcLink
 from drivers.epos.link import EposSerialLink
@@ -21,13 +21,13 @@ from drivers.errors import ConfigurationError, DeviceError
 from drivers.interfaces import Link, ServoLimits, ServoState
 from drivers.objects import ProcessChannel
 from rig.common.errors import Cause, Finding, InputError, refusals, warnings
-from rig.config.bench import Bench, Constants, calibration_records, overdue, overdue_problems
+from rig.config.bench import Bench, calibration_records, overdue, overdue_problems
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document, Loc
 from rig.config.dbc import DbcServoSection, wire
 from rig.config.serial_bus import SerialBus
 from rig.config.simulated_machine import unstable_current_loop
-from rig.wiring.connect import NO_BUS, eds_path, servo_data
+from rig.wiring.connect import NO_BUS, eds_path, never_opened, servo_data
 from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own
 from rig.wiring.off import BEFORE_PROMPT, energised_doubt
@@ -36,14 +36,7 @@ from rig.wiring.scales import encoder_scales, servo_axis, servo_motion, servo_sc
 
 @dataclass(frozen=True)
 class Range:
-    """Plausible range of a quantity.
-
-    Attributes:
-        usual: Range for benches of this kind; a value outside gives a warning.
-        possible: Range for any bench; a run refuses a value outside.
-        unit: Unit of both ranges; empty for a ratio.
-        hint: What the user should check.
-    """
+    """Plausible range; outside ``usual`` a bench gets a warning, outside ``possible`` no run."""
 
     usual: tuple[float, float]
     possible: tuple[float, float]
@@ -70,7 +63,6 @@ CONSTANTS = {
     "lever_ratio": Range((0.5, 50.0), (0.01, 1e3), "", "state contact force over weight force"),
     "gravity_m_s2": Range((9.76, 9.84), (9.7, 9.9), "m/s^2", "state the local gravity"),
 }
-"""Ranges of the keys of the section ``machine``."""
 _EMF = Range((0.4, 2.5), (0.2, 5.0), "", "in SI units both constants of an ideal motor are equal")
 _TIME = Range((1e-5, 0.1), (1e-7, 10.0), "s", "check the units of inductance and resistance")
 _RATED = Range(
@@ -81,62 +73,39 @@ _MOTOR_SPEED = Range((0.0, 20e3), (0.0, 200e3), "rpm", "check speed_deg_s and ge
 
 def implausible(document: Document[Bench]) -> list[Finding]:
     """Return the constants of a bench that are impossible, and the constants that are unusual."""
-    return [
-        Finding(Cause.CONSTANTS, document.problem(place, text), refused)
-        for place, text, refused in _unlikely(document.value)
-    ]
+    found = []
+    for place, what, value, bounds in _constants(document.value):
+        unit = f" {bounds.unit}" if bounds.unit else ""
+        for (low, high), words, refused in (
+            (bounds.possible, _NONE, True),
+            (bounds.usual, _FEW, False),
+        ):
+            if not low <= value <= high:
+                text = f"{what}{value:g}{unit} is outside {low:g} to {high:g}{unit}{words}"
+                text = document.problem(place, f"{text}; {bounds.hint}")
+                found.append(Finding(Cause.CONSTANTS, text, refused))
+                break
+    return found
 
 
-def _unlikely(bench: Bench) -> Iterator[tuple[Loc, str, bool]]:
-    machine = bench.machine
+def _constants(bench: Bench) -> Iterator[tuple[Loc, str, float, Range]]:
+    """Yield place, description, value and range of each constant and of what follows from it."""
+    machine, servo = bench.machine, bench.servo
     for name, bounds in CONSTANTS.items():
-        yield from _judge(("machine", name), "", getattr(machine, name), bounds)
-    for place, words, value, bounds in (*_motor(machine), *_drive(bench)):
-        yield from _judge(place, words, value, bounds)
-
-
-_Derived = tuple[Loc, str, float, Range]
-
-
-def _motor(machine: Constants) -> Iterator[_Derived]:
-    place = "machine"
+        yield ("machine", name), "", getattr(machine, name), bounds
+    place = ("machine", "back_emf_constant_V_s_rad")
     ratio = machine.back_emf_constant_V_s_rad / machine.torque_constant_N_m_A
-    yield (
-        (place, "back_emf_constant_V_s_rad"),
-        "its ratio to torque_constant_N_m_A of ",
-        ratio,
-        _EMF,
-    )
+    yield place, "its ratio to torque_constant_N_m_A of ", ratio, _EMF
     if machine.inductance_H > 0.0:
         time_s = machine.inductance_H / machine.resistance_ohm
-        yield (
-            (place, "inductance_H"),
-            "with resistance_ohm a time constant of the current of ",
-            time_s,
-            _TIME,
-        )
-
-
-def _drive(bench: Bench) -> Iterator[_Derived]:
-    rpm = bench.limits.speed_deg_s * bench.machine.gear_ratio / 6.0
+        words = "with resistance_ohm a time constant of the current of "
+        yield ("machine", "inductance_H"), words, time_s, _TIME
+    rpm = bench.limits.speed_deg_s * machine.gear_ratio / 6.0
     yield ("limits", "speed_deg_s"), "at the motor ", rpm, _MOTOR_SPEED
-    if isinstance(bench.servo, ServoSection):
-        torque = bench.machine.torque_constant_N_m_A * bench.servo.rated_current_A
-        ratio = bench.servo.rated_torque_N_m / torque
+    if isinstance(servo, ServoSection):
+        torque = machine.torque_constant_N_m_A * servo.rated_current_A
         words = f"its ratio to rated_current_A times torque_constant_N_m_A ({torque:.4g} N m) of "
-        yield ("servo", "rated_torque_N_m"), words, ratio, _RATED
-
-
-def _judge(place: Loc, what: str, value: float, bounds: Range) -> Iterator[tuple[Loc, str, bool]]:
-    unit = f" {bounds.unit}" if bounds.unit else ""
-    found = f"{what}{value:g}{unit} is outside"
-    for (low, high), words, refused in (
-        (bounds.possible, _NONE, True),
-        (bounds.usual, _FEW, False),
-    ):
-        if not low <= value <= high:
-            yield place, f"{found} {low:g} to {high:g}{unit}{words}; {bounds.hint}", refused
-            return
+        yield ("servo", "rated_torque_N_m"), words, servo.rated_torque_N_m / torque, _RATED
 
 
 Role = Literal["servo", "encoder", "pressure"]
@@ -147,12 +116,7 @@ _WORDS: dict[Role, str] = {
 }
 
 
-class _Described(Protocol):
-    """Device profile that yields the objects which the device's description lacks."""
-
-    def description_problems(self) -> Iterator[DeviceError]:
-        """Yield errors for the objects that the description lacks."""
-        ...
+_Profile = Cia402Servo | Cia406Encoder | Cia404Transmitter
 
 
 def device_file_findings(document: Document[Bench]) -> list[Finding]:
@@ -165,7 +129,6 @@ def device_file_findings(document: Document[Bench]) -> list[Finding]:
 
 
 def _nodes(bench: Bench) -> Iterator[tuple[Role, int]]:
-    """Yield the devices that have a node identifier."""
     if isinstance(bench.servo, ServoSection):
         yield "servo", bench.servo.node
     if isinstance(bench.encoder, EncoderSection):
@@ -190,18 +153,18 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device on the link as `connect` does; yield each error."""
     bench = document.value
+    data = servo_data(document)
     link: CanopenLink | EposSerialLink
     if isinstance(bench.bus, SerialBus):
-        link = EposSerialLink(SimulatedClock(), _never_opened)
+        link = EposSerialLink(SimulatedClock(), never_opened)
     elif isinstance(bench.servo, DbcServoSection):
-        link = DbcLink(SimulatedClock(), _never_opened)
+        link = DbcLink(SimulatedClock(), never_opened)
         link.add_channel(
             wire(bench.servo, document.path, bench.simulated, document.problem), bench.servo.name
         )
     else:
-        link = CanopenLink(SimulatedClock(), _never_opened)
+        link = CanopenLink(SimulatedClock(), never_opened)
     for role, number in _nodes(bench):
         try:
             eds = eds_path(document, role)
@@ -213,14 +176,18 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
         try:
             if role == "servo" and isinstance(link, CanopenLink):
                 assert isinstance(bench.servo, ServoSection)
-                axis = servo_axis(bench.servo, servo_data(document))
+                axis = servo_axis(bench.servo, data)
                 node: ProcessChannel = link.add_node(number, eds, axis)
             else:
                 node = link.add_node(number, eds)
             profile = _profile(document, role, link, node)
             refused = list(profile.description_problems())
             if not refused and isinstance(profile, Cia402Servo):
-                told = (*_maker(document), *profile.lacks(bench.cycle_s).words)
+                told = profile.lacks(bench.cycle_s).words
+                assert isinstance(bench.servo, ServoSection)
+                if data is not None and (bench.servo.eds or bench.servo.device):
+                    known = f"known of {data.name}, unless the bench file states another value"
+                    told = (f"{known}: {data.words}", *data.remarks, *told)
         except ConfigurationError as error:
             refused = [error]
         yield from (Finding(Cause.FILES, f"servo: {text}", refused=False) for text in told)
@@ -233,17 +200,7 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
             yield Finding(Cause.NODES, document.problem(("servo",), text), connectable=False)
 
 
-def _maker(document: Document[Bench]) -> Iterator[str]:
-    """Yield the known deviations of the drive's maker from CiA 402."""
-    servo, data = document.value.servo, servo_data(document)
-    if isinstance(servo, ServoSection) and servo.eds is None and servo.device is None:
-        return  # the simulated drive
-    if data is not None:
-        yield f"known of {data.name}, unless the bench file states another value: {data.words}"
-        yield from data.remarks
-
-
-def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessChannel) -> _Described:
+def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessChannel) -> _Profile:
     bench = document.value
     if role == "servo":
         assert isinstance(bench.servo, ServoSection)
@@ -258,20 +215,11 @@ def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessCha
     return bench.pressure.transmitter(node)
 
 
-def _never_opened() -> NoReturn:
-    raise AssertionError("this bench is only checked, and its bus must not be opened")
-
-
 RESET_HINT = "; remove the cause of the fault, then clear the fault with --reset-fault"
 
 
 def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
-    """Return the errors of a bench in its file and in the files that it names.
-
-    Args:
-        document: The bench.
-        today: Date for the calibration check.
-    """
+    """Return the errors of a bench in its file and in the files that it names."""
     bench = document.value
     if bench.bus is None:
         return [Finding(Cause.BUS, document.problem(("bus",), NO_BUS), connectable=False)]
@@ -290,16 +238,7 @@ def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
 def require_startable(
     document: Document[Bench], today: date, warn: Callable[[str], object]
 ) -> None:
-    """Refuse a bench with errors in its files, before a connection to a device.
-
-    Args:
-        document: The bench.
-        today: Date for the calibration check.
-        warn: Receives warnings, which do not prevent a run.
-
-    Raises:
-        InputError: The bench has errors; the message lists each with its place in the file.
-    """
+    """Refuse (InputError, with places) a bench with errors in its files, before any connection."""
     found = bench_findings(document, today)
     for text in warnings(found):
         warn(f"warning: {text}")
@@ -310,18 +249,7 @@ def require_startable(
 def device_findings(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> Iterator[Finding]:
-    """Yield the reasons for which a run with these limits would refuse the devices. Nothing is
-    written.
-
-    Args:
-        devices: Devices on an opened link, before :meth:`Devices.prepare`.
-        wanted: The limits that the run would write into the drive.
-        cycle_s: Control cycle, s.
-        reset_fault: Whether the run may clear a fault.
-
-    Raises:
-        DeviceError: A device does not answer.
-    """
+    """Yield why a run with these limits would refuse the devices; writes nothing to them."""
     servo = devices.servo
     state = servo.state()
     if state.energised:
@@ -351,21 +279,7 @@ def device_findings(
 def require_ready(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> list[str]:
-    """Before the operator hangs a weight, refuse the devices that the run would refuse later.
-
-    Args:
-        devices: See :func:`device_findings`.
-        wanted: See :func:`device_findings`.
-        cycle_s: See :func:`device_findings`.
-        reset_fault: See :func:`device_findings`.
-
-    Returns:
-        Warnings for the operator.
-
-    Raises:
-        ConfigurationError: The run would refuse devices; the message lists every reason.
-        DeviceError: A device does not answer.
-    """
+    """Before a weight is hung, refuse the devices that the run would refuse; return warnings."""
     found = list(device_findings(devices, wanted, cycle_s, reset_fault))
     if problems := refusals(found):
         raise ConfigurationError("; ".join(problems))

@@ -44,7 +44,6 @@ class Seen(NamedTuple):
     """The joint in one sample.
 
     Attributes:
-        time_s: Time of the sample, s.
         speed_rad_s: Joint speed as the drive reports it, rad/s.
         drive_rad: Joint angle by the encoder of the drive, rad.
         joint_rad: Joint angle by the joint encoder, rad; NaN without one.

@@ -1,6 +1,4 @@
-"""Converts the units of the devices in a bench file to SI; missing units are taken from the known
-data of the drive's maker.
-"""
+"""Converts the units of the bench file to SI; missing ones are those of the drive's maker."""
 
 from __future__ import annotations
 
@@ -29,21 +27,13 @@ _OBJECTS = {
     "rated_current_object": ("rated_current_object_unit_A", "rated_current_object_unit_A"),
     "rated_torque_object": ("rated_torque_object_unit_N_m", "rated_torque_object_unit_N_m"),
 }
-"""Key of the unit of each object, and field of the scales that contains the unit, by the object's
-key.
-"""
+"""Key of the unit of each object, and field of the scales with it, by the object's key."""
 
 
 def servo_scales(
     servo: ServoSection, machine: Constants, data: DeviceData | None = None
 ) -> ServoScales:
-    """Return the drive's scales in SI units.
-
-    Args:
-        servo: The drive in the bench file, whose keys have priority over ``data``.
-        machine: Constants of the machine.
-        data: The maker's data of the drive, or None.
-    """
+    """Return the drive's scales in SI units; keys of the bench file precede the maker's data."""
     found: dict[str, Any] = {}
     known = []
     for field, (unit, scale) in _OBJECTS.items():
@@ -79,14 +69,7 @@ def servo_scales(
 def servo_motion(
     servo: ServoSection, scales: ServoScales, data: DeviceData | None, torque_offset: bool = False
 ) -> Motion:
-    """Return the kind of motion command that the drive receives.
-
-    Args:
-        servo: The drive in the bench file.
-        scales: Units of the drive.
-        data: The maker's data of the drive, or None.
-        torque_offset: Whether a torque is added (feed-forward), which requires cyclic positions.
-    """
+    """Return the motion command of the drive; a ``torque_offset`` requires cyclic positions."""
     mode = servo.commanded(data)
     if mode == "csp":
         return CyclicPosition(torque_offset)
@@ -102,12 +85,7 @@ def servo_motion(
 
 
 def servo_axis(servo: ServoSection, data: DeviceData | None) -> Axis:
-    """Return the place of the drive's objects.
-
-    Args:
-        servo: The drive in the bench file.
-        data: The maker's data of the drive, or None.
-    """
+    """Return the place of the drive's objects."""
     unlike = () if data is None else data.unlike
     return Axis(servo.object_offset, servo.sub_index, unlike)
 

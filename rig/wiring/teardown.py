@@ -24,8 +24,6 @@ class SafeState:
 
     Attributes:
         verified: Whether state, current and motion show that the drive is off.
-        state: Name of the state, or ``unknown``.
-        problems: Errors during the teardown.
         watched: Whether the drive de-energises itself when it is no longer commanded.
         unforeseen: Exceptions of the steps, except device errors, storage errors and Ctrl-C; they
             are defects of this program, and are raised again after the operator was informed of the
