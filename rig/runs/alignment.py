@@ -93,9 +93,8 @@ def aligned(
         return dict(channels), ""
     new = np.concatenate(([True], np.diff(stamps) > 0.0))
     words = (
-        f"the joint encoder samples by its own clock: angles up to "
-        f"{1e3 * float(np.percentile(age, 99.0)):.2g} ms "
-        "older than the drive's samples"
+        "the joint encoder samples by its own clock: angles up to "
+        f"{1e3 * float(np.percentile(age, 99.0)):.2g} ms older than the drive's samples"
     )
     motor = channels.get("motor_angle")
     if motor is not None and not 0.0 < quantum(angle) < quantum(motor) / gear_ratio:

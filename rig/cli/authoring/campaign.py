@@ -235,10 +235,7 @@ def read_names(paths: Sequence[Path]) -> list[DataFile]:
 
 
 def campaign_text(
-    path: Path,
-    files: Sequence[DataFile],
-    answers: Answers,
-    read: Mapping[str, Any] | None = None,
+    path: Path, files: Sequence[DataFile], answers: Answers, read: Mapping[str, Any] | None = None
 ) -> str:
     """Return the text of a campaign file without its first line.
 

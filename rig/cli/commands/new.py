@@ -28,9 +28,7 @@ from rig.terminal.screen import Screen
 
 _PATH = click.argument("path", type=click.Path(path_type=Path))
 _YES = click.option(
-    "--yes",
-    is_flag=True,
-    help="Ask no questions: values that no option gives have their defaults.",
+    "--yes", is_flag=True, help="Ask no questions: values that no option gives have their defaults."
 )
 _GRAVITY_M_S2: Final[float] = Constants.model_fields["gravity_m_s2"].default
 _SPEED_SHARE, _GREATEST_SPEED_DEG_S = 0.8, 120.0
@@ -94,11 +92,7 @@ def _simulated(answers: Mapping[str, Any], part: str) -> dict[str, float]:
 
 _WHOLE: Final = click.IntRange(1)
 _WEIGHTS: Final = Question(
-    "weights",
-    "Weights to hang in turn after the empty lever, or none",
-    "kg",
-    (2.0, 5.0),
-    Listed(),
+    "weights", "Weights to hang in turn after the empty lever, or none", "kg", (2.0, 5.0), Listed()
 )
 BENCH: Final = (
     Question(

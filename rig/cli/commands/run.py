@@ -27,11 +27,7 @@ from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
 from rig.planning.feedforward import load_feedforward
 from rig.planning.plan import Plan, make_plan
-from rig.planning.predicted_load import (
-    PredictedLoad,
-    friction_model,
-    of_another_bench,
-)
+from rig.planning.predicted_load import PredictedLoad, friction_model, of_another_bench
 from rig.planning.reference import load_reference
 from rig.results.run.dry_run import describe_dry_run, dry_run_record
 from rig.results.run.dry_run import dry_run as compute_dry_run
@@ -95,8 +91,7 @@ from rig.wiring.preflight import require_startable
     "prompt_timeout_s",
     type=shared.Number(min=0, min_open=True),
     help="Seconds to wait for an answer; then the run stops with status 3. [default: "
-    "prompt_timeout_s of "
-    "the bench file]",
+    "prompt_timeout_s of the bench file]",
 )
 @shared.in_console
 @shared.acceptance("those of the sequence")

@@ -562,9 +562,7 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
         scale = float(np.median(halves)) / _HALF_WIDTHS
         found_change = _test(halves / np.median(halves), seed, known)(values / scale)
         change = dataclasses.replace(
-            found_change,
-            size=scale * found_change.size,
-            half_width=scale * found_change.half_width,
+            found_change, size=scale * found_change.size, half_width=scale * found_change.half_width
         )
         p_value = min(1.0, tested * change.p_value)
         yield Course(name, runs, constants, change, p_value, _devices(history, runs, change.start))

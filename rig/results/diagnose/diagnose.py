@@ -204,10 +204,7 @@ def _identified(
 
 
 def _refined(
-    dataset: Dataset,
-    found: Diagnosis,
-    seed: int,
-    progress: Callable[[str, float], None] | None,
+    dataset: Dataset, found: Diagnosis, seed: int, progress: Callable[[str, float], None] | None
 ) -> Diagnosis:
     """Refine a diagnosis that found physics missing, or state in a warning why this is not done."""
     if found.verdict is Verdict.NOTHING_MISSING:

@@ -67,11 +67,10 @@ class _Stage:
         duration = max(self.periods / self.frequency_Hz, 4.0)
         stage = "loaded" if self.weight_kg else "unloaded"
         return (
-            f"  - {{name: {self.name}, stage: {stage}, weight_kg: {self.weight_kg:.4g}, "
-            f"tones: [{{amplitude_deg: {self.amplitude_deg:.4g}, frequency_Hz: "
-            f"{self.frequency_Hz:.4g}}}], "
-            f"duration_s: {duration:.4g}, repeats: {self.repeats}, settle_s: {self.settle_s:g}, "
-            f"center_deg: {self.center_deg:.4g}}}"
+            f"  - {{name: {self.name}, stage: {stage}, weight_kg: {self.weight_kg:.4g}, tones: "
+            f"[{{amplitude_deg: {self.amplitude_deg:.4g}, frequency_Hz: "
+            f"{self.frequency_Hz:.4g}}}], duration_s: {duration:.4g}, repeats: {self.repeats}, "
+            f"settle_s: {self.settle_s:g}, center_deg: {self.center_deg:.4g}}}"
         )
 
 
@@ -125,17 +124,8 @@ def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
             for size, share in (("tiny", 0.002), ("small", 0.02))
             for rest, settle in (("short", 0.2), ("long", 8.0))
         ],
-        Separation.TRAVEL: [
-            whole,
-            replace(whole, name="whole-travel-loaded", weight_kg=weight),
-        ],
-        Separation.SESSION: [
-            *cold,
-            work,
-            *warm,
-            replace(rested[0], settle_s=300.0),
-            rested[1],
-        ],
+        Separation.TRAVEL: [whole, replace(whole, name="whole-travel-loaded", weight_kg=weight)],
+        Separation.SESSION: [*cold, work, *warm, replace(rested[0], settle_s=300.0), rested[1]],
         Separation.HOLD: [*holds, whole],
         Separation.AFTER_HANGING: [
             _Stage(f"loaded-{when}", travel, _SLOW_HZ, 2.0, weight, settle_s=settle)

@@ -378,9 +378,8 @@ def transfer_notes(found: Transfer) -> list[str]:
     fit, own = found.fit, found.own
     line = (
         "on the other source, the error of the model with the parameters of this source is "
-        f"{number(fit.train_rms, 3)} {fit.unit} rms "
-        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; with "
-        "parameters identified on the other source it is "
+        f"{number(fit.train_rms, 3)} {fit.unit} rms ({percent(100.0 * fit.train_relative)}) at "
+        f"{number(fit.bandwidth_Hz, 3)} Hz; with parameters identified on the other source it is "
         f"{number(own.train_rms, 3)} {own.unit}"
     )
     floor = found.floor
@@ -565,7 +564,7 @@ def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
         f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
         f"MAE: mean absolute error of that angle. Cross-validated: error on each third of the "
         f"recordings, predicted by a fit to the other two thirds; tied: not distinguished from "
-        f"the least cross-validated error.",
+        f"the least cross-validated error."
     ]
     for rung in rungs:
         if rung.tied and rung.constants:
@@ -661,11 +660,7 @@ def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[S
         yield Section("Estimators side by side", (cells, Note(COMPARISON_NOTE, "aside")))
     recordings = {r.name: r for r in outcome.dataset.recordings}
     yield Section(
-        "Fit",
-        (
-            *fit_tables(results),
-            *(_stribeck(result, recordings) for result in results),
-        ),
+        "Fit", (*fit_tables(results), *(_stribeck(result, recordings) for result in results))
     )
     for extra in _extras(outcome):
         yield Section(extra.title, (extra.table, *(Note(line, "aside") for line in extra.notes)))

@@ -142,13 +142,7 @@ def identify_source(
     seconds = time.perf_counter() - started
     provenance = Provenance.of(request.seed, read, seconds, described_by, tables)
     return Outcome(
-        dataset,
-        tuple(results),
-        provenance,
-        rungs,
-        carried,
-        request.score,
-        simulated=simulated,
+        dataset, tuple(results), provenance, rungs, carried, request.score, simulated=simulated
     )
 
 
@@ -189,9 +183,7 @@ def _identified(
         ignored = f"the {method} method does not use the uncertainty of {', '.join(unused)}"
         warnings = (*warnings, ignored)
     return dataclasses.replace(
-        result,
-        seconds=time.perf_counter() - begun,
-        warnings=(*result.warnings, *warnings),
+        result, seconds=time.perf_counter() - begun, warnings=(*result.warnings, *warnings)
     )
 
 

@@ -227,10 +227,8 @@ def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
 def _words(what: str, t: Tracking) -> str:
     return (
         f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; "
-        f"at rest "
-        f"{100.0 * t.waiting:.0f} % of the time in which the command moves; {1e3 * t.at_end:+.3g} "
-        f"mrad off at the end; "
-        f"{t.energy:.0f} J electrical."
+        f"at rest {100.0 * t.waiting:.0f} % of the time in which the command moves; "
+        f"{1e3 * t.at_end:+.3g} mrad off at the end; {t.energy:.0f} J electrical."
     )
 
 
@@ -313,8 +311,7 @@ def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
         "the model is a starting point for compensation; it shows no compensation.",
         (
             f"{SINE_SEQUENCE} on {SINE_BENCH} with stiff gains, identified from a separate run: "
-            "command less "
-            f"joint encoder, and electrical energy, over {CYCLES} cycles.",
+            f"command less joint encoder, and electrical energy, over {CYCLES} cycles.",
         ),
         (
             Picture.of(
@@ -420,8 +417,7 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
             duration = 2.0 * travel / speed + 0.6
             lines.append(
                 f"  - {{name: {load}-{speed:g}, stage: {load}, weight_kg: {weight:g}, center_deg: "
-                f"{-0.5 * travel:g}, "
-                f"ramp: {ramp}, duration_s: {duration:.9g}}}"
+                f"{-0.5 * travel:g}, ramp: {ramp}, duration_s: {duration:.9g}}}"
             )
     path = scratch / "uniform.yaml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -624,15 +620,13 @@ def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
         "the angle determines the pressure. The paper gives no controller and no response.",
         (
             f"{LOOP_SEQUENCE} on {LOOP_BENCH}, stage {LOOP_STAGE}: steps of the flow command "
-            "through the whole simulated chain, "
-            "pressure measured by a transmitter.",
+            "through the whole simulated chain, pressure measured by a transmitter.",
             _settling(found),
             "The flow first changes in the wrong direction: when the throat opens, more gas flows "
             "out until the pressure falls. " + _hunting(found),
             f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, which varies "
-            f"only with pressure and angle; the motor "
-            f"current that holds and moves the valve against its friction reaches "
-            f"{np.max(np.abs(found.current)):.1f} A.",
+            "only with pressure and angle; the motor current that holds and moves the valve "
+            f"against its friction reaches {np.max(np.abs(found.current)):.1f} A.",
         ),
         (Picture.of("fig_11", caption, _loop_figure(found)),),
         {"fig_11": _loop_data(found)},
@@ -855,13 +849,11 @@ def _loop_words(found: Sweep) -> str:
     (_, current, pressure, area), (_, last_current, last_pressure, last_area) = found.at(_ENDS_DEG)
     return (
         f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the "
-        f"current falls from "
-        f"{current:.2f} to {last_current:.2f} A, the pressure from {pressure:.2f} to "
-        f"{last_pressure:.2f} MPa, the area "
-        f"from {area:.0f} to {last_area:.0f} mm^2. Rank correlation of the current with the "
-        f"pressure "
-        f"{found.rank_pressure:.3f}, with the area {found.rank_area:.3f}. The pressure stays up to "
-        f"{100.0 * found.lag:.0f} % above the steady pressure."
+        f"current falls from {current:.2f} to {last_current:.2f} A, the pressure from "
+        f"{pressure:.2f} to {last_pressure:.2f} MPa, the area from {area:.0f} to {last_area:.0f} "
+        f"mm^2. Rank correlation of the current with the pressure {found.rank_pressure:.3f}, with "
+        f"the area {found.rank_area:.3f}. The pressure stays up to {100.0 * found.lag:.0f} % above "
+        "the steady pressure."
     )
 
 

@@ -126,9 +126,8 @@ def bundle(campaign: Path) -> Bundle:
     astray = [n for n in named if Path(n).is_absolute() or ".." in Path(n).parts]
     if astray:
         raise InputError(
-            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker "
-            f"on another machine cannot read the files; move these files into {folder}, or use "
-            f"--jobs"
+            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker on "
+            f"another machine cannot read the files; move these files into {folder}, or use --jobs"
         )
     try:
         return Bundle(folder.name, campaign.name, read_folder(folder))

@@ -30,10 +30,7 @@ REFUSED = "refused"
 
 
 def located(
-    name: str,
-    true: Mapping[str, float],
-    diagnosis: Mapping[str, Any],
-    recordings: Sequence[str],
+    name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any], recordings: Sequence[str]
 ) -> dict[str, Any]:
     """Score the location that a diagnosis states for one injected effect.
 

@@ -15,10 +15,7 @@ from rig.config.acceptance import NOTHING_MISSING, Bound, Limit, Range
 from rig.config.bench import Bench
 from rig.config.configuration import Document
 from rig.planning.plan import describe
-from rig.planning.predicted_load import (
-    PredictedLoad,
-    moves_to_start,
-)
+from rig.planning.predicted_load import PredictedLoad, moves_to_start
 from rig.wiring.devices import Watcher, watcher_of
 
 NOT_JUDGED = (
