@@ -17,12 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from rig.common.provenance import utc_now, versions
+from rig.common.provenance import RUN_FILE, utc_now, versions
 
-RUN_FILE: Final = "run.json"
-"""Copy of the value in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by
-0.1 s.
-"""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog", "commission"})

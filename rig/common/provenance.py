@@ -13,7 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig.common.places import require_plain
+from rig.common.places import is_folder, require_plain
 
 if TYPE_CHECKING:
     # At run time this import would load numba, for which `rig --help` must not wait.
@@ -79,6 +79,8 @@ def _text(path: Path) -> str | None:
         return None
 
 
+RUN_FILE = "run.json"
+"""Record of a run in its folder."""
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 RESULT_FILE = "identify.json"
 """Name of the result file of ``rig identify`` in a run folder."""
@@ -117,13 +119,16 @@ class Provenance:
             seed: Seed of the random generator.
             recordings: The recordings used.
             seconds: Wall-clock time spent.
-            described_by: The campaign file or a run's ``run.json`` that describes the recordings.
+            described_by: The campaign file or the run folder that describes the recordings.
             tables: SHA-256 of the tables that list the recordings, by path.
 
         Raises:
             OSError: ``described_by`` cannot be read.
         """
-        inputs = {str(described_by): sha256_file(described_by)} if described_by else {}
+        inputs = {}
+        if described_by is not None:
+            file = described_by / RUN_FILE if is_folder(described_by) else described_by
+            inputs[str(file)] = sha256_file(file)
         inputs |= dict(tables or {})
         inputs |= {r.source: r.sha256 for r in recordings if r.source}
         return cls(seed, inputs, seconds, utc_now().isoformat(timespec="seconds"), versions())
@@ -139,6 +144,17 @@ class Provenance:
             "seed": self.seed,
             "inputs": [{"file": file, "sha256": digest} for file, digest in self.inputs.items()],
         }
+
+
+def heading(schema: str) -> dict[str, Any]:
+    """Return the keys that a result file without a fit begins with, at the present time."""
+    known = versions()
+    return {
+        "schema": schema,
+        "version": known["loadrig"],
+        "versions": known,
+        "created": utc_now().isoformat(timespec="seconds"),
+    }
 
 
 def finite(value: float | None) -> float | None:

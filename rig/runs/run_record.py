@@ -9,8 +9,10 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict
 
+from rig.common import provenance
+
 SCHEMA = "loadrig.run/1"
-RUN_FILE = "run.json"
+RUN_FILE = provenance.RUN_FILE
 RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"

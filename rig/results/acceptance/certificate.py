@@ -26,7 +26,7 @@ from identification.recording import Dataset
 from rig.common.errors import InputError
 from rig.common.places import replacing
 from rig.common.provenance import RESULT_FILE as IDENTIFY_FILE
-from rig.common.provenance import sha256_file, utc_now, versions
+from rig.common.provenance import heading, plain, sha256_file
 from rig.common.tables import interval, number, table
 from rig.common.text import valid
 from rig.config.acceptance import Limit
@@ -377,30 +377,14 @@ def acceptance_record(
         checks: The limits, and whether the run met them.
         inputs: SHA-256 of the files of the run folder, by file name.
     """
-    known = versions()
     return {
-        "schema": ACCEPTANCE_SCHEMA,
-        "version": known["loadrig"],
-        "versions": known,
-        "created": utc_now().isoformat(timespec="seconds"),
+        **heading(ACCEPTANCE_SCHEMA),
         "run": record.name,
         "begun": record.created,
         "verdict": "accepted" if accepted(checks) else "rejected",
         "limits": source,
-        "checks": [_check_record(check) for check in checks],
+        "checks": plain(checks),
         "inputs": [{"file": file, "sha256": digest} for file, digest in inputs.items()],
-    }
-
-
-def _check_record(check: Check) -> dict[str, Any]:
-    return {
-        "limit": check.limit,
-        "passed": check.passed,
-        "words": check.words,
-        "value": check.value,
-        "low": check.low,
-        "high": check.high,
-        "unit": check.unit,
     }
 
 

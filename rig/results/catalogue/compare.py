@@ -17,21 +17,20 @@ import numpy as np
 from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
 from identification.recording import Array, Dataset
 from rig.common.errors import InputError
-from rig.common.tables import CHANGED, NO_CHANGE, interval, number
+from rig.common.provenance import heading, plain
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number, picture
 from rig.config.acceptance import MEASURES, UNITS
 from rig.results.catalogue.listing import (
     COLUMNS,
     FIGURE,
     cells,
     copies_of,
-    head_record,
     place,
     side_by_side,
     stored_picture,
 )
 from rig.results.catalogue.listing import courses as drawn
 from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table, Verdict
-from rig.results.look import picture
 from rig.results.measured import QUANTITIES, clock_words
 from rig.runs.catalogue.entry import Constant, Details, Entry
 from rig.runs.run import load_run
@@ -151,10 +150,7 @@ def figures_record(run: Path, found: RunFigures) -> dict[str, Any]:
         "stages_done": found.done,
         "weight_checks": found.weights,
         "problem": found.problem,
-        "figures": [
-            {"name": f.name, "value": f.value, "unit": f.unit, "remark": f.remark}
-            for f in found.figures
-        ],
+        "figures": plain(found.figures),
     }
 
 
@@ -396,7 +392,7 @@ def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
     identified = [each for each in runs if each.identified]
     first = identified[0] if identified else runs[0]
     return {
-        **head_record(COMPARE_SCHEMA),
+        **heading(COMPARE_SCHEMA),
         "first": str(first.run),
         "measured": [figures_record(each.run, each.measured) for each in runs],
         "not_identified": [str(each.run) for each in runs if not each.identified],
@@ -414,13 +410,10 @@ def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
 
 
 def _difference_record(each: Difference) -> dict[str, Any]:
-    other = each.other
     return {
         "unit": each.first.unit,
-        "first": {"value": each.first.value, "low": each.first.low, "high": each.first.high},
-        "other": None
-        if other is None
-        else {"value": other.value, "low": other.low, "high": other.high},
+        "first": plain(each.first, "unit", "at_bound"),
+        "other": plain(each.other, "unit", "at_bound"),
         "change": each.change,
         "joint": each.joint,
         "moved": each.moved,
@@ -748,7 +741,7 @@ def _left_out(history: History) -> Iterator[Note]:
 def trend_record(histories: Sequence[History]) -> dict[str, Any]:
     """Return the record of ``rig runs trend --json``."""
     return {
-        **head_record(TREND_SCHEMA),
+        **heading(TREND_SCHEMA),
         "false_alarms": FALSE_ALARMS,
         "histories": [_history_record(each) for each in histories],
     }

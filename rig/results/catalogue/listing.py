@@ -13,7 +13,7 @@ from typing import Any
 from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figure, figure
 from rig.common.errors import InputError
 from rig.common.places import is_file
-from rig.common.provenance import utc_now, versions
+from rig.common.provenance import heading
 from rig.common.tables import interval, number
 from rig.results.document import Block, Document, Items, Note, Picture, Section, Table, Verdict
 from rig.runs.catalogue.entry import Constant, Details, Entry, state_of
@@ -51,17 +51,6 @@ def cells(root: Path, entry: Entry) -> dict[str, str]:
 def place(root: Path, entry: Entry) -> str:
     """Return the path of a run folder in the form that other commands accept."""
     return str(root / entry.folder)
-
-
-def head_record(schema: str) -> dict[str, Any]:
-    """Return the keys at the start of a result file on several runs."""
-    known = versions()
-    return {
-        "schema": schema,
-        "version": known["loadrig"],
-        "versions": known,
-        "created": utc_now().isoformat(timespec="seconds"),
-    }
 
 
 LIST_SCHEMA = "loadrig.runs/1"
@@ -125,7 +114,7 @@ def _copies(root: Path, entries: Sequence[Entry]) -> Iterator[str]:
 def listing_record(root: Path, entries: Sequence[Entry]) -> dict[str, Any]:
     """Return the record of ``rig runs list --json``."""
     return {
-        **head_record(LIST_SCHEMA),
+        **heading(LIST_SCHEMA),
         "folder": str(root),
         "runs": [run_record(root, entry) for entry in entries],
     }
@@ -328,7 +317,7 @@ def show_record(root: Path, entry: Entry) -> dict[str, Any]:
     """Return the record of ``rig runs show --json``."""
     record = _record(root / entry.folder)
     return {
-        **head_record(SHOW_SCHEMA),
+        **heading(SHOW_SCHEMA),
         **run_record(root, entry),
         "details": json.loads(entry.details),
         "record": None if record is None else dataclasses.asdict(record),
@@ -367,7 +356,7 @@ def _section(found: Verification) -> Section:
 def verification_record(found: Sequence[Verification]) -> dict[str, Any]:
     """Return the record of ``rig runs verify --json``."""
     return {
-        **head_record(VERIFY_SCHEMA),
+        **heading(VERIFY_SCHEMA),
         "good": all(each.good for each in found),
         "runs": [_run_record(each) for each in found],
     }

@@ -21,11 +21,9 @@ from identification.estimate.default import identify_any_length
 from identification.export.model import refit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
-from rig.common.places import is_folder
 from rig.common.provenance import Provenance
 from rig.results.diagnose.model_file import diagnosis_record, effects_record, model_of
 from rig.runs.run_file import partial_warnings, without_partial
-from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 RESULT_FILE = "diagnose.json"
@@ -92,7 +90,6 @@ def diagnose_source(
     if progress is not None:
         progress("reading", 0.0)
     dataset, exact = _as_exact(load_source(source, partial=partial))
-    described_by = source / RUN_FILE if is_folder(source) else source
     try:
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):
@@ -114,7 +111,7 @@ def diagnose_source(
     seconds, found = time.perf_counter() - started, settled(found)
     warnings = (*found.warnings, *partial_warnings(dataset), *exact)
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
-    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
     return Outcome(dataset, found, provenance)
 
 

@@ -30,8 +30,8 @@ from identification.plots import mismatch
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
-from rig.common.places import is_folder, source_name
-from rig.common.provenance import Provenance, finite, utc_now, versions
+from rig.common.places import source_name
+from rig.common.provenance import Provenance, finite, heading
 from rig.common.tables import number, percent, table
 from rig.config.configuration import nearest
 from rig.results.diagnose.diagnose import Outcome
@@ -49,7 +49,6 @@ from rig.results.document import (
     provenance_section,
     reading_notes,
 )
-from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 if TYPE_CHECKING:
@@ -431,13 +430,12 @@ def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -
     """
     started = time.perf_counter()
     dataset = load_source(source)
-    described_by = source / RUN_FILE if is_folder(source) else source
     try:
         effects = observable_effects(dataset, bandwidth_Hz)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     seconds = time.perf_counter() - started
-    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    provenance = Provenance.of(seed, dataset.recordings, seconds, source, dataset.tables)
     return Seen(dataset, effects, provenance)
 
 
@@ -526,14 +524,7 @@ def whole(entry: Effect) -> str:
 
 def effects_record(entries: Iterable[Effect]) -> dict[str, Any]:
     """Return the record of ``rig effects --json``."""
-    known = versions()
-    return {
-        "schema": EFFECTS_SCHEMA,
-        "version": known["loadrig"],
-        "versions": known,
-        "created": utc_now().isoformat(timespec="seconds"),
-        "effects": [_entry_record(e) for e in entries],
-    }
+    return {**heading(EFFECTS_SCHEMA), "effects": [_entry_record(e) for e in entries]}
 
 
 def _entry_record(entry: Effect) -> dict[str, Any]:

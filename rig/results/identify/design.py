@@ -20,7 +20,7 @@ from identification.model.parameters import NOMINAL
 from identification.recording import Recording
 from identification.simulate.drive_loop import drive_loop
 from rig.common.errors import InputError
-from rig.common.provenance import finite, sha256_file, utc_now, versions
+from rig.common.provenance import finite, heading, sha256_file
 from rig.common.tables import number, percent
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
@@ -479,12 +479,8 @@ RESULT_FILE = "plan.json"
 
 def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
     """Return the record of ``rig identify --plan --json``."""
-    used = versions()
     return {
-        "schema": PLAN_SCHEMA,
-        "version": used["loadrig"],
-        "versions": dict(used),
-        "created": utc_now().isoformat(timespec="seconds"),
+        **heading(PLAN_SCHEMA),
         "seconds": experiment.seconds,
         "seed": experiment.seed,
         "bench": bench,

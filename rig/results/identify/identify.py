@@ -25,7 +25,7 @@ from rig.common.errors import InputError
 from rig.common.places import is_folder
 from rig.common.provenance import IDENTIFY_SCHEMA, Provenance, finite, plain
 from rig.runs.run_file import partial_names, partial_warnings, read_record, without_partial
-from rig.runs.run_record import FEEDFORWARD_INPUT, RUN_FILE
+from rig.runs.run_record import FEEDFORWARD_INPUT
 from rig.sources import load_source
 from rig.weighing.weight_check import comparable, off_label
 
@@ -137,10 +137,9 @@ def identify_source(
         with _named(request.score):
             carried = transfer(results[0], dataset, other, np.random.default_rng(request.seed))
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
-    described_by = source / RUN_FILE if is_folder(source) else source
     tables = {**dataset.tables, **(other.tables if other is not None else {})}
     seconds = time.perf_counter() - started
-    provenance = Provenance.of(request.seed, read, seconds, described_by, tables)
+    provenance = Provenance.of(request.seed, read, seconds, source, tables)
     return Outcome(
         dataset, tuple(results), provenance, rungs, carried, request.score, simulated=simulated
     )

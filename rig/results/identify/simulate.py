@@ -24,7 +24,6 @@ from identification.simulate.closed_loop import (
 )
 from identification.views.view import views
 from rig.common.errors import InputError
-from rig.common.places import is_folder
 from rig.common.provenance import Provenance, sha256_file
 from rig.common.tables import number, percent
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
@@ -39,7 +38,6 @@ from rig.results.document import (
     few_of_each_role,
     provenance_section,
 )
-from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 
@@ -196,9 +194,8 @@ def simulate_source(
         cases, responses = _closed_loop(models if known else (), prepared, progress)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
-    described_by = source / RUN_FILE if is_folder(source) else source
     seconds = time.perf_counter() - started
-    provenance = Provenance.of(0, dataset.recordings, seconds, described_by, dataset.tables)
+    provenance = Provenance.of(0, dataset.recordings, seconds, source, dataset.tables)
     read = {str(path): sha256_file(path) for path in results}
     return Simulation(
         dataset,

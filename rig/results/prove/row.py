@@ -84,6 +84,8 @@ WORTH = 0.05
 diagnosis and oracle are compared.
 """
 FAINT = 1e-12
+NAMED = ("name", "alias_group", "confidence")
+"""Values of an identified effect that a row holds."""
 VERSION = 6
 """Version of the rows and recordings; a proof that began with another version is not continued."""
 
@@ -128,7 +130,7 @@ def row_of(
         "left": max(left.values(), default=None),
         "left_by_equation": left,
         "verdict": verdict,
-        "named": [_named(effect) for effect in found],
+        "named": [{key: e[key] for key in NAMED} for e in found],
         "p_value": diagnosis["p_value"],
         **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
         "alarm": verdict not in ("nothing_missing", REFUSED),
@@ -157,15 +159,6 @@ def _location(
         return None
     ((name, true),) = truth["effects"].items()
     return located(name, true, diagnosis, recordings)
-
-
-def _named(effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the stored values of one effect of a diagnosis."""
-    return {
-        "name": effect["name"],
-        "alias_group": list(effect["alias_group"]),
-        "confidence": effect["confidence"],
-    }
 
 
 def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
