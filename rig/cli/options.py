@@ -134,11 +134,7 @@ def acceptance(default: str) -> Decorator:
 
 
 def reset_fault(more: str = "") -> Decorator:
-    """Return a decorator that adds ``--reset-fault``.
-
-    Args:
-        more: Text added to the help of the option.
-    """
+    """Return a decorator that adds ``--reset-fault``."""
     return click.option(
         "--reset-fault",
         is_flag=True,

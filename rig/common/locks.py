@@ -288,12 +288,7 @@ def hold_folder(folder: Path, command: str) -> Lock:
 
 
 def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
-    """Return the inherited locks; :meth:`Lock.note` writes this process as their holder.
-
-    Args:
-        descriptors: Descriptors of all inherited lock files.
-        folder: The run folder, if its lock is among the inherited locks.
-    """
+    """Return the inherited locks; :meth:`Lock.note` writes this process as their holder."""
     return Lock(
         [_Held(descriptor) for descriptor in descriptors],
         owner=None if folder is None else folder / OWNER_FILE,

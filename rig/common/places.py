@@ -131,10 +131,6 @@ def _after(remedy: str) -> str:
 def require_folder(path: Path, option: str) -> None:
     """Check before the work that a folder exists or can be created; the function creates nothing.
 
-    Args:
-        path: The folder.
-        option: Option that names the folder, for the message.
-
     Raises:
         InputError: The folder cannot be made; the message names the parent folder that prevents it.
     """

@@ -115,13 +115,6 @@ class Provenance:
     ) -> Provenance:
         """Return the provenance of a result made just now from these recordings.
 
-        Args:
-            seed: Seed of the random generator.
-            recordings: The recordings used.
-            seconds: Wall-clock time spent.
-            described_by: The campaign file or the run folder that describes the recordings.
-            tables: SHA-256 of the tables that list the recordings, by path.
-
         Raises:
             OSError: ``described_by`` cannot be read.
         """

@@ -120,13 +120,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks with a title; blocks without a title belong to the section above.
-
-    Attributes:
-        title: Heading.
-        blocks: Content of the section, in order.
-        anchor: Name of the section in links.
-    """
+    """Blocks with a title; blocks without a title belong to the section above."""
 
     title: str
     blocks: tuple[Block, ...]

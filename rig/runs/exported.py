@@ -369,11 +369,6 @@ READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
 def read_back(path: Path, kind: str, bench: Mapping[str, Any]) -> list[Recording] | None:
     """Return the recordings of an export, or None if another program wrote the file.
 
-    Args:
-        path: The file.
-        kind: Format of the file.
-        bench: Constants that replace those of the file.
-
     Raises:
         InputError: The numbers in the file do not fit the description.
         OSError: The file cannot be read.

@@ -105,14 +105,7 @@ def refusal(request: Request, port: int, token: str | None) -> str | None:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of the stream.
-
-    Attributes:
-        name: Name of the topic for the client.
-        recorded: Topic of the recording from which the messages come.
-        encoding: Encoding of the messages.
-        schema: Name, encoding and text of the definition of the messages.
-    """
+    """One topic of the stream."""
 
     name: str
     recorded: str
@@ -146,10 +139,6 @@ class Outgoing(NamedTuple):
 def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) -> Iterator[Outgoing]:
     """Yield the messages of the stream that follow from a record of the recording, in recorded
     order.
-
-    Args:
-        messages: Recorded topic and message.
-        wanted: Names of the topics that the client has subscribed to.
     """
     for recorded, group in groupby(messages, lambda item: item[0]):
         rows = [message for _, message in group]

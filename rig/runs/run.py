@@ -249,13 +249,7 @@ def require_space(path: Path, cycles: float) -> None:
 
 
 class RunFolder:
-    """A run folder that is being written: the state of the run on disk.
-
-    Args:
-        path: The folder.
-        record: Content of ``run.json``.
-        told: Warnings that the operator was told at the start.
-    """
+    """A run folder that is being written: the state of the run on disk."""
 
     def __init__(self, path: Path, record: RunRecord, told: frozenset[str] = frozenset()) -> None:
         self.path = path

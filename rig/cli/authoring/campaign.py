@@ -35,13 +35,7 @@ NONE: Final = "-"
 
 @dataclass(frozen=True)
 class DataFile:
-    """A recording made elsewhere.
-
-    Attributes:
-        path: The file.
-        names: Names of the columns of the file.
-        mass_kg: Mass on the lever according to its file name; 0 for none.
-    """
+    """A recording made elsewhere."""
 
     path: Path
     names: tuple[str, ...]

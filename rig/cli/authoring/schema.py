@@ -169,11 +169,7 @@ _SHORT_CHANNEL: Final = {
 
 
 def json_schema(kind: str) -> Tree:
-    """Return the JSON Schema of one kind of file.
-
-    Args:
-        kind: One of :data:`KINDS`.
-    """
+    """Return the JSON Schema of one kind of file."""
     tree = KINDS[kind].model_json_schema(ref_template="#/definitions/{model}")
     definitions: Tree = tree.pop("$defs", {})
     for node in (tree, *definitions.values()):

@@ -418,12 +418,7 @@ def bench_values(name: str, answers: Answers) -> dict[str, Any]:
 
 
 def remarks(answers: Answers, given: Mapping[str, Any]) -> list[str]:
-    """Return remarks on the answers of ``rig new bench`` that are not part of the file.
-
-    Args:
-        answers: The answers.
-        given: Answers that the user gave; the others are defaults.
-    """
+    """Return remarks on the answers of ``rig new bench`` that are not part of the file."""
     found = []
     torque = _torque_N_m(answers)
     heaviest = max(answers["weights"], default=0.0)

@@ -74,14 +74,6 @@ def make_certificate(
 ) -> Document:
     """Return the certificate of a run: verdict and figure as its summary, and a section for each
     table.
-
-    Args:
-        folder: The run folder.
-        bench: Name of the bench.
-        evidence: Values of the run that the limits apply to.
-        checks: Verdicts on the limits of the run.
-        digests: SHA-256 of the files of the run folder, by file name.
-        made: Program and time.
     """
     record = evidence.record
     good = accepted(checks)
@@ -369,14 +361,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 def acceptance_record(
     record: RunRecord, source: str, checks: Sequence[Check], inputs: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the record of ``rig runs accept --json``.
-
-    Args:
-        record: The run.
-        source: Origin of the limits.
-        checks: The limits, and whether the run met them.
-        inputs: SHA-256 of the files of the run folder, by file name.
-    """
+    """Return the record of ``rig runs accept --json``."""
     return {
         **heading(ACCEPTANCE_SCHEMA),
         "run": record.name,
@@ -441,14 +426,7 @@ def _properties(record: RunRecord, bench: str) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Result of an acceptance.
-
-    Attributes:
-        checks: The limits, judged.
-        record: The result file.
-        junit: The checks as JUnit XML.
-        folder: The run folder.
-    """
+    """Result of an acceptance."""
 
     checks: tuple[Check, ...]
     record: Mapping[str, Any]
@@ -463,12 +441,6 @@ class Acceptance:
 
 def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progress) -> Acceptance:
     """Judge a run, and write result file, certificate and seal into its folder.
-
-    Args:
-        folder: The run folder.
-        limits: The acceptance limits of the run.
-        source: Origin of the limits.
-        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: The folder is not a run folder, or cannot be written.

@@ -123,12 +123,7 @@ def _figure(record: RunRecord, dataset: Dataset | None, measure: str, statistic:
 
 
 def figures_table(names: Sequence[str], runs: Sequence[RunFigures]) -> Table:
-    """Return the measured values side by side, one column for each run.
-
-    Args:
-        names: Names of the runs.
-        runs: The values of the runs.
-    """
+    """Return the measured values side by side, one column for each run."""
     rows = [
         ("stages done", "", *(each.done for each in runs)),
         ("weight checks", "", *(each.weights for each in runs)),
@@ -159,14 +154,7 @@ COMPARE_SCHEMA = "loadrig.compare/1"
 
 @dataclass(frozen=True)
 class Compared:
-    """One run of a comparison.
-
-    Attributes:
-        run: Run folder, as given.
-        entry: Entry of the run in the catalogue of runs.
-        details: Identified constants of the run.
-        measured: Measured values of the run.
-    """
+    """One run of a comparison."""
 
     run: Path
     entry: Entry

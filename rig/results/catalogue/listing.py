@@ -58,13 +58,7 @@ _MOST_PROBLEMS = 10
 
 
 def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> Document:
-    """Return runs as a table, and the problems of folders that contain no complete run.
-
-    Args:
-        root: The searched folder.
-        entries: The runs to show, the earliest first.
-        hidden: Number of runs that the selection leaves out.
-    """
+    """Return runs as a table, and the problems of folders that contain no complete run."""
     rows = tuple(tuple(cells(root, entry).values()) for entry in entries)
     listed = Table(COLUMNS, rows, ())
     notes = [Note(line) for line in _count(entries, hidden)]

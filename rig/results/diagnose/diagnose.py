@@ -37,13 +37,7 @@ search for effects, some ten seconds.
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of ``rig diagnose``.
-
-    Attributes:
-        dataset: The diagnosed dataset.
-        diagnosis: The verdict with its evidence.
-        provenance: Seed, inputs, time.
-    """
+    """Result of ``rig diagnose``."""
 
     dataset: Dataset
     diagnosis: Diagnosis

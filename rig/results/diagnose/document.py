@@ -383,13 +383,7 @@ with the nominal model.
 
 @dataclass(frozen=True)
 class Seen:
-    """Result of ``rig diagnose --observable``.
-
-    Attributes:
-        dataset: The recordings.
-        effects: Observability of each effect in the recordings.
-        provenance: Seed, inputs, time.
-    """
+    """Result of ``rig diagnose --observable``."""
 
     dataset: Dataset
     effects: tuple[Observable, ...]

@@ -53,11 +53,6 @@ class Exports(NamedTuple):
 def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Exports:
     """Return the corrected model as YAML, Python and simulated bench, and the experiment that
     splits an alias group.
-
-    Args:
-        source: Run folder or campaign file that was diagnosed.
-        outcome: The result.
-        record: The JSON record of the result.
     """
     if outcome.diagnosis.fit.equation == PRESSURE:
         use = "the corrected gas generator, as a block of a campaign file"
@@ -114,10 +109,6 @@ def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
 def gas_text(found: Diagnosis, bench: Constants) -> str:
     """Return the corrected gas generator as YAML (a block of a campaign file), and notes on what
     the YAML cannot state.
-
-    Args:
-        found: The diagnosis.
-        bench: The bench with the nominal constants.
     """
     g = bench.gas_generator
     assert g is not None

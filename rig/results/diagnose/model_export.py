@@ -145,11 +145,6 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
 def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
     """Return the model as a Python file that contains the source of the functions with which this
     program computes it.
-
-    Args:
-        model: The corrected model.
-        recording: Any recording of the bench, for its constants.
-        name: Name of the source, for the docstring.
     """
     torque = list(model.responses("torque"))
     tables = {

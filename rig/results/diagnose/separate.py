@@ -137,10 +137,6 @@ def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
     """Return a sequence file that splits an alias group on a bench, or None if no sequence can
     split the group.
-
-    Args:
-        names: The group, the likeliest first.
-        bench: The bench, whose limits set the size of the experiment.
     """
     kinds = [k for name in names if (k := EFFECTS[name].separation) is not None]
     room = Room.of(bench)

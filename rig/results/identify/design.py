@@ -132,18 +132,7 @@ masses.
 
 @dataclass(frozen=True)
 class Experiment:
-    """A planned experiment.
-
-    Attributes:
-        sequence: The given sequence.
-        nominal: The model used to assess the sequence.
-        nominal_source: Origin of the model's parameter values, as text.
-        current_noise_A: Noise of the logged current, rms.
-        proposal: Parameters determined by the given and by the proposed sequence.
-        proposed: The proposed sequence, to be run instead of the given sequence.
-        seed: Seed of the search.
-        seconds: Wall-clock time spent.
-    """
+    """A planned experiment."""
 
     sequence: Sequence
     nominal: PlannedModel

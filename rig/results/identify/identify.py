@@ -113,11 +113,6 @@ def identify_source(
 ) -> Outcome:
     """Identify a run folder or campaign file.
 
-    Args:
-        source: Run folder or campaign file.
-        request: Methods and options.
-        progress: Called with the current step and the completed share.
-
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
     """

@@ -94,12 +94,7 @@ serve as references.
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model from a result file.
-
-    Attributes:
-        file: The result file.
-        corrected: Nominal parameters and effects.
-    """
+    """A model from a result file."""
 
     file: Path
     corrected: CorrectedModel
@@ -264,13 +259,7 @@ _FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
 
 
 def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Document:
-    """Return a simulation as a document.
-
-    Args:
-        name: Name of the source.
-        found: The result.
-        beside: Remarks on the model as a bench file.
-    """
+    """Return a simulation as a document."""
     models = dict.fromkeys(str(one.file) for one in found.predictions)
     return Document(
         f"Simulation of {name}",

@@ -55,13 +55,7 @@ basin, %.
 
 @dataclass(frozen=True)
 class Printed:
-    """One column of Table 1 or 2 with the printed values.
-
-    Attributes:
-        original: "Original value".
-        identified: "Identified value".
-        error_percent: "Error".
-    """
+    """One column of Table 1 or 2 with the printed values."""
 
     original: float
     identified: float
@@ -85,13 +79,7 @@ TABLE_2: Mapping[str, Printed] = {
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Result of ``rig paper``.
-
-    Attributes:
-        dataset: The two simulated cases.
-        truth: True values of the simulated parameters, by name.
-        runs: Results by method and seed.
-    """
+    """Result of ``rig paper``."""
 
     dataset: Dataset
     truth: Mapping[str, float]
@@ -134,10 +122,6 @@ class Reproduction:
 def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
     """Simulate the literal bench without noise, and identify it by the paper's and by the default
     method from every seed.
-
-    Args:
-        seeds: Seeds of the methods; the simulation is deterministic.
-        progress: Called with the current step and the completed share.
     """
     progress("simulating the literal bench", 0.0)
     dataset, truth = simulate_cases()
@@ -525,12 +509,7 @@ def _listed(lines: Sequence[str]) -> Items:
 
 
 def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
-    """Make the runs and draw all figures except those of the tables, in the order of the paper.
-
-    Args:
-        seed: Seed of the simulated benches' noise.
-        progress: Called with the current step and the completed share.
-    """
+    """Make the runs and draw all figures except those of the tables, in the order of the paper."""
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
         progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)

@@ -207,9 +207,6 @@ def _fingerprint() -> dict[str, str]:
 def local_cluster(workers: int) -> Iterator[DaskCluster]:
     """Start worker processes on this machine, and end them with the context.
 
-    Args:
-        workers: Number of worker processes.
-
     Raises:
         InputError: The extra ``dask`` is not installed.
     """

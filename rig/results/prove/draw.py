@@ -244,13 +244,7 @@ def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]
 
 
 def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
-    """Draw one trial.
-
-    Args:
-        kind: Kind of the trial.
-        names: Effects to inject.
-        seed: Entropy of the draws; equal entropy results in equal trials.
-    """
+    """Draw one trial."""
     rng = np.random.default_rng(list(seed))
     machine = _nominal(rng)
     effects: Effects = {}

@@ -60,11 +60,7 @@ class Engine(Protocol):
 
 
 def died(what: str) -> InputError:
-    """Return the error for workers that die repeatedly.
-
-    Args:
-        what: What died, and how often.
-    """
+    """Return the error for workers that die repeatedly."""
     return InputError(
         f"{what}, perhaps for lack of memory; all finished work is kept: repeat the command with "
         f"this --out and with fewer --jobs or workers"
@@ -76,13 +72,7 @@ Files = Mapping[str, bytes]
 
 
 class Bundle(NamedTuple):
-    """A campaign with the files of its folder.
-
-    Attributes:
-        folder: Name of the folder.
-        campaign: Name of the campaign file in the folder.
-        files: All files in the folder.
-    """
+    """A campaign with the files of its folder."""
 
     folder: str
     campaign: str
@@ -155,10 +145,6 @@ def unpacked(given: Path | Bundle) -> Iterator[Path]:
 def without_place(record: Any, folder: Path) -> Any:
     """Return a record in which paths begin with the name of the folder, so that the bytes of the
     record depend neither on the place of the folder nor on the place of this program.
-
-    Args:
-        record: Record of plain values.
-        folder: The folder.
     """
     places = {folder.parent, folder.parent.absolute(), folder.parent.resolve()} - {Path(".")}
     homes = [str(p) for p in sorted(places, key=lambda p: -len(str(p)))]
@@ -224,12 +210,6 @@ class Processes(NamedTuple):
         waiting: dict[Future[Result], Task],
     ) -> Iterator[Result]:
         """Yield results until all tasks are done.
-
-        Args:
-            one: Function that does one task.
-            tasks: Tasks that were never submitted.
-            again: Tasks to submit first, which this function removes from the list.
-            waiting: Filled with the tasks that are submitted and have no result.
 
         Raises:
             BrokenProcessPool: A worker died.

@@ -156,13 +156,7 @@ def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
 
 
 def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
-    """Draw one trial.
-
-    Args:
-        kind: Kind of the trial.
-        names: Effects to inject.
-        seed: Entropy of the draws; equal entropy results in equal trials.
-    """
+    """Draw one trial."""
     rng = np.random.default_rng(list(seed))
     base = Machine()
     g = base.gas

@@ -212,13 +212,6 @@ def seal_own(
 
     Trials that exist already are kept, so that a call that was stopped can be repeated.
 
-    Args:
-        home: Folder of the sealed rigs.
-        rigs: Number of trials.
-        seed: Seed of the draws.
-        engine: Engine that does the work on the trials.
-        progress: Called with the label of a step and the share that is done.
-
     Raises:
         InputError: Workers die repeatedly.
         OSError: A file cannot be written.
@@ -254,13 +247,7 @@ Progress = Callable[[str, float], None]
 
 
 class FromProof(NamedTuple):
-    """State of a proof of sealed rigs.
-
-    Attributes:
-        out: Folder of the proof.
-        seed: Seed of the diagnoses.
-        rigs: The rigs, in order.
-    """
+    """State of a proof of sealed rigs."""
 
     out: Path
     seed: int

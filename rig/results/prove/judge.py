@@ -75,10 +75,6 @@ def judge(source: Path, seed: int) -> Judgement:
 def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
     """Fit the true structure to a campaign, after the diagnosis.
 
-    Args:
-        source: The campaign file.
-        names: The true effects, all of which are in the catalogue.
-
     Returns:
         The record of :class:`identification.diagnosis.oracle.HeldOut`, or None if the nominal model
         cannot be fitted, or if the campaign has no unused recordings.

@@ -88,10 +88,6 @@ def without_times(record: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, 
 def timed_row(out: Path, name: str) -> dict[str, Any]:
     """Return the row of a trial with its durations.
 
-    Args:
-        out: Folder of the proof.
-        name: Name of the trial's files.
-
     Raises:
         InputError: A file is missing or damaged.
     """
@@ -141,14 +137,7 @@ REPEATED = (PROOF_FILE, "sealed", DIAGNOSES, "judgements", ROWS)
 
 
 class Proof(NamedTuple):
-    """State of a proof.
-
-    Attributes:
-        out: Folder of the proof.
-        seed: Seed of draws and diagnosis.
-        seals: All trials, with sealed truths.
-        family: Family of the trials, from :data:`rig.results.prove.run.FAMILIES`.
-    """
+    """State of a proof."""
 
     out: Path
     seed: int

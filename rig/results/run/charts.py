@@ -419,11 +419,7 @@ class Frame:
 
 @dataclass
 class Plots:
-    """Data of all charts of a page. Each series is stored once, with the channels that are drawn.
-
-    Attributes:
-        charts: Data of the charts, in the order of the page.
-    """
+    """Data of all charts of a page; each series is stored once, with the channels drawn."""
 
     charts: list[dict[str, Any]] = field(default_factory=list)
     _series: list[tuple[Series, TimeAxis, dict[str, None]]] = field(default_factory=list)

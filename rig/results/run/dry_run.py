@@ -49,12 +49,7 @@ def _range(limit: Range) -> str:
 
 
 def describe_acceptance(limits: Sequence[Limit], source: str) -> str:
-    """Return the acceptance limits as a table, or a message if there are none.
-
-    Args:
-        limits: The acceptance limits.
-        source: Origin of the limits.
-    """
+    """Return the acceptance limits as a table, or a message if there are none."""
     if not limits:
         return NOT_JUDGED
     head = (
@@ -120,16 +115,7 @@ class Duration:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Result of a dry run.
-
-    Attributes:
-        bench: The bench.
-        load: The plan and its predicted peaks.
-        watcher: Watchdog or guardian that stops the drive when this program dies.
-        duration: Expected duration.
-        acceptance: Limits by which the complete run will be judged.
-        acceptance_source: Origin of these limits.
-    """
+    """Result of a dry run."""
 
     bench: Document[Bench]
     load: PredictedLoad

@@ -58,12 +58,7 @@ def go_on_command(record: RunRecord, folder: Path) -> str | None:
 
 
 def go_on_words(record: RunRecord, folder: Path) -> str:
-    """Return the last lines of the message on an unfinished run; empty for a finished run.
-
-    Args:
-        record: ``run.json`` at the end of the run.
-        folder: The run folder, as the operator named it.
-    """
+    """Return the last lines of the message on an unfinished run; empty for a finished run."""
     if record.state == Ending.DONE.value:
         return ""
     lines = [f"first: {words}" for words in first_words(record)]
@@ -95,9 +90,6 @@ _VERDICTS: Final = frozenset({"accepted", "rejected"})
 
 def read_verdict(folder: Path) -> dict[str, Any] | None:
     """Return the verdict on a run as JSON values.
-
-    Args:
-        folder: The run folder.
 
     Returns:
         ``verdict``, ``accepted`` or ``rejected``; ``checks``, the number of checks; ``failed``, the

@@ -631,12 +631,6 @@ def moment_of(
 
     For a trip this is the time of the trip, otherwise the last sample of the current excitation, or
     the last sample under power.
-
-    Args:
-        record: ``run.json``.
-        tail: The end of the last recording.
-        segments: Excitations of the recording.
-        events: Events of the last recording.
     """
     last = float(tail.time[-1])
     words = record.state

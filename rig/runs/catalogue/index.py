@@ -180,11 +180,6 @@ class Listing(NamedTuple):
 def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) -> Listing:
     """Return the runs in and below a folder, from the index if the index is current.
 
-    Args:
-        root: The folder.
-        progress: Called with the number of folders that were read, and the number of folders to
-            read.
-
     Raises:
         InputError: The folder cannot be searched.
     """
@@ -289,12 +284,7 @@ Benches = MutableMapping[str, str]
 
 
 def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
-    """Return the entry of a run folder.
-
-    Args:
-        folder: The folder.
-        benches: Known names of benches, to which this function adds names.
-    """
+    """Return the entry of a run folder."""
     path = folder / RUN_JSON
     if not is_file(path):
         return _without_record(folder), Details()

@@ -56,13 +56,7 @@ class Verified:
 
 @dataclass(frozen=True)
 class Verification:
-    """All files of a run.
-
-    Attributes:
-        folder: The run folder.
-        files: Files of the run.
-        problems: Messages on errors that prevented the verification of files.
-    """
+    """All files of a run."""
 
     folder: Path
     files: tuple[Verified, ...]

@@ -371,9 +371,6 @@ class Piece(NamedTuple):
 class Tail:
     """An open recording that may still grow. A context manager.
 
-    Args:
-        path: The recording.
-
     Raises:
         OSError: The file cannot be opened.
         DamageError: The file is not a recording.
@@ -523,10 +520,6 @@ def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening |
     """Yield the content of a recording except its frames.
 
     Events come before the block with the samples of the same time.
-
-    Args:
-        path: The recording.
-        fields: Fields of :class:`rig.common.sample.Sample` in the blocks.
 
     Raises:
         DamageError: The recording is not complete; all items yielded so far are valid.
