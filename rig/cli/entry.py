@@ -263,9 +263,7 @@ def status(arguments: list[str]) -> int:
 
 
 def _device_errors() -> tuple[type[BaseException], ...]:
-    """Return the base class of the device errors, or nothing if no driver was imported, as by
-    commands that only read recordings.
-    """
+    """Return the base class of the device errors, or nothing if no driver was imported."""
     errors = sys.modules.get("drivers.errors")
     return () if errors is None else (errors.DeviceError,)
 
@@ -280,12 +278,7 @@ def _broke_down(error: BaseException, arguments: list[str]) -> int:
 
 
 class _Threads:
-    """Reports, without a traceback, errors that occur in other threads or where no error can be
-    raised.
-
-    Attributes:
-        broken: Whether a thread failed, so that its result is missing.
-    """
+    """Reports errors of other threads without a traceback; ``broken`` if a result is missing."""
 
     def __init__(self, arguments: list[str]) -> None:
         self.broken = False

@@ -303,15 +303,7 @@ def file_name(key: str) -> str:
 
 @dataclass(frozen=True)
 class _Place:
-    """A lock file.
-
-    Attributes:
-        subject: The locked object in messages to the operator.
-        what: The locked object as written in the file.
-        folder: Folder of the lock file.
-        file: Name of the lock file in the folder.
-        shared: Whether the folder is for all users of this computer.
-    """
+    """A lock file: subject in messages, ``what`` it says it locks; ``shared`` by all users."""
 
     subject: str
     what: str

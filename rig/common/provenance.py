@@ -44,7 +44,7 @@ def utc_now() -> datetime:
 def versions() -> dict[str, str]:
     """Return the versions of this program and its dependencies, and the commit of a work tree."""
     found = dict(_installed())
-    commit = git_commit(Path(__file__).parents[2])
+    commit = _git_commit(Path(__file__).parents[2])
     if commit:
         found["commit"] = commit
     return found
@@ -56,10 +56,8 @@ def _installed() -> Mapping[str, str]:
     return {name: version(name) for name in names} | {"python": platform.python_version()}
 
 
-def git_commit(root: Path) -> str | None:
-    """Return the commit that is checked out at ``root``, or None if ``root`` is no plain git work
-    tree.
-    """
+def _git_commit(root: Path) -> str | None:
+    """Return the commit that is checked out at ``root``; None without a plain work tree."""
     head = _text(root / ".git" / "HEAD")
     if head is None or not head.startswith("ref: "):
         return head

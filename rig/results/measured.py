@@ -32,9 +32,7 @@ def clock_words(measure: str, record: RunRecord) -> str:
 
 
 def _timing(part: str) -> Measured:
-    """Return the function that computes a statistic of a timing histogram, s; of the values of all
-    recordings, the worst counts.
-    """
+    """Return the statistic of a timing histogram, s; of several recordings the worst counts."""
 
     def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
         timings = [p.timing[part] for p in record.parts if p.timing]
@@ -54,9 +52,7 @@ def _count(*names: str) -> Measured:
 
 
 def _trace(of: Callable[[Recording], Array | None]) -> Measured:
-    """Return the function that computes rms or greatest magnitude of a signal over all
-    excitations.
-    """
+    """Return rms or greatest magnitude of a signal over all excitations."""
 
     def measured(record: RunRecord, dataset: Dataset | None, statistic: str) -> float | None:
         recordings = dataset.recordings if dataset else ()

@@ -113,9 +113,7 @@ def aligned(
 
 
 def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
-    """Return an encoder's samples with short gaps filled by interpolated counts, and the number of
-    filled samples.
-    """
+    """Return an encoder's samples with short gaps filled, and the number of filled samples."""
     steps = np.diff(taken)
     missing = np.round(steps / float(np.median(steps))).astype(np.int64) - 1
     missing = np.where((missing > 0) & (missing <= _FILLED), missing, 0)
@@ -134,9 +132,7 @@ def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
 
 
 def _at(instants: Array, time: Array, values: Array, mean: bool) -> Array:
-    """Return a channel at other times; for an averaged channel, the mean over the period that ends
-    at each time.
-    """
+    """Return a channel at other times, or its mean over the period that ends there."""
     if not mean:
         return np.interp(instants, time, values)
     period = float(np.median(np.diff(time)))

@@ -151,9 +151,7 @@ def _misfit(path: Path, error: RecordingError | str) -> InputError:
 
 
 def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
-    """Stack all recordings: return the name of the recording for every row, and the channels, with
-    NaN in the rows of recordings without a channel.
-    """
+    """Stack all recordings: name of the recording for every row, and channels or NaN."""
     present = {name for recording in dataset.recordings for name in recording.channels}
     names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]
     stacked = {

@@ -159,10 +159,7 @@ def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) ->
 
 
 def _json_without_nan(data: bytes) -> bytes:
-    """Return an event as strict JSON: NaN and infinities, which JSON lacks, become text.
-
-    An event without NaN and infinities is returned unchanged.
-    """
+    """Return an event as strict JSON: NaN and infinities become text."""
     found: list[str] = []
 
     def text(word: str) -> str:

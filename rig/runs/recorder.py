@@ -126,9 +126,7 @@ class Recorder:
             raise _failed(error) from error
 
     def _require_in_place(self) -> None:
-        """Raise an error if the file is no longer at its path: a deleted file can still be written
-        until it is closed, and is then lost.
-        """
+        """Refuse a deleted or moved file, which can be written until it is closed, and is lost."""
         if self._path is None:
             return
         mine = os.fstat(self._stream.fileno())
@@ -203,9 +201,7 @@ class Recorder:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Permit no write after the first failure, because a reader cannot read records after an
-        incomplete record.
-        """
+        """Permit no write after the first failure: nothing behind it could be read."""
         if self._broken:
             raise _broken_before()
         try:

@@ -164,9 +164,7 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
 
 
 class _Growing:
-    """One field of a segment, into which blocks are copied as they arrive, because joining the
-    blocks at the end would need twice the memory.
-    """
+    """One field of a segment, filled in place: joining blocks would need twice the memory."""
 
     def __init__(self, expected: int) -> None:
         self._values = np.empty(expected)
@@ -488,9 +486,7 @@ def _recording(
     path: Path,
     digest: str,
 ) -> Recording:
-    """Return one excitation as a recording; ``samples`` is emptied meanwhile, because a long run
-    does not fit into memory twice.
-    """
+    """Return one excitation; ``samples`` is emptied, because it does not fit in memory twice."""
     fresh = samples.pop("fresh") != 0.0
     partial = segment.end is None
     if partial:
@@ -542,9 +538,7 @@ def _recording(
 
 
 def _times(samples: dict[str, Array], encoder_time: Array) -> tuple[Array, list[str]]:
-    """Return the times of the samples, s, and notes on the clocks; the clock channels are removed
-    from ``samples``.
-    """
+    """Return the times of the samples, s, and notes on the clocks, which leave ``samples``."""
     time, device_time = samples.pop("time"), samples.pop("device_time")
     notes = describe(time, samples.pop("host_time"), device_time, encoder_time)
     # The drive's time stamps are those of its latch; the host's times have the jitter of its

@@ -60,9 +60,7 @@ _MUST_HOLD = {
 
 @functools.cache
 def _adapter(record: type[Any]) -> TypeAdapter[Any]:
-    """Return the validator of a record, which is cached, because its creation takes longer than a
-    validation.
-    """
+    """Return the validator of a record; its creation takes longer than a validation."""
     return TypeAdapter(record)
 
 
@@ -95,9 +93,7 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete a record of an older version, which lacks the keys on hot firings, further
-    recordings or ends of stages.
-    """
+    """Complete a record of an older version."""
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
     if (
@@ -126,9 +122,7 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ended(stage: Any, state: str) -> Any:
-    """Return a stage; if its state is `running` although the run has ended, with the state of the
-    end.
-    """
+    """Return a stage; one that still runs although the run has ended gets that end."""
     return (
         {**stage, "state": state}
         if isinstance(stage, dict) and stage.get("state") == "running"
@@ -150,9 +144,7 @@ def recorded_bench(record: RunRecord) -> BenchConstants:
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
-    """Yield the errors that type checks do not find: missing constants, and references to stages or
-    recordings that do not exist.
-    """
+    """Yield missing constants, and references to stages or recordings that do not exist."""
     missing = _BENCH - set(record.bench)
     for name in sorted(missing):
         yield ("bench", name), "missing; state every constant, because a default would not be safe"

@@ -220,11 +220,7 @@ def _walk(node: Any, change: Callable[[Tree], None]) -> None:
 
 
 def _tidy(node: Tree) -> None:
-    """Remove the parts that an editor does not use, and use only keywords of draft 7.
-
-    Without the key that discriminates them, the branches of a union overlap, and the keyword
-    ``oneOf`` would refuse files that the program accepts. Titles of keys only repeat their names.
-    """
+    """Use only keywords of draft 7; as ``oneOf`` overlapping branches would refuse good files."""
     if isinstance(branches := node.get("oneOf"), list) and any("$ref" in item for item in branches):
         node["anyOf"] = node.pop("oneOf")
     node.pop("discriminator", None)

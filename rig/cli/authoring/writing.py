@@ -22,12 +22,8 @@ FOLDER: Final = "schemas"
 _OWN: Final = '"$id": "urn:loadrig:'
 
 
-def first_line(kind: str) -> str:
-    """Return the comment that names the schema of a file, relative to the file itself.
-
-    A relative path stays valid when the folder is moved or shared, and needs neither network nor an
-    installed program.
-    """
+def _first_line(kind: str) -> str:
+    """Return the comment that names a file's schema, relative to the file."""
     return f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
 
 
@@ -38,7 +34,7 @@ def write_schema(kind: str, folder: Path) -> Path:
         InputError: The schema cannot be written, or another file of that name is there.
     """
     path = folder / f"{kind}.schema.json"
-    require_schema_place(path)
+    _require_schema_place(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(json_schema(kind), indent=1) + "\n")
@@ -49,13 +45,8 @@ def write_schema(kind: str, folder: Path) -> Path:
     return path
 
 
-def require_schema_place(path: Path) -> None:
-    """Check that a schema can be written into a folder.
-
-    Raises:
-        InputError: The folder cannot be made, or the file exists and is not a schema of this
-            program.
-    """
+def _require_schema_place(path: Path) -> None:
+    """Check that a schema can be written here."""
     require_folder(path.parent, "--out")
     try:
         if path.exists() and _OWN not in path.read_text(encoding="utf-8", errors="replace")[:400]:
@@ -115,7 +106,7 @@ def require_new(path: Path, kind: str) -> None:
             "file away"
         )
     require_file(path, "PATH")
-    require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
+    _require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
 
 
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
@@ -138,7 +129,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
     require_new(path, kind)
     try:
         with replacing(path) as draft:
-            draft.write_text(f"{first_line(kind)}\n{body}", encoding="utf-8")
+            draft.write_text(f"{_first_line(kind)}\n{body}", encoding="utf-8")
             try:
                 load(draft)
             except InputError as error:

@@ -117,9 +117,7 @@ def off(bench: str, json_file: Path | None) -> int:
 
 
 def _interruptible(document: Document[Bench], screen: Screen, stop: StopButton) -> Off:
-    """Make the bench safe in a thread of its own, so that an attempt on a dead line delays neither
-    the answer to a Ctrl-C nor the end after a second one.
-    """
+    """Make the bench safe in a thread, so that a dead line does not delay the answer to Ctrl-C."""
     said: SimpleQueue[str] = SimpleQueue()
     found: list[Off] = []
     failed: list[BaseException] = []

@@ -277,9 +277,7 @@ Connect = Callable[[Document[Bench]], Any]
 
 
 def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
-    """Return the function that opens a bench, and shows once what nothing protects; the function
-    builds a mistake into the simulated devices if one is requested.
-    """
+    """Return the function that opens a bench, with a mistake built in if one is requested."""
     told: list[str] = []
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:

@@ -130,12 +130,7 @@ def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
 
 
 def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[str, Any]) -> None:
-    """Write the campaign file with the guesses; an unknown value has a placeholder that the user
-    must change.
-
-    Raises:
-        InputError: The source is not one log, or the guesses give no valid file.
-    """
+    """Write the campaign file; an unknown value has a placeholder that the user must change."""
     from rig.cli.authoring.campaign import ASKED, NONE, DataFile, campaign_text, questions
     from rig.cli.authoring.questions import ask_all
     from rig.cli.authoring.writing import RefusedError, require_new, write_new

@@ -256,7 +256,7 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
         path,
         "bench",
         lambda: BENCH,
-        lambda answers: fill("bench", bench_values(_name(path), answers)),
+        lambda answers: fill("bench", _bench_values(_name(path), answers)),
         load_bench,
         given,
         yes,
@@ -381,12 +381,8 @@ def _name(path: Path) -> str:
     return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in path.stem)
 
 
-def bench_values(name: str, answers: Answers) -> dict[str, Any]:
-    """Return the values for the template of a bench file.
-
-    The friction of a simulated bench is in proportion to the torque limit; the joint's inertia
-    includes the rotor.
-    """
+def _bench_values(name: str, answers: Answers) -> dict[str, Any]:
+    """Return the values for the template of a bench file."""
     real, heaviest = _real(answers), max(answers["weights"], default=0.0)
     values: dict[str, Any] = {
         "interface": "mock",

@@ -318,11 +318,7 @@ def _chosen(folder: Path, given: Mapping[str, Any]) -> tuple[list[Entry], list[E
 
 
 def _one(run: Path) -> Entry:
-    """Return the entry of one run folder.
-
-    Raises:
-        InputError: The folder is not a run folder.
-    """
+    """Return the entry of one run folder."""
     from rig.runs.catalogue.index import list_runs, signature_of
 
     if signature_of(str(run)) is None:

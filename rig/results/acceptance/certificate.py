@@ -142,9 +142,7 @@ def _interruptions(record: RunRecord) -> str:
 
 
 def _course(record: RunRecord) -> Table | None:
-    """Return when each recording began and ended, and how; None for a run without an
-    interruption.
-    """
+    """Return how each recording began and ended; None for a run without an interruption."""
     if len(record.parts) == 1 and record.parts[0].state == Ending.DONE.value:
         return None
     rows = tuple(
@@ -209,9 +207,7 @@ def _calibrations(record: RunRecord) -> Table | Note:
 
 
 def _figure(folder: Path, evidence: Evidence) -> Picture | None:
-    """Return the figure of friction against speed if the run was identified, else the traces of the
-    run.
-    """
+    """Return friction against speed if the run was identified, else its traces."""
     if evidence.constants and (folder / FRICTION_FIGURE).is_file():
         caption = "Friction against speed, measured (dots) and identified (black)"
         return Picture("result", caption, (folder / FRICTION_FIGURE).read_bytes())
@@ -242,8 +238,7 @@ def _overview(dataset: Dataset) -> Figure:
     return made
 
 
-def certificate_html(certificate: Document) -> str:
-    """Return the certificate as one self-contained HTML page; all text is escaped."""
+def _certificate_html(certificate: Document) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,
@@ -457,7 +452,7 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     digests = {**inputs, RESULT_FILE: sha256_file(folder / RESULT_FILE)}
     made = f"loadrig {result['version']}, {result['created'].replace('+00:00', ' UTC')}"
     certificate = make_certificate(folder, bench, evidence, checks, digests, made)
-    write_texts({CERTIFICATE_PAGE: certificate_html(certificate)}, folder)
+    write_texts({CERTIFICATE_PAGE: _certificate_html(certificate)}, folder)
     write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
     seal_run(folder, record)
     seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])

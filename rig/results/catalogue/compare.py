@@ -122,7 +122,7 @@ def _figure(record: RunRecord, dataset: Dataset | None, measure: str, statistic:
     return Figure(name, None if value is None else value / scale, unit, remark)
 
 
-def figures_table(names: Sequence[str], runs: Sequence[RunFigures]) -> Table:
+def _figures_table(names: Sequence[str], runs: Sequence[RunFigures]) -> Table:
     """Return the measured values side by side, one column for each run."""
     rows = [
         ("stages done", "", *(each.done for each in runs)),
@@ -228,7 +228,7 @@ def compare_document(runs: Sequence[Compared]) -> Document:
     """Return a comparison as a document: the measured values of all runs side by side, and the
     constants of each later identified run with those of the first identified run.
     """
-    table = figures_table(_short(runs), [each.measured for each in runs])
+    table = _figures_table(_short(runs), [each.measured for each in runs])
     head = [
         Section("", (_facts(runs),)),
         Section("Measured values", (table, *_unread(runs), *_not_identified(runs))),
@@ -550,9 +550,7 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
 
 
 def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:
-    """Return the test for errors relative to their median; parameters with equal relative errors
-    share one test.
-    """
+    """Return the test for errors relative to their median; equal errors share one test."""
     key = np.round(relative, 6).tobytes()
     if key not in known:
         known[key] = ChangeTest(relative, np.random.default_rng(seed))

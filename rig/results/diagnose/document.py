@@ -60,14 +60,7 @@ _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
 
-def effect_table(found: Diagnosis, motion: str) -> Table:
-    """Return one row for each parameter of each effect; the names of the parameters are those for
-    the motion of the bench.
-
-    Args:
-        found: The diagnosis.
-        motion: ``rotary`` or ``linear``.
-    """
+def _effect_table(found: Diagnosis, motion: str) -> Table:
     rows = []
     for effect in found.effects:
         lead = (effect.name, number(effect.confidence, 3))
@@ -80,8 +73,7 @@ def effect_table(found: Diagnosis, motion: str) -> Table:
     return Table(("effect", "confidence", "parameter", "value (90 % interval)"), tuple(rows), (1,))
 
 
-def rival_table(found: Diagnosis) -> Table:
-    """Return the rivals of each effect, and the reason why each rival was rejected."""
+def _rival_table(found: Diagnosis) -> Table:
     rows = tuple(
         (
             effect.name,
@@ -95,20 +87,16 @@ def rival_table(found: Diagnosis) -> Table:
     return Table(("effect", "rival", "confidence", "why not"), rows, (2,))
 
 
-def fit_table(found: Diagnosis) -> Table:
-    """Return the errors of the nominal and of the corrected model, one row per equation and role;
-    all errors of one equation are at one bandwidth.
-    """
+def _fit_table(found: Diagnosis) -> Table:
+    """Return the errors of both models, one row per equation and role."""
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))
     rms = ("rms before", "rms after", "noise floor")
     return Table(("equation", "recordings", *rms, "unit", "bandwidth"), rows, (2, 3, 4, 6))
 
 
-def shift_table(found: Diagnosis) -> Table:
-    """Return the nominal parameters in the nominal and in the corrected model; no rows if no
-    parameter changed.
-    """
+def _shift_table(found: Diagnosis) -> Table:
+    """Return the nominal parameters in both models; no rows if none changed."""
     if all(s.before == s.after for s in found.parameter_shift.values()):
         return Table((), (), ())
     rows = tuple(
@@ -124,10 +112,8 @@ def shift_table(found: Diagnosis) -> Table:
     return Table(("parameter", "before", "after", "change", "unit"), rows, (1, 2, 3))
 
 
-def where_table(found: Diagnosis) -> Table:
-    """Return the location of the mismatch of each effect or, without an effect, of the whole
-    mismatch.
-    """
+def _where_table(found: Diagnosis) -> Table:
+    """Return the location of each effect or, without one, of the whole mismatch."""
     places = [(e.name, e.where) for e in found.effects]
     if not places and found.location is not None:
         places = [("the mismatch", found.location)]
@@ -144,8 +130,7 @@ def where_table(found: Diagnosis) -> Table:
     return Table(("what", "against", "where", "share of the mismatch", "recordings"), rows, (3,))
 
 
-def step_table(found: Diagnosis) -> Table:
-    """Return the steps of the search in their order."""
+def _step_table(found: Diagnosis) -> Table:
     rows = tuple(
         (
             str(k),
@@ -244,7 +229,7 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
     for effect in found.effects:
         if effect.statement not in found.statement:
             yield Section("", (Paragraph(effect.statement, f"{effect.name}:"),))
-    tables = (where_table, rival_table, fit_table, shift_table)
+    tables = (_where_table, _rival_table, _fit_table, _shift_table)
     for shown in (_effect_table(outcome), *(make(found) for make in tables)):
         if shown.rows:
             yield Section("", (shown,))
@@ -258,7 +243,7 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
 
 
 def _effect_table(outcome: Outcome) -> Table:
-    return effect_table(outcome.diagnosis, outcome.dataset.recordings[0].bench.motion)
+    return _effect_table(outcome.diagnosis, outcome.dataset.recordings[0].bench.motion)
 
 
 def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
@@ -269,16 +254,16 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     if found.effects:
         effects = (_effect(effect, found) for effect in found.effects)
         yield Section("Identified effects", (_effect_table(outcome), *effects))
-    yield Section("Error before and after", (fit_table(found),))
+    yield Section("Error before and after", (_fit_table(found),))
     yield Section(
-        "Location of the mismatch", (*_if_any(where_table(found)), *_curve(found), *_maps(found))
+        "Location of the mismatch", (*_if_any(_where_table(found)), *_curve(found), *_maps(found))
     )
-    if rivals := _if_any(rival_table(found)):
+    if rivals := _if_any(_rival_table(found)):
         yield Section("Rivals", (*rivals, *_rivals(found)))
-    if shifts := _if_any(shift_table(found)):
+    if shifts := _if_any(_shift_table(found)):
         note = Note("Nominal parameters fitted without and with the correction.", "aside")
         yield Section("Change of the nominal parameters", (note, *shifts))
-    if steps := _if_any(step_table(found)):
+    if steps := _if_any(_step_table(found)):
         yield Section("Steps of the search", steps)
     yield Section("Recordings", tuple(_recordings(found)))
     if exports.files:

@@ -56,7 +56,7 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
     """
     if outcome.diagnosis.fit.equation == PRESSURE:
         use = "the corrected gas generator, as a block of a campaign file"
-        text = gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
+        text = _gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
         return Exports((Export(GAS_FILE, use, text),), ())
     base = base_bench(source)
     files, notes = _models(source_name(source), base, outcome, record)
@@ -106,10 +106,8 @@ def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
     return None
 
 
-def gas_text(found: Diagnosis, bench: Constants) -> str:
-    """Return the corrected gas generator as YAML (a block of a campaign file), and notes on what
-    the YAML cannot state.
-    """
+def _gas_text(found: Diagnosis, bench: Constants) -> str:
+    """Return the corrected gas generator as YAML, a block of a campaign file."""
     g = bench.gas_generator
     assert g is not None
     block = {

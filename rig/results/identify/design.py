@@ -334,27 +334,24 @@ PROPOSAL_FILE = "proposal.yaml"
 
 def proposal_text(experiment: Experiment, bench: str) -> str:
     """Return the sequence file of a proposal; a comment states its purpose."""
-    determined = intervals_words(experiment.proposal.proposed)
+    determined = _intervals_words(experiment.proposal.proposed)
     head = (
         f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
         f"{bench}, seed {experiment.seed}.\n"
         f"# Nominal: {experiment.nominal_source}.\n# {determined}.\n"
     )
     return head + yaml.safe_dump(
-        plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
+        _plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
     )
 
 
-def plain_sequence(sequence: Sequence) -> dict[str, Any]:
-    """Return a sequence as the mapping of its file; most keys with default values are omitted."""
+def _plain_sequence(sequence: Sequence) -> dict[str, Any]:
     given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
     return {"sequence": sequence.sequence, **given}
 
 
-def intervals_words(found: Intervals) -> str:
-    """Return a message on the number of determined parameters and on the least accurate
-    parameter.
-    """
+def _intervals_words(found: Intervals) -> str:
+    """Return how many parameters are determined, and the least accurate."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
         return f"does not determine {', '.join(open_names)}"
@@ -381,8 +378,8 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
     yield Section("", (Note(head),))
     yield Section("", (_widths(experiment),))
     lines = (
-        f"{sequence}: {intervals_words(now)}",
-        f"{proposed}: {intervals_words(then)}",
+        f"{sequence}: {_intervals_words(now)}",
+        f"{proposed}: {_intervals_words(then)}",
         _advice(experiment),
     )
     yield Section("", tuple(map(Note, lines)))
@@ -488,7 +485,7 @@ def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
 
 def _intervals_record(sequence: Sequence, found: Intervals) -> dict[str, Any]:
     return {
-        "sequence": plain_sequence(sequence),
+        "sequence": _plain_sequence(sequence),
         "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},
         "weakest": found.weakest,
     }

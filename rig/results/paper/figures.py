@@ -330,9 +330,7 @@ def _load(recording: Recording) -> str:
 
 
 def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the time from the start of a recording, s, and a mask of the samples of whole
-    cycles.
-    """
+    """Return the time since the start, s, and a mask of the samples of whole cycles."""
     time = np.asarray(recording.time - recording.time[0])
     return time, (time >= _SPAN[0]) & (time < _SPAN[1])
 

@@ -269,9 +269,7 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
 
 
 def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
-    """Return the worst parameter of each method in a table; J is left out, because its errors are
-    reported separately.
-    """
+    """Return the worst parameter of each method in a table but J, whose errors are separate."""
     lines = []
     for method, runs in found.runs.items():
         errors = {name: max(found.errors(method, name).values()) for name in names if name != "J"}
@@ -350,9 +348,7 @@ def _row(found: Reproduction, name: str, printed: Printed) -> tuple[str, ...]:
 
 
 def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, float, str, float]]:
-    """Return for every search its stage, target, number of seeds that reached the target, median
-    cost, unit and median number of generations.
-    """
+    """Return stage, target, seeds that reached it, median cost, unit, median generations."""
     runs = list(found.runs[method].values())
     out = []
     for k, stage in enumerate(runs[0].stages):

@@ -104,11 +104,7 @@ class DaskCluster:
                 self._client.cancel(list(waiting), force=True)
 
     def _first_of(self, waiting: Collection[Any]) -> Collection[Any]:
-        """Wait until a task is finished; return all tasks that are finished.
-
-        Raises:
-            InputError: No worker is present for ``IDLE * WAIT_S``, or the scheduler is gone.
-        """
+        """Wait for finished tasks; fail if there is no worker for ``IDLE * WAIT_S``."""
         without = 0
         while without < IDLE:
             try:
@@ -126,11 +122,6 @@ class DaskCluster:
         )
 
     def _workers(self) -> int:
-        """Return the number of workers.
-
-        Raises:
-            InputError: The scheduler is gone.
-        """
         try:
             return len(self._client.scheduler_info(n_workers=-1)["workers"])
         except self._lost as error:
@@ -148,12 +139,7 @@ class DaskCluster:
         )
 
     def _result(self, future: Any) -> Any:
-        """Return the result of a finished task.
-
-        Raises:
-            InputError: Workers died on the task, the scheduler is gone, or a worker lacks this
-                package.
-        """
+        """Return the result of a finished task, or raise what its failure means to the user."""
         try:
             return future.result()
         except distributed.scheduler.KilledWorker as error:
@@ -168,12 +154,7 @@ class DaskCluster:
 
 
 def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task: Task) -> Result:
-    """Do the work on one task, on a worker that has the same package versions as the calling
-    process.
-
-    Raises:
-        InputError: The package versions differ.
-    """
+    """Do one task on a worker with the package versions of the calling process."""
     found = _fingerprint()
     other = [
         f"{name} {found.get(name, 'missing')} instead of {expected.get(name, 'none')}"

@@ -119,9 +119,7 @@ def _methods(result: Mapping[str, Any]) -> Table:
 
 
 def _places(result: Mapping[str, Any]) -> Table:
-    """Return the shares of trials in which the diagnosis located the mismatch where the catalogue
-    locates the effect.
-    """
+    """Return the shares of trials whose mismatch was located where the catalogue says."""
     rows = []
     for key, words in _PLACES.items():
         found = result["location"][key]

@@ -209,13 +209,9 @@ class Processes(NamedTuple):
         again: list[Task],
         waiting: dict[Future[Result], Task],
     ) -> Iterator[Result]:
-        """Yield results until all tasks are done.
-
-        Raises:
-            BrokenProcessPool: A worker died.
-        """
+        """Yield results until all tasks are done; ``waiting`` has those without a result."""
         with ProcessPoolExecutor(
-            self.jobs, mp_context=get_context("spawn"), initializer=follow_parent
+            self.jobs, mp_context=get_context("spawn"), initializer=_follow_parent
         ) as pool:
             try:
                 while True:
@@ -236,12 +232,8 @@ class Processes(NamedTuple):
                 pool.shutdown(cancel_futures=True)
 
 
-def follow_parent() -> None:
-    """End this worker when its parent ends, whatever signal ends the parent.
-
-    A worker that waits for work holds both ends of its queue, and therefore reads no end of file
-    when its parent ends.
-    """
+def _follow_parent() -> None:
+    """End this worker with its parent; its own ends of the queue hide the end of file."""
     Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
 
 

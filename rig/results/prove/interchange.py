@@ -284,17 +284,13 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
 
 
 def _make_folders(out: Path) -> None:
-    """Make the folders of a proof; a proof that was copied, or begun by an older version, may lack
-    some folders.
-    """
+    """Make the folders of a proof, of which a copied or older proof may lack some."""
     for name in (ROWS, DIAGNOSES, JUDGEMENTS, TIMES):
         (out / name).mkdir(parents=True, exist_ok=True)
 
 
 def _stated(source: Path, out: Path) -> str:
-    """Return the path of the source as the proof states it: relative to the proof's folder if the
-    source is inside that folder.
-    """
+    """Return the path of the source, relative to the proof's folder if it is inside."""
     whole = source.resolve()
     inside = whole.is_relative_to(out.resolve())
     return str(whole.relative_to(out.resolve()) if inside else whole)

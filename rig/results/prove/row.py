@@ -197,9 +197,7 @@ def _parameters(
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the relative errors of the nominal parameters in the nominal and in the corrected
-    model.
-    """
+    """Return the relative errors of the nominal parameters in both models."""
     rows = {}
     for name, shift in diagnosis["parameter_shift"].items():
         if name in true and shift["before"] is not None and shift["after"] is not None:
@@ -211,12 +209,7 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the errors on unused recordings before and after the correction, and the reduction of
-    the error as a share of the largest possible reduction, from the error before the correction to
-    the noise floor.
-
-    On unused recordings the error of a model falls below the noise floor only by chance.
-    """
+    """Return the errors on unused recordings, and how much of the way to the noise floor."""
     before, after, floor = (
         fit["validate_baseline_rms"],
         fit["validate_final_rms"],
@@ -234,12 +227,7 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the reduction of the error on unused recordings by the diagnosis over the reduction by
-    the oracle, in the equation in which the oracle reduces the error most.
-
-    The result is null if the oracle does not reduce the error in this equation, or if the diagnosis
-    does not have this equation.
-    """
+    """Return the gain of the diagnosis over the oracle's, in the oracle's best equation."""
     mine = [
         f
         for f in fits

@@ -175,9 +175,7 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
 
 
 def _make_folders(out: Path) -> None:
-    """Make the folders of a proof; a proof that was copied, or begun by an older version, may lack
-    some folders.
-    """
+    """Make the folders of a proof, of which a copied or older proof may lack some."""
     for name in (ROWS, DIAGNOSES, TIMES):
         (out / name).mkdir(parents=True, exist_ok=True)
 

@@ -197,7 +197,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "floor_fraction": middle(one + two, "floor_fraction"),
         "worse_than_baseline": worse(rows),
         "intervals": rate(sum(inside), len(inside)),
-        "most_frequent_class": most_frequent(one),
+        "most_frequent_class": _most_frequent(one),
         "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
         "baseline_seconds_each": statistics.median(row["baseline_seconds"] for row in rows)
         if rows
@@ -206,9 +206,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _beside(row: Row) -> float:
-    """Return the smaller of the remaining strengths of two effects, each computed with the other
-    effect known.
-    """
+    """Return the smaller remaining strength of two effects, each with the other known."""
     return (
         0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
     )
@@ -311,8 +309,8 @@ def worse(rows: Sequence[Row]) -> dict[str, Any]:
     )
 
 
-def most_frequent(rows: Sequence[Row]) -> float | None:
-    """Return the share of trials in which the most frequent effect of all trials is injected."""
+def _most_frequent(rows: Sequence[Row]) -> float | None:
+    """Return the share of trials with the most frequent effect."""
     if not rows:
         return None
     return Counter(row["effects"][0] for row in rows).most_common(1)[0][1] / len(rows)

@@ -90,9 +90,7 @@ def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dic
 
 
 def _gap(name: str, a: Samples, b: Samples) -> Array:
-    """Return the difference of two recordings of one experiment in a channel, at the samples that
-    can be compared.
-    """
+    """Return the difference of two recordings of one experiment where they can be compared."""
     difference = np.asarray(getattr(a, name) - getattr(b, name), dtype=np.float64)
     if name not in ("current", "voltage"):
         return difference

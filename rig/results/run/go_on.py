@@ -71,9 +71,7 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
 
 
 def _in_fault(record: RunRecord) -> bool:
-    """Return whether the drive was left in a fault, which a run clears only with
-    ``--reset-fault``.
-    """
+    """Return whether the drive was left in a fault, which needs ``--reset-fault``."""
     return record.drive_state in _FAULTS or RESET_HINT in record.message
 
 

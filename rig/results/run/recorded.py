@@ -238,11 +238,7 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return each value of a block less the value at the latest start before or at its sample, and
-    the value at the last start up to the end of the block.
-
-    ``starts`` marks the starts; ``before`` is the value at the last start before the block.
-    """
+    """Return values less that at the latest start, and the value at the last start."""
     if math.isnan(before):
         before = float(values[0])
     index = np.maximum.accumulate(np.where(starts, np.arange(len(values)), -1))
@@ -444,9 +440,7 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
 
 
 def _unwatched(attachments: Mapping[str, bytes]) -> bool:
-    """Return whether the record of the run has the warning of a drive without watchdog, which may
-    follow from the EDS file, which is not attached to the recording.
-    """
+    """Return whether the run warned of a drive without watchdog, as its EDS may say."""
     try:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
     except (ValueError, AttributeError):
@@ -455,11 +449,7 @@ def _unwatched(attachments: Mapping[str, bytes]) -> bool:
 
 
 def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema]) -> Document[Any]:
-    """Validate one attachment.
-
-    Raises:
-        InputError: The attachment is missing, or not valid.
-    """
+    """Validate one attachment."""
     if name not in attachments:
         raise InputError(f"{name} is not attached to the recording")
     try:
@@ -517,9 +507,7 @@ def _pass_steps(
     event: Mapping[str, Any],
     starts: Sequence[tuple[float, float]],
 ) -> Iterator[Step]:
-    """Yield the limits of the move to a first pass, and the tighter angle limits of the first
-    pass.
-    """
+    """Yield the limits of the move to a first pass, and those of the pass."""
     yield event["time"], planned.move_limits
     begun = [command for time, command in starts if time <= event["time"]]
     if before is None and not begun:
@@ -621,17 +609,13 @@ def _closed(span: Span, stop: float, segment: SegmentRecord | None) -> list[Span
     ]
 
 
-def moment_of(
+def _moment_of(
     record: RunRecord,
     tail: Derived,
     segments: Sequence[SegmentRecord],
     events: Sequence[Mapping[str, Any]],
 ) -> Moment:
-    """Return the time at which an unfinished run ended, by the clock of its last recording.
-
-    For a trip this is the time of the trip, otherwise the last sample of the current excitation, or
-    the last sample under power.
-    """
+    """Return when an unfinished run ended: its trip, else its last sample in motion."""
     last = float(tail.time[-1])
     words = record.state
     if record.trip and isinstance(record.trip.get("time"), int | float):
@@ -711,7 +695,7 @@ class Recorded:
         tail = self.traces.tail
         if not self.is_last or self.record.state == "done" or tail is None:
             return None
-        return moment_of(self.record, tail, self.segments, self.traces.events)
+        return _moment_of(self.record, tail, self.segments, self.traces.events)
 
     @property
     def tripped(self) -> Tripped | None:

@@ -119,11 +119,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
-    """Return one part of the page, or a message if the part cannot be made.
-
-    The page is read after failures and made from files that may be damaged or edited, so an error
-    in one part must not prevent the other parts.
-    """
+    """Return one part of the page, or a message: a damaged file must not hide the rest."""
     try:
         return list(made())
     except Exception as error:  # noqa: BLE001 - see above; nothing but the page depends on it
@@ -200,9 +196,7 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
-    """Yield bench, time and operator in one line; the name of the bench is in the file attached to
-    the recording.
-    """
+    """Yield bench, time and operator in one line."""
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
     kind = (

@@ -215,13 +215,11 @@ def _read(root: Path, found: Found, benches: Benches) -> _Row:
     if found.signature.startswith("unreadable"):
         problem = f"{root / found.folder}: no permission to read"
         return _Row.of(*found, Head("unreadable", problem), Details())
-    return _Row.of(*found, *read_entry(root / found.folder, benches))
+    return _Row.of(*found, *_read_entry(root / found.folder, benches))
 
 
 def _load(file: Path) -> Mapping[str, _Row]:
-    """Return the rows of an index by folder; empty if the index is missing, damaged or of another
-    format.
-    """
+    """Return the rows of an index by folder; empty if it cannot be used."""
     if not os.path.isfile(file):
         return {}
     try:
@@ -239,11 +237,7 @@ def _open(file: Path) -> sqlite3.Connection:
 
 
 def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str:
-    """Write rows, and remove the rows of deleted folders; return a message if the index cannot be
-    written.
-
-    Rows whose files changed while they were read are not written.
-    """
+    """Update the index with rows whose files are unchanged; return why that failed."""
     kept = [row for row in made if signature_of(str(root / row.folder)) == row.signature]
     for again in (False, True):
         try:
@@ -283,8 +277,8 @@ Benches = MutableMapping[str, str]
 """Names of benches by the SHA-256 of the bench file, so that each file is read once."""
 
 
-def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
-    """Return the entry of a run folder."""
+def _read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
+    """Return the entry of a run folder; ``benches`` are the known names."""
     path = folder / RUN_JSON
     if not is_file(path):
         return _without_record(folder), Details()
@@ -400,9 +394,7 @@ def _verdict(result: Mapping[str, Any], schema: str) -> str:
 
 
 def _result(path: Path, notes: list[str]) -> dict[str, Any]:
-    """Return a result file; empty if the file does not exist or, with a note, if it cannot be
-    read.
-    """
+    """Return a result file; empty if it does not exist or, with a note, is damaged."""
     if not is_file(path):
         return {}
     try:

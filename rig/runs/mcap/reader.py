@@ -71,9 +71,7 @@ def _record_at(data: bytes, offset: int) -> Found:
 
 
 def _next_sound(data: bytes, offset: int) -> int | None:
-    """Return the offset of the first chunk or attachment with correct checksum from ``offset``
-    on, or None.
-    """
+    """Return the offset of the next chunk or attachment with a correct checksum, or None."""
     for match in _CHECKED.finditer(data, offset):
         try:
             found = _record_at(data, match.start())
@@ -340,9 +338,7 @@ class _Reading:
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return a text with the times of the samples before and after a loss; empty without samples on
-    both sides.
-    """
+    """Return the times of the samples before and after a loss as text."""
     return (
         f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
         if 0 < before < len(times)
@@ -433,9 +429,7 @@ class Tail:
         return next(recent, START)
 
     def _head(self, offset: int) -> tuple[int, int] | None:
-        """Return opcode and length of the record at ``offset``, or None if opcode and length are
-        not written yet.
-        """
+        """Return opcode and length of the record at ``offset``, or None if not written yet."""
         self._stream.seek(offset)
         head = self._stream.read(HEADER.size)
         if len(head) < HEADER.size:
@@ -606,10 +600,7 @@ def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block
 
 
 def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield channel and contents of the wanted messages, chunk by chunk, events first.
-
-    At the end the number of messages is compared with the count in the file.
-    """
+    """Yield channel and contents of the wanted messages, chunk by chunk, events first."""
     if stream.read(len(MAGIC)) != MAGIC:
         raise DamageError("not an MCAP recording")
     count = 0
@@ -624,7 +615,7 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         if opcode == Opcode.DATA_END:
             break
         if opcode == Opcode.CHUNK:
-            sorted_out, among = chunk_messages(chunk(content), wanted)
+            sorted_out, among = _chunk_messages(chunk(content), wanted)
             count += among
             yield from (
                 (kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out
@@ -636,10 +627,8 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         raise DamageError("messages are missing")
 
 
-def chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
-    """Return the contents of the wanted messages of a chunk by channel, and the number of all
-    messages in the chunk.
-    """
+def _chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
+    """Return contents of the wanted messages by channel, and the number of all messages."""
     found: dict[int, list[bytes]] = {}
     offset, size, count = 0, len(records), 0
     unpack, head, body = HEADER.unpack_from, HEADER.size, MESSAGE.size
