@@ -77,13 +77,7 @@ def storage_words(error: OSError) -> str | None:
 
 
 def report(error: BaseException, arguments: Sequence[str], command: str) -> str:
-    """Write the traceback to a file, and return the message for the operator.
-
-    Args:
-        error: The unexpected exception.
-        arguments: Arguments of the command line.
-        command: The subcommand; empty if no subcommand was called.
-    """
+    """Write the traceback to a file, and return the message for the operator."""
     drive = drive_words(error)
     if drive is None and command in _MOVES:
         drive = _NOT_KNOWN

@@ -120,11 +120,7 @@ def bandwidth(words: str) -> Decorator:
 
 
 def acceptance(default: str) -> Decorator:
-    """Return a decorator that adds ``--acceptance`` for a file of limits.
-
-    Args:
-        default: Text on the limits that apply without the option.
-    """
+    """Return a decorator that adds ``--acceptance`` for a file of limits."""
     return click.option(
         "--acceptance",
         metavar="FILE",

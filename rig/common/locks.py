@@ -270,10 +270,6 @@ def lock_files(resources: Iterable[Resource], folder: Path | None = None) -> lis
 def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 
-    Args:
-        folder: The run folder; it must exist.
-        command: The locking command, such as ``rig resume``.
-
     Raises:
         InputError: The folder does not exist.
         InUseError: Another program holds the lock.

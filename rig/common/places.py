@@ -53,10 +53,6 @@ def read_bytes(path: Path) -> bytes:
 def read_json(path: Path, remedy: str = "") -> Any:
     """Return the content of a JSON file.
 
-    Args:
-        path: The file.
-        remedy: Remedy for the message if the file cannot be read.
-
     Raises:
         InputError: The file cannot be read, is not JSON, or has a number beyond the floating-point
             range.

@@ -60,11 +60,7 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Items:
-    """A list.
-
-    Attributes:
-        items: Name and text of each item; the name, such as that of a file, may be empty.
-    """
+    """A list."""
 
     items: tuple[tuple[str, str], ...]
 
@@ -82,15 +78,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Picture:
-    """A rendered figure.
-
-    Attributes:
-        name: File name without its ending.
-        caption: Description of its content.
-        data: PNG.
-        lead: Whether the picture is at the top of a page, drawn so that it can be read on a
-            telephone.
-    """
+    """A rendered figure."""
 
     name: str
     caption: str

@@ -224,11 +224,6 @@ RECORDING_TYPE = "loadrig/msg/Recording"
 def write_mcap(dataset: Dataset, path: Path, run: Run | None) -> None:
     """Write the recordings and, for a run, its events and raw frames.
 
-    Args:
-        dataset: The recordings.
-        path: The file.
-        run: Folder and record of the run that the recordings are from, or None for a campaign.
-
     Raises:
         InputError: A recording of the run is damaged.
         OSError: The file cannot be written.

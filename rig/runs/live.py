@@ -79,13 +79,7 @@ def layout(tool: Literal["foxglove", "plotjuggler"]) -> Path:
 
 
 def refusal(request: Request, port: int, token: str | None) -> str | None:
-    """Return why a request is refused, or None if it is accepted.
-
-    Args:
-        request: The request of a client.
-        port: The port at which the request arrived.
-        token: The token that the address of the request must contain, or None for no token.
-    """
+    """Return why a request is refused, or None if it is accepted."""
     name, _, given_port = request.host.rpartition(":")
     if name not in NAMES or given_port != str(port):
         return f"Host is {request.host!r}, not {HOST}:{port}"

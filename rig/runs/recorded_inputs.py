@@ -24,12 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class GivenFile:
-    """A file that was given to a run in addition to bench and sequence.
-
-    Attributes:
-        entry: Entry of the file in ``run.json``: path and SHA-256.
-        content: Bytes of the file.
-    """
+    """A file that was given to a run in addition to bench and sequence."""
 
     entry: Mapping[str, str]
     content: bytes
@@ -58,10 +53,6 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     Older run files have the path as typed. If no file exists at a relative path from the current
     folder, the path is tried from the parent folders of the run, because the run was probably
     started in one of these folders.
-
-    Args:
-        folder: The run folder.
-        entry: Entry of the file in ``run.json``.
     """
     path = stored_path(entry["file"])
     if path.is_absolute():

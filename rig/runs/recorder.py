@@ -41,12 +41,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENO
 
 
 class GoneError(StorageError):
-    """The recording is no longer in the folder of the run.
-
-    Args:
-        path: The recording.
-        moved: Whether the file still exists at another place.
-    """
+    """The recording is no longer in the folder of the run."""
 
     def __init__(self, path: Path, moved: bool) -> None:
         super().__init__(

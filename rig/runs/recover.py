@@ -64,10 +64,6 @@ class Recovery:
 def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
     """Lock a run folder, and repair it with :func:`mend`.
 
-    Args:
-        folder: The run folder.
-        purpose: The command, for the message to other programs that find the folder in use.
-
     Raises:
         InputError: No recording is readable, or the folder has the files of an earlier recovery.
         InUseError: The run is in progress, or another program uses the folder.

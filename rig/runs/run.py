@@ -223,10 +223,6 @@ _MARGIN_BYTES = 16 << 20
 def require_space(path: Path, cycles: float) -> None:
     """Check that the disk has the space for a whole run.
 
-    Args:
-        path: The run folder, which need not exist.
-        cycles: Number of control cycles of the run.
-
     Raises:
         InputError: The space is not sufficient.
     """
@@ -371,10 +367,6 @@ def bench_constants(bench: Bench) -> BenchConstants:
 
 def create_folder(path: Path, purpose: str) -> Lock:
     """Make the folder of a new run, and lock it; the caller must release the lock.
-
-    Args:
-        path: The folder.
-        purpose: The command, for the message to other programs that find the folder in use.
 
     Raises:
         InputError: The folder exists and is not empty, or cannot be made.

@@ -209,10 +209,6 @@ _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Write the digests of these files; digests of other files in ``SHA256SUMS`` are kept.
 
-        Args:
-            folder: The run folder.
-            names: Paths relative to the folder; missing files are left out.
-
         Returns:
             Digests of all sealed files, by name.
 

@@ -76,12 +76,7 @@ _SECTION = re.compile(r"^[A-Z]\w+:$")
 
 
 class Meaning(NamedTuple):
-    """Description and unit of one field.
-
-    Attributes:
-        text: Description of one or more sentences.
-        unit: Unit; empty if the field has none.
-    """
+    """Description and unit of one field."""
 
     text: str
     unit: str

@@ -112,13 +112,6 @@ def require_new(path: Path, kind: str) -> None:
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
     """Write a file that was made from answers, and its schema.
 
-    Args:
-        path: The file.
-        kind: Kind of file, one of :data:`rig.cli.authoring.schema.KINDS`.
-        body: Text of the file without its first line.
-        load: Reads the file and raises InputError if it is not valid; called before the file gets
-            its name.
-
     Returns:
         Description of the written files.
 

@@ -330,15 +330,7 @@ def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_fi
 def commission_record(
     result: Commissioning, bench: Document[Bench], seed: int, operator: str | None, new_file: str
 ) -> dict[str, Any]:
-    """Return the record for the result file.
-
-    Args:
-        result: The commissioning.
-        bench: The bench file at the start of the commissioning.
-        seed: Seed of a simulated bench's noise.
-        operator: Name of the operator, as given.
-        new_file: The bench file that was written; empty for none.
-    """
+    """Return the record for the result file."""
     return {
         "schema": COMMISSION_SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),

@@ -58,14 +58,7 @@ _UNITS: Final = {
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured value.
-
-    Attributes:
-        name: Quantity with its statistic.
-        value: Value in ``unit``, or None if it was not recorded.
-        unit: Unit; empty for a count.
-        remark: Remark on the value; empty for no remark.
-    """
+    """One measured value."""
 
     name: str
     value: float | None
@@ -75,14 +68,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class RunFigures:
-    """Measured values of one run.
-
-    Attributes:
-        figures: The values, in the same order for every run.
-        done: Number of stages that are done, of all stages.
-        weights: Verdicts of the weight checks, by stage.
-        problem: Reason why the excitations cannot be read; empty if they were read.
-    """
+    """Measured values of one run."""
 
     figures: tuple[Figure, ...] = ()
     done: str = "-"
@@ -169,16 +155,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of a parameter of a later run from the same parameter of the first run.
-
-    Attributes:
-        name: Name of the constant.
-        first: Value in the first run.
-        other: Value in the later run, or None if that run did not identify the parameter.
-        change: Difference, or None if one of the values is not known.
-        joint: Half width of the 90 % interval of the difference of two independent estimates, or
-            None if one of the values has no interval.
-    """
+    """Difference of a parameter of a later run from the same parameter of the first run."""
 
     name: str
     first: Constant
@@ -443,17 +420,7 @@ class Course:
 
 @dataclass(frozen=True)
 class History:
-    """The runs of one bench in order of time.
-
-    Attributes:
-        bench: Name of the bench.
-        simulated: Whether the bench is simulated.
-        method: Method of the identifications.
-        runs: Folders, in the order of time.
-        begun: When each run began.
-        courses: Every constant over these runs.
-        left_out: Messages on the runs that are left out.
-    """
+    """The runs of one bench in order of time."""
 
     bench: str
     simulated: bool | None
@@ -469,13 +436,6 @@ def histories(
 ) -> list[History]:
     """Return the histories of the benches of some runs. Runs without identified parameters are left
     out, and a run and its copies count once.
-
-    Args:
-        root: The searched folder.
-        entries: The runs, the earliest first.
-        seed: Seed of the simulated distribution of the test.
-        only: Name of the constant to which histories are restricted, or None for all constants.
-            The p-value of this constant also accounts for the tests of all other constants.
     """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}

@@ -158,11 +158,6 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     """Return a diagnosis whose nominal parameters are from the default estimator, after the effects
     have been subtracted.
 
-    Args:
-        dataset: The diagnosed dataset.
-        found: The diagnosis.
-        seed: Seed of the estimator's random generator.
-
     Raises:
         RecordingError: The recordings do not determine the nominal model.
     """

@@ -204,14 +204,7 @@ _SHOWN_PER_ROLE = 4
 def diagnose_document(
     name: str, outcome: Outcome, exports: Exports, facts: tuple[tuple[str, str], ...] = ()
 ) -> Document:
-    """Return a diagnosis as a document.
-
-    Args:
-        name: Name of the source.
-        outcome: The result.
-        exports: The files next to the page.
-        facts: Facts at the top of the page, such as bench, date and operator.
-    """
+    """Return a diagnosis as a document."""
     found = outcome.diagnosis
     return Document(
         f"Diagnosis of {name}",

@@ -415,10 +415,6 @@ def parameter_table(
     content are left out.
 
     The column ``floor`` is the least half width of the interval by the Cramer-Rao bound.
-
-    Args:
-        results: One per method; the first names the rows.
-        truth: True values of a simulated bench, if known; adds the columns ``true`` and ``error``.
     """
     header = ["parameter"]
     for result in results:
@@ -584,14 +580,7 @@ def identify_document(
     truth: Mapping[str, float] | None = None,
     facts: tuple[tuple[str, str], ...] = (),
 ) -> Document:
-    """Return an identification as a document.
-
-    Args:
-        name: Name of the source.
-        outcome: The result; figures of single recordings show the result of the first method.
-        truth: True values of a simulated bench, only for display.
-        facts: Facts at the top of the page, such as bench, date and operator.
-    """
+    """Return an identification as a document."""
     results = outcome.results
     return Document(
         f"Identification of {name}",

@@ -206,12 +206,6 @@ def compare_methods(
     """Return an outcome with a comparison of all estimators; each stochastic search is run with
     ``COMPARED_SEEDS`` random seeds.
 
-    Args:
-        source: The source, for messages.
-        outcome: Identification of the source; the first result is of the default method.
-        truth: True parameters of a simulated bench, used only in the table.
-        progress: Called with the current step and the completed share.
-
     Raises:
         InputError: The campaign fixes values or declares terms.
     """

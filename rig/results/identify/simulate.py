@@ -43,13 +43,7 @@ from rig.sources import load_source
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of one model for every recording.
-
-    Attributes:
-        file: Result file.
-        effects: Names of the active effects; empty for the nominal part alone.
-        parts: Every equation of every recording.
-    """
+    """Prediction of one model for every recording."""
 
     file: Path
     effects: tuple[str, ...]

@@ -133,14 +133,7 @@ def true_machine(name: str) -> Machine:
 def identified(
     name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]
 ) -> Feedforward:
-    """Run ``figure10`` on a packaged bench and identify that run.
-
-    Args:
-        name: Name of the bench.
-        scratch: Empty folder for the run and its result.
-        seed: Seed of the bench's noise and of the method.
-        progress: Called with the current step and the completed share.
-    """
+    """Run ``figure10`` on a packaged bench and identify that run."""
     bench = load_bench(name)
     progress(f"running figure10 on {name}", 0.0)
     run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
@@ -759,12 +752,6 @@ class Sweep:
 
 def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
     """Open the valve of a burning gas generator from 0 to 30 deg at constant speed.
-
-    Args:
-        machine: The bench; its gas generator burns steadily at the closed valve when the motion
-            starts.
-        speed_deg_s: Commanded speed.
-        seed: Seed of the sensor noise.
 
     Raises:
         ValueError: The joint sticks, or is in stick-slip, during the whole motion.

@@ -462,14 +462,7 @@ def paper_document(
     of_tables: Sequence[Exhibit],
     provenance: Provenance,
 ) -> Document:
-    """Return the reproduction of the paper as a document.
-
-    Args:
-        found: The reproduced tables.
-        figures: Exhibits of the exhibit.
-        of_tables: Exhibits of the tables; the terminal shows only the tables.
-        provenance: Seed, inputs, time.
-    """
+    """Return the reproduction of the paper as a document."""
     sections = (
         *map(_section, (*figures, *of_tables)),
         Section("Chosen here, because the paper does not state it", (_listed(chosen()),), "chosen"),

@@ -67,12 +67,7 @@ class DaskCluster:
     """Engine of the workers of a dask scheduler, which need not share files with this process."""
 
     def __init__(self, client: Any, where: str) -> None:
-        """Use a connected client.
-
-        Args:
-            client: The ``distributed.Client``.
-            where: Name of the cluster for messages.
-        """
+        """Use a connected client."""
         self._client = client
         self._where = where
 
@@ -216,9 +211,6 @@ def local_cluster(workers: int) -> Iterator[DaskCluster]:
 @contextmanager
 def remote_cluster(address: str) -> Iterator[DaskCluster]:
     """Connect to a scheduler that the user started; keys for TLS are those of dask's configuration.
-
-    Args:
-        address: Address of the scheduler, such as ``tls://10.0.0.5:8786``.
 
     Raises:
         InputError: The extra ``dask`` is not installed, nothing answers at the address, or the

@@ -170,11 +170,7 @@ AHEAD = 2
 
 
 class Processes(NamedTuple):
-    """Engine of processes on this machine.
-
-    Attributes:
-        jobs: Number of processes; with 1 the work is done in this process.
-    """
+    """Engine of processes on this machine."""
 
     jobs: int
 
@@ -248,11 +244,6 @@ def _end_with_parent() -> None:
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
     """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
     end with the context.
-
-    Args:
-        jobs: Processes of this command.
-        workers: Workers of a local cluster, or None.
-        scheduler: Address of a scheduler, or None.
 
     Raises:
         InputError: More than one of the options is given, or the cluster cannot be used.

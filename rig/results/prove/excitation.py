@@ -195,9 +195,6 @@ _FIXED = {
 def experiments(gravity: bool = False) -> tuple[Experiment, ...]:
     """Return the experiments in the order in which they are made; the last experiment repeats the
     first.
-
-    Args:
-        gravity: Whether the bench has no lever, so that the load is a weight fixed to the joint.
     """
     plan = tuple(Experiment(name, role, weight, command()) for name, role, weight, command in _PLAN)
     if gravity:

@@ -34,14 +34,7 @@ from rig.runs.recorded_inputs import true_parameters
 
 
 class Sealed(NamedTuple):
-    """Files and digest of one trial whose truth is sealed.
-
-    Attributes:
-        number: Number of the trial, from 1.
-        campaign: Path of the campaign file, which exists once the trial is simulated.
-        truth: File of the sealed truth.
-        digest: SHA-256 of the file of the truth.
-    """
+    """Files and digest of one trial whose truth is sealed."""
 
     number: int
     campaign: Path

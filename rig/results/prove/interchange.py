@@ -126,13 +126,7 @@ def write_truth(where: SealedRig, truth: Mapping[str, Any], salt: str) -> None:
 
 
 class Task(NamedTuple):
-    """One rig to make.
-
-    Attributes:
-        number: Number of the rig, from 1.
-        assigned: Kind and effects.
-        salt: Salt of the seal.
-    """
+    """One rig to make."""
 
     number: int
     assigned: Assigned
@@ -160,14 +154,6 @@ def seal_all(
     salt: Callable[[int], str] = random_salt,
 ) -> list[SealedRig]:
     """Make and write the rigs that do not exist yet; return all rigs with their digests.
-
-    Args:
-        home: Folder of the sealed rigs.
-        drawn: Number, kind and effects of each rig.
-        one: Makes one rig; with more than one worker it must be importable.
-        engine: Engine that makes the rigs.
-        progress: Called with the label of a step and the share that is done.
-        salt: Function that returns the salt of the rig with a number; random by default.
 
     Raises:
         InputError: Workers die repeatedly.
@@ -299,12 +285,6 @@ def _stated(source: Path, out: Path) -> str:
 def diagnose_all(proof: FromProof, judge: Judge, engine: Engine, progress: Progress) -> None:
     """Diagnose the rigs that have no judgement yet; no truth is opened.
 
-    Args:
-        proof: The proof as begun.
-        judge: Judges a campaign; with more than one worker it must be importable.
-        engine: Engine that does the work on the rigs.
-        progress: Called with the label of a step and the share that is done.
-
     Raises:
         InputError: Workers die repeatedly, or lack a file of a campaign.
         OSError: A file cannot be written.
@@ -333,14 +313,7 @@ class ToDiagnose(NamedTuple):
 
 
 class Diagnosed(NamedTuple):
-    """One diagnosed rig.
-
-    Attributes:
-        name: Name of the rig.
-        diagnosis: The record of ``rig diagnose --json`` without date and duration.
-        beside: Results of the baseline methods, and the residual of the nominal model.
-        times: Date and durations.
-    """
+    """One diagnosed rig."""
 
     name: str
     diagnosis: Mapping[str, Any]
@@ -397,14 +370,6 @@ def score_all(
     proof: FromProof, oracle: Oracle, floors: Floors, engine: Engine, progress: Progress
 ) -> list[dict[str, Any]]:
     """Open the truths and score the judgements; return all rows in order.
-
-    Args:
-        proof: The proof, in which every rig is diagnosed.
-        oracle: Fits the true structure; with more than one worker it must be importable.
-        floors: Computes the residual of the nominal model on a rig without effects; with more than
-            one worker it must be importable.
-        engine: Engine that makes the fits.
-        progress: Called with the label of a step and the share that is done.
 
     Raises:
         InputError: A rig is not diagnosed yet; a truth was changed or is not valid; workers die

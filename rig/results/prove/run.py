@@ -31,10 +31,6 @@ SUMS_FILE = "SHA256SUMS"
 def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
     """Write the digest of every file of the folder; return the path of the list.
 
-    Args:
-        home: The folder.
-        parts: Files and folders to list, relative to ``home``.
-
     Raises:
         OSError: The list cannot be written.
     """
@@ -220,16 +216,7 @@ class Trial(NamedTuple):
 
 
 class Proved(NamedTuple):
-    """Result of one trial as a worker returns it.
-
-    Attributes:
-        number: Number of the trial.
-        diagnosis: The record of ``rig diagnose --json`` without date and duration.
-        row: Row of the trial without durations.
-        times: Date and durations.
-        floor: Noise floors of the trial's reference simulation.
-        files: Recordings of the trial, if they are kept.
-    """
+    """Result of one trial as a worker returns it."""
 
     number: int
     diagnosis: Mapping[str, Any]
@@ -243,13 +230,6 @@ def work(
     proof: Proof, judge: Judge, engine: Engine, keep: bool, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
     """Diagnose and score the trials that have no row yet; return all rows in order.
-
-    Args:
-        proof: The proof as begun.
-        judge: Judges a campaign; with more than one worker it must be importable.
-        engine: Engine that does the work on the trials.
-        keep: Whether the recordings of the trials are kept after scoring.
-        progress: Called with the label of a step and the share that is done.
 
     Raises:
         InputError: A truth was changed after it was sealed, or workers die repeatedly.

@@ -336,11 +336,6 @@ def read_traces(path: Path, bench: Constants, cycle_s: float) -> Traces:
 
     A recording that was not closed in order is read at once, and its damage is reported.
 
-    Args:
-        path: The recording.
-        bench: Constants of the bench.
-        cycle_s: Control cycle, s.
-
     Raises:
         InputError: The file cannot be opened, or is not a recording.
     """
@@ -468,13 +463,7 @@ Step = tuple[float, Limits]
 def limit_steps(
     plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]
 ) -> list[Step]:
-    """Return the limits of a run over the time of one recording, including first passes.
-
-    Args:
-        plan: The plan.
-        events: Events of the recording.
-        starts: Time, s, and command, rad, of the first sample of each stage under power.
-    """
+    """Return the limits of a run over the time of one recording, including first passes."""
     steps: list[Step] = [(-math.inf, plan.limits)]
     inside = False
     before: PlannedPass | None = None
@@ -559,11 +548,6 @@ def spans(
 ) -> list[Span]:
     """Return the phases of one recording in order of time; excitations are named as in
     ``run.json``.
-
-    Args:
-        events: Events of the recording.
-        segments: Excitations of the recording.
-        last: Time of its last sample, s.
     """
     known = {segment.index: segment for segment in segments}
     found: list[Span] = []
@@ -658,11 +642,6 @@ class Tripped:
 
 class Recorded:
     """One recording of a run, read in order to draw it.
-
-    Args:
-        folder: The run folder.
-        record: ``run.json``.
-        number: Number of the recording, from 1.
 
     Raises:
         InputError: The file cannot be opened, or is not a recording.

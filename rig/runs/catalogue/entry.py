@@ -126,13 +126,7 @@ class Details:
 
 @dataclass(frozen=True)
 class Entry:
-    """One run in a list of runs.
-
-    Attributes:
-        folder: Folder of the run, relative to the searched folder.
-        head: Properties that a list shows.
-        details: Properties that a comparison needs, as JSON; parsed by :meth:`parsed`.
-    """
+    """One run in a list of runs."""
 
     folder: str
     head: Head

@@ -36,12 +36,7 @@ MOST_DEEP = 8
 
 
 class Found(NamedTuple):
-    """A run folder.
-
-    Attributes:
-        folder: Path relative to the searched folder; ``.`` for the searched folder itself.
-        signature: Inode, time of change and size of each file from which the entry is made.
-    """
+    """A run folder."""
 
     folder: str
     signature: str
@@ -164,13 +159,7 @@ def _checksum(fields: Iterable[str]) -> int:
 
 
 class Listing(NamedTuple):
-    """Result of a search for the runs below a folder.
-
-    Attributes:
-        entries: Runs, the earliest first; folders without a date come first.
-        read: Number of folders that had to be read.
-        note: Message if the index could not be written; empty otherwise.
-    """
+    """Result of a search for the runs below a folder."""
 
     entries: list[Entry]
     read: int
