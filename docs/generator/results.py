@@ -129,7 +129,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.prove.score:names_given",
         "rig.results.prove.score:reliability",
         "rig.results.prove.score:_parts",
-        "rig.results.prove.interchange:_row",
+        "rig.results.prove.run:_row",
         "rig.results.prove.row:row_of",
         "rig.results.prove.row:_hits",
         "rig.results.prove.row:_parameters",

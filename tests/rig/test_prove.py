@@ -394,7 +394,7 @@ def test_a_proof_without_its_times_is_gone_on_with(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("quick")
 def test_a_truth_changed_between_seal_and_score_stops_the_proof(tmp_path: Path) -> None:
     proof = proving.begin(tmp_path, 3, SEED)
-    path = proof.seals[0].truth
+    path = proof.rigs[0].truth
     path.write_text(path.read_text().replace('"rig": 1', '"rig": 9'))
     with pytest.raises(InputError, match="the truth was changed"):
         proving.work(proof, clairvoyant, Processes(1), False, lambda what, share: None)

@@ -16,10 +16,10 @@ from drivers.mock.plant.effects.table import CATALOGUE
 from rig.common.errors import InputError
 from rig.results.prove.draw import OUTSIDE_SIZES, SIZES, Kind, Rig, apportion, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
-from rig.results.prove.generate import as_recorded
 from rig.results.prove.score import STRONG
 from rig.results.prove.simulate import (
     SETTLE_S,
+    as_recorded,
     campaign,
     floors,
     left_over,

@@ -221,15 +221,15 @@ def _prove(
     from rig.terminal.output import ShareBar
 
     proof = begin(out, rigs, seed, GAS if gas else MOTION)
-    for sealed in proof.seals:
-        click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
+    for sealed in proof.rigs:
+        click.echo(f"rig {sealed.name} sealed, SHA-256 {sealed.digest}")
     with ShareBar() as bar:
         return work(proof, judge, engine, keep, bar)
 
 
 def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
     """Draw trials, seal them into a folder, and print their digests."""
-    from rig.results.prove.interchange import seal_own
+    from rig.results.prove.run import seal_own
     from rig.terminal.output import ShareBar
 
     with ShareBar() as bar:
@@ -240,8 +240,8 @@ def _seal(home: Path, rigs: int, seed: int, engine: Engine) -> None:
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:
     """Diagnose and score rigs that other programs have sealed; return their rows."""
-    from rig.results.prove.interchange import begin_from, diagnose_all, score_all
     from rig.results.prove.judge import judge, oracle_of
+    from rig.results.prove.run import begin_from, diagnose_all, score_all
     from rig.results.prove.simulate import floors_of
     from rig.terminal.output import ShareBar
 

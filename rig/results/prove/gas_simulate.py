@@ -20,8 +20,7 @@ from rig.common.places import replacing, write_text
 from rig.config.sequence import raised_cosine
 from rig.results.prove.draw import Assigned, Draw, Kind, apportion, either, in_turn, log
 from rig.results.prove.excitation import CYCLE_S, Array
-from rig.results.prove.generate import Sealed, seal_truth
-from rig.results.prove.truth import repeated_salt
+from rig.results.prove.truth import Sealed, place_of_trial, repeated_salt, seal_truth
 
 BURN_S = 20.0
 MOVE_S = 0.25
@@ -239,7 +238,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
         },
         "maker": {**drawn, "machine": asdict(rig.machine)},
     }
-    return seal_truth(out, number, truth, repeated_salt(*seed))
+    return seal_truth(place_of_trial(out, number), number, truth, repeated_salt(*seed))
 
 
 def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -18,9 +18,18 @@ from drivers.mock.without_bus import Samples, record
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.within_limits import choose, views_and_fit
 from identification.recording import RecordingError
-from rig.common.places import replacing, write_text
+from rig.common.places import replacing, write_json, write_text
 from rig.results.prove.draw import Rig
-from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment, FixedWeight
+from rig.results.prove.excitation import (
+    CYCLE_S,
+    NOTHING_FIXED,
+    Array,
+    Experiment,
+    FixedWeight,
+    experiments,
+)
+from rig.results.prove.truth import CAMPAIGN_FILE, Sealed
+from rig.runs.recorded_inputs import true_parameters
 from rig.sources import load_source
 
 MOVING_RAD_S = 0.02
@@ -108,7 +117,6 @@ def _quantum(values: Array) -> float:
     return float(steps.min()) if steps.size else 1e-3
 
 
-CAMPAIGN_FILE = "campaign.yaml"
 AVERAGED = ("current", "voltage")
 
 
@@ -235,3 +243,49 @@ def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str
         for name in left
         if floor.get(name, 0.0) > 0.0
     }
+
+
+def truth_of(rig: Rig) -> dict[str, Any]:
+    """Return the sealed content of a trial."""
+    maker = {
+        "machine": asdict(rig.machine),
+        "pauses_s": rig.pauses_s,
+        "gravity": rig.gravity,
+        "seed": rig.seed,
+    }
+    return {
+        "effects": as_recorded(rig.machine.effects),
+        "parameters": true_parameters(rig.machine),
+        "maker": maker,
+    }
+
+
+def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Return the injected effects with times counted from the start of a recording, as in the
+    catalogue; the plant counts them from power-on, because a recording begins only after the
+    machine has come to rest under power.
+    """
+    out = {name: dict(parameters) for name, parameters in effects.items()}
+    if "encoder_slip" in out:
+        out["encoder_slip"]["at_s"] -= SETTLE_S
+    if "load_swing" in out:
+        out["load_swing"]["fraction"] *= math.exp(-SETTLE_S / out["load_swing"]["decay_s"])
+    return out
+
+
+def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
+    """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
+
+    The noise floors of the trial's reference simulation are written next to its truth.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    plan = experiments(rig.gravity)
+    recorded = campaign(rig, plan)
+    write(where.campaign.parent, rig.machine, recorded)
+    if not rig.machine.effects:
+        return {}
+    reference = reference_of(rig, plan)
+    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, reference))
+    return strength(recorded, reference)

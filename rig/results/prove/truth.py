@@ -8,7 +8,7 @@ import json
 import secrets
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -147,6 +147,55 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
                 ("not_scored", k),
                 "neither an effect, nor effect.parameter, nor a nominal parameter",
             )
+
+
+CAMPAIGN_FILE = "campaign.yaml"
+SEALED = "sealed"
+"""Folder of the truths."""
+
+
+class Sealed(NamedTuple):
+    """Files of one rig whose truth is sealed; the campaign exists once the rig is simulated.
+
+    Attributes:
+        name: Name of the rig; that of a trial of this program is its number, from 0001.
+        campaign: Campaign file.
+        truth: File of the truth.
+        digest: SHA-256 of the truth's file.
+    """
+
+    name: str
+    campaign: Path
+    truth: Path
+    digest: str = ""
+
+    @property
+    def reference(self) -> Path:
+        """Campaign file of the rig without its effects; this file need not exist."""
+        return self.truth.parent / f"{self.name}.reference" / CAMPAIGN_FILE
+
+
+def place(home: Path, name: str) -> Sealed:
+    """Return the files of the rig with this name in a folder of sealed rigs."""
+    return Sealed(name, home / name / CAMPAIGN_FILE, home / SEALED / f"{name}.json")
+
+
+def place_of_trial(out: Path, number: int, digest: str = "") -> Sealed:
+    """Return the files of a trial of this program in the folder of its proof."""
+    name = f"{number:04d}"
+    campaign = out / f"rig-{name}" / CAMPAIGN_FILE
+    return Sealed(name, campaign, out / SEALED / f"{name}.json", digest)
+
+
+def seal_truth(where: Sealed, rig: int | str, truth: Mapping[str, Any], salt: str) -> Sealed:
+    """Write and seal the truth of one rig; return the rig with its digest.
+
+    Raises:
+        OSError: The truth cannot be written.
+    """
+    where.truth.parent.mkdir(parents=True, exist_ok=True)
+    content = {"truth": 1, "rig": rig, "outside": strangers(truth["effects"]), **truth}
+    return where._replace(digest=seal(where.truth, content, salt))
 
 
 _SALT = 2
