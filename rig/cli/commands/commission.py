@@ -168,7 +168,6 @@ def command(
       rig commission practical --yes --mistake rpm
       rig commission practical --yes --angle 0 --home 37
     """
-    require_file(json_file, "--json")
     document = load_bench(bench)
     click.echo(bench_line(document))
     _require_allowed(document, yes, mistake)

@@ -121,7 +121,6 @@ def recover(run: Path, json_file: Path | None) -> int:
     Example:
       rig recover runs/20261120T101500Z-figure10
     """
-    require_file(json_file, "--json")
     until_the_end(hold_folder(run, "rig recover"))
     try:
         recovery = mend(run)

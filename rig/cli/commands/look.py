@@ -72,9 +72,8 @@ def look(
       rig look log.csv --campaign campaign.yaml
       rig look traffic.blf --dbc drive.dbc
     """
-    from rig.common.places import require_file, write_json
+    from rig.common.places import write_json
 
-    require_file(json_file, "--json")
     read: dict[str, Any] = {"skip_rows": skip_rows, "delimiter": delimiter, "decimal": decimal}
     read |= {"dbc": dbc or None, "bench": bench, "bus": bus}
     looks = _looks(path, read)

@@ -49,7 +49,7 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
       rig paper --seeds 3
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_file, require_folder
+    from rig.common.places import require_folder
     from rig.common.provenance import Provenance
     from rig.results.document import text, write_page, write_record, write_texts
     from rig.results.paper.figures import data_files
@@ -65,7 +65,6 @@ def paper(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     from rig.terminal.output import ShareBar
 
     require_folder(out, "--out")
-    require_file(json_file, "--json")
     started = time.perf_counter()
     with ShareBar() as bar:
         shown = study(seed, lambda what, share: bar(what, _STUDY_SHARE * share))
@@ -158,12 +157,11 @@ def prove(
       rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.places import require_file, require_folder
+    from rig.common.places import require_folder
     from rig.results.prove.engine import engine
 
     _require_one_task(home, source, gas)
     require_folder(out, "--out")
-    require_file(json_file, "--json")
     started = time.perf_counter()
     try:
         with engine(jobs, workers, scheduler) as shared_out:

@@ -15,7 +15,7 @@ from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.errors import InputError
 from rig.common.locks import OWNER_FILE, hold_folder
-from rig.common.places import require_file, require_folder, write_asked
+from rig.common.places import require_folder, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
@@ -135,8 +135,6 @@ def run(
       rig run slow_ramp --yes --feedforward runs/demo/identify.json --out runs/compensated
     """
     # Everything that can be checked before any motion is checked first.
-    require_file(json_file, "--json")
-    require_file(junit_file, "--junit")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     click.echo(bench_line(bench_file))
     constants = bench_constants(bench_file.value)
@@ -227,8 +225,6 @@ def resume(
     Example:
       rig resume runs/20261120T101500Z-figure10
     """
-    require_file(json_file, "--json")
-    require_file(junit_file, "--junit")
     given = given_acceptance(acceptance)
     until_the_end(hold_folder(run, "rig resume"))
     try:
