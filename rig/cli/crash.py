@@ -34,9 +34,7 @@ _NOT_KNOWN: Final = (
 
 
 def note_drive(error: BaseException, words: str) -> None:
-    """Attach the final state of the drive to an exception, e.g. "the drive is de-energised (read
-    back: ...)".
-    """
+    """Attach the final state of the drive to an exception, as text."""
     error.add_note(f"{_DRIVE}{words}")
 
 
@@ -58,9 +56,7 @@ def drive_words(error: BaseException) -> str | None:
 
 @contextmanager
 def noting_folder(folder: Path) -> Iterator[None]:
-    """Attach a run folder to every exception that passes, so that its traceback is written into
-    this folder.
-    """
+    """Attach a run folder to passing exceptions; their traceback is written there."""
     try:
         yield
     except BaseException as error:

@@ -96,9 +96,7 @@ class Holder:
         return True
 
     def words(self, what: str, now: datetime) -> str:
-        """Return a description of the holder of a lock, with the start time of the holder, and with
-        the name of the locked object if this name is not ``what``.
-        """
+        """Return a description of the holder; the locked object only if it is not ``what``."""
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""
         host = f", computer {self.host}" if self.host and self.host != socket.gethostname() else ""
@@ -214,9 +212,7 @@ class Lock:
         return tuple(item.descriptor for item in self._held)
 
     def note(self, command: str) -> None:
-        """Write this process, under the name ``command``, to the lock files as their holder; no
-        error is raised.
-        """
+        """Write this process to the lock files as their holder; no error is raised."""
         for item in self._held:
             before = Holder.parse(item.read())
             holder = Holder.here(command, "" if before is None else before.what)

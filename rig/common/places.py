@@ -98,16 +98,12 @@ def source_name(source: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether ``path`` is an existing regular file, after following links; false if access
-    is denied. Unlike :meth:`pathlib.Path.is_file`, this function never raises an exception.
-    """
+    """Return whether ``path`` is a regular file, links followed; never raises."""
     return os.path.isfile(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether ``path`` is an existing folder, after following links; false if access is
-    denied. Unlike :meth:`pathlib.Path.is_dir`, this function never raises an exception.
-    """
+    """Return whether ``path`` is a folder, links followed; never raises."""
     return os.path.isdir(path)
 
 

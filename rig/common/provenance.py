@@ -154,9 +154,7 @@ def finite(value: float | None) -> float | None:
 
 
 def plain(value: Any, *left_out: str) -> Any:
-    """Return a value for JSON: a dataclass as a mapping, without the fields ``left_out``; arrays
-    as lists; infinities and NaN as None.
-    """
+    """Return a value for JSON: dataclasses as mappings, arrays as lists, NaN as None."""
     if is_dataclass(value):
         names = [field.name for field in fields(value) if field.name not in left_out]
         return {name: plain(getattr(value, name)) for name in names}

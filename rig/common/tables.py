@@ -51,9 +51,7 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def percent(value: float | None) -> str:
-    """Return a share in percent with three significant digits (all digits from 1000 up), or a dash
-    for None.
-    """
+    """Return a share in percent, three digits (all from 1000 up), or a dash for None."""
     if value is None:
         return "-"
     return f"{value:.0f} %" if abs(value) >= 1000.0 else f"{value:z.3g} %"

@@ -67,9 +67,7 @@ class Items:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Overall verdict: ``good`` (no problem), ``found`` (a cause was found) or ``open``
-    (undecided).
-    """
+    """Overall verdict: ``good``, ``found`` (a cause was found) or ``open`` (undecided)."""
 
     headline: str
     statement: str
@@ -87,9 +85,7 @@ class Picture:
 
     @classmethod
     def of(cls, name: str, caption: str, figure: Figure, *, lead: bool = False) -> Picture:
-        """Render a figure. Characters of the name that are not safe in a file name become
-        underscores.
-        """
+        """Render a figure under a name that is safe for a file."""
         # Imported late: documents without figures do not need the plotting library.
         from identification.plots.style import png
 
@@ -161,9 +157,7 @@ def _pictures(blocks: Iterable[Block]) -> Iterator[Picture]:
 
 
 def page(document: Document) -> str:
-    """Return a document as HTML, from the template. All text is escaped, and an undefined name in
-    the template is an error.
-    """
+    """Return a document as HTML; all text is escaped, an undefined name is an error."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,
@@ -201,9 +195,7 @@ def provenance_section(provenance: Provenance) -> Section:
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return notes on corrections and implausible values; only the first of several notes that
-    differ only in numbers is returned.
-    """
+    """Return notes on corrections; of notes that differ in numbers only, the first."""
     alike: dict[str, list[str]] = {}
     for recording in recordings:
         for note in recording.notes:

@@ -95,9 +95,7 @@ torque error, which is a result of the identification.
 
 
 def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
-    """Return names and values of the known facts of a source: of a run, these are bench, date and
-    operator; of a campaign, the file.
-    """
+    """Return bench, date and operator of a run, or the file of a campaign."""
     if not is_folder(source):
         return (("campaign", source.name),)
     try:

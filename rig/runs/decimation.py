@@ -72,9 +72,7 @@ class Decimation:
             numbers = numbers >> 1
 
     def since(self, level: int, first: int) -> Slice:
-        """Return the intervals of a level from number ``first`` on; intervals that were dropped are
-        missing.
-        """
+        """Return the kept intervals of a level from number ``first`` on."""
         if level >= len(self._levels):
             empty = np.empty((self._channels, 0))
             return Slice(level, first, empty, empty)

@@ -182,9 +182,7 @@ def write_csv(dataset: Dataset, path: Path) -> None:
 
 
 def write_mat(dataset: Dataset, path: Path) -> None:
-    """Write a struct array ``recordings`` (name, stage, weight_mass, role, and one field per
-    channel) and ``units``.
-    """
+    """Write a struct array ``recordings``, one field per channel, and ``units``."""
     from scipy.io import savemat
 
     present = [name for name in CHANNELS if any(name in r.channels for r in dataset.recordings)]
@@ -288,9 +286,7 @@ def _read_parquet(path: Path) -> list[Read] | None:
 
 
 def topics(names: Sequence[str]) -> list[str]:
-    """Return the topic of each recording: letters, digits and underscores; equal topics are
-    numbered.
-    """
+    """Return the topic of each recording; equal topics are numbered."""
     found: list[str] = []
     for name in names:
         plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "recording"

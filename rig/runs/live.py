@@ -131,9 +131,7 @@ class Outgoing(NamedTuple):
 
 
 def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    """Yield the messages of the stream that follow from a record of the recording, in recorded
-    order.
-    """
+    """Yield the messages of the stream that follow from a record, in recorded order."""
     for recorded, group in groupby(messages, lambda item: item[0]):
         rows = [message for _, message in group]
         if recorded == SAMPLE_TOPIC and recorded in wanted:

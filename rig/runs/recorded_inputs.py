@@ -41,9 +41,7 @@ class GivenFile:
 
 
 def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
-    """Return the path of an input file for ``run.json``; it is absolute, because a run may be
-    resumed from another working folder.
-    """
+    """Return the entry of an input file, with an absolute path, for ``run.json``."""
     return {"file": valid(os.path.abspath(path)), "sha256": sha256}
 
 
@@ -116,9 +114,7 @@ JOINT_FIELDS = {
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
-    """Return the nine parameters of a simulated machine under the names of the estimators, SI
-    units.
-    """
+    """Return the parameters of a simulated machine by the estimators' names, SI."""
     return {name: getattr(machine.joint, field) for name, field in JOINT_FIELDS.items()}
 
 

@@ -131,9 +131,7 @@ def _ended(stage: Any, state: str) -> Any:
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
-    """Return the constants of the bench on which a run was made, from a record that
-    :func:`read_record` has read.
-    """
+    """Return the bench constants of a record that :func:`read_record` has read."""
     burns = record.bench["gas_generator"]
     rebuilt = (
         None
@@ -259,9 +257,7 @@ def partial_names(dataset: Dataset) -> list[str]:
 
 
 def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
-    """Return the warning of a result from recordings that were not finished; empty if all were
-    finished.
-    """
+    """Return the warning on recordings that were not finished; empty if all were."""
     names = partial_names(dataset)
     if not names:
         return ()
@@ -274,9 +270,7 @@ def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
 
 
 def without_partial(dataset: Dataset) -> str:
-    """Return the remedy of an error that an unfinished recording may cause, if finished recordings
-    exist as well.
-    """
+    """Return the remedy of an error that an unfinished recording may cause."""
     finished = any(not recording.partial for recording in dataset.recordings)
     return (
         "; without --partial, only finished excitations are used"

@@ -33,9 +33,7 @@ POSITIVE = Quantity(min=0.0, min_open=True)
 
 
 class Listed(click.ParamType):  # type: ignore[type-arg] # older versions of click have no type argument
-    """Values separated by commas, numbers also by blanks; `none` and an empty answer are an empty
-    list.
-    """
+    """Values separated by commas, numbers also by blanks; `none` is an empty list."""
 
     def __init__(self, each: click.ParamType = POSITIVE) -> None:  # type: ignore[type-arg]
         self.name = "numbers" if isinstance(each, Number) else "names"

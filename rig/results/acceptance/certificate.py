@@ -72,9 +72,7 @@ def make_certificate(
     digests: Mapping[str, str],
     made: str,
 ) -> Document:
-    """Return the certificate of a run: verdict and figure as its summary, and a section for each
-    table.
-    """
+    """Return the certificate of a run: verdict and figure, then a section for each table."""
     record = evidence.record
     good = accepted(checks)
     verdict = Verdict(
@@ -295,9 +293,7 @@ def _table_lines(cells: Table) -> list[str]:
 
 
 def certificate_pdf(certificate: Document) -> bytes:
-    """Return the certificate as a PDF of one page (A4, portrait) in a font of equal widths; longer
-    content gets smaller text.
-    """
+    """Return the certificate as a PDF of one A4 page; longer content gets smaller text."""
     (opening,) = certificate.summary
     verdict = next(block for block in opening.blocks if isinstance(block, Verdict))
     lines = [*certificate_lines(certificate), "", *textwrap.wrap(verdict.statement, 100)]

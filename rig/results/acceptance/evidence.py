@@ -198,9 +198,7 @@ class Check:
 
 
 def judge(limits: Sequence[Limit], evidence: Evidence) -> tuple[Check, ...]:
-    """Return a check of completeness, a failed check for each stage whose load changed, and one
-    check for each limit.
-    """
+    """Return checks of completeness and of unchanged loads, and one check for each limit."""
     changed = (
         Check(
             SAME_LOAD,

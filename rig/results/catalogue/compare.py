@@ -165,9 +165,7 @@ class Difference:
 
     @property
     def moved(self) -> bool | None:
-        """Whether the difference of the parameters exceeds its uncertainty, or None if the
-        uncertainty is not known.
-        """
+        """Whether the difference exceeds its uncertainty, or None if that is not known."""
         if self.change is None or self.joint is None:
             return None
         return abs(self.change) > self.joint
@@ -202,9 +200,7 @@ def _difference(name: str, first: Constant, details: Details) -> Difference:
 
 
 def compare_document(runs: Sequence[Compared]) -> Document:
-    """Return a comparison as a document: the measured values of all runs side by side, and the
-    constants of each later identified run with those of the first identified run.
-    """
+    """Return measured values side by side, and constants against the first identified run."""
     table = _figures_table(_short(runs), [each.measured for each in runs])
     head = [
         Section("", (_facts(runs),)),
@@ -434,9 +430,7 @@ class History:
 def histories(
     root: Path, entries: Sequence[Entry], seed: int = 0, only: str | None = None
 ) -> list[History]:
-    """Return the histories of the benches of some runs. Runs without identified parameters are left
-    out, and a run and its copies count once.
-    """
+    """Return the histories of the benches of identified runs; a run and its copies count once."""
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
     left_out: dict[tuple[str, bool | None], list[str]] = {}
@@ -544,9 +538,7 @@ def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None)
 
 
 def alarms(history: History) -> Mapping[str, int | None]:
-    """Return the parameters that changed, with the first run after the step, or None for a
-    drift.
-    """
+    """Return the first run after each step, by parameter; None for a drift."""
     return {each.name: each.change.start for each in history.courses if each.alarm and each.change}
 
 

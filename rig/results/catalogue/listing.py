@@ -26,9 +26,7 @@ COLUMNS = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "state", 
 
 
 def cells(root: Path, entry: Entry) -> dict[str, str]:
-    """Return the facts of a run as text by :data:`COLUMNS`: times to the minute, the masses that
-    hung on the lever; for a folder without a complete run, the kind of the folder as its state.
-    """
+    """Return the facts of a run by :data:`COLUMNS`; without a run, its kind as state."""
     head = entry.head
     state = state_of(root, entry) if head.kind == "run" else head.kind.upper()
     if head.kind == "commissioning":
@@ -126,9 +124,7 @@ _LEAD_WIDTH = 5.2
 
 
 def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]]) -> Figure:
-    """Draw the parameters of several runs in percent of the first run's values, with 90 %
-    intervals.
-    """
+    """Draw parameters in percent of the first run's values, with 90 % intervals."""
     height = 0.45 * len(names) + 0.2 * len(runs) + 1.0
     made, (axis,) = figure(1, width=_LEAD_WIDTH, height=height)
     first = next(iter(runs.values()))

@@ -130,9 +130,7 @@ def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
 
 
 def without_torque(dataset: Dataset) -> bool:
-    """Return whether no recording has torque and all recordings have the pressure of a gas
-    generator.
-    """
+    """Return whether all recordings have the pressure of a gas generator and none has torque."""
     return all(has_gas_channels(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
 
 

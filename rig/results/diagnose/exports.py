@@ -51,9 +51,7 @@ class Exports(NamedTuple):
 
 
 def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Exports:
-    """Return the corrected model as YAML, Python and simulated bench, and the experiment that
-    splits an alias group.
-    """
+    """Return the corrected model in all formats, and the experiment that splits an alias group."""
     if outcome.diagnosis.fit.equation == PRESSURE:
         use = "the corrected gas generator, as a block of a campaign file"
         text = _gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)

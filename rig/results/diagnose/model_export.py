@@ -119,9 +119,7 @@ def _curve(equation: str, s: Any) -> Array:
 
 
 def yaml_text(model: CorrectedModel, recording: Recording) -> str:
-    """Return the model as YAML: parameters, constants of the bench, effects and curve, in SI
-    units.
-    """
+    """Return parameters, constants of the bench, effects and curve as YAML, SI."""
     record: dict[str, Any] = {
         "model": 1,
         "parameters": {name: float(value) for name, value in model.parameters.items()},
@@ -143,9 +141,7 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
 
 
 def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
-    """Return the model as a Python file that contains the source of the functions with which this
-    program computes it.
-    """
+    """Return the model as Python, with the source of the functions that compute it here."""
     torque = list(model.responses("torque"))
     tables = {
         "TORQUE": [r for r in torque if not r.effect.on_drive],

@@ -46,9 +46,7 @@ class Room:
         )
 
     def frequency(self, amplitude_deg: float, share: float = 1.0) -> float:
-        """Return the frequency, Hz, at which a sine of this amplitude reaches a share of the speed
-        limit.
-        """
+        """Return the frequency, Hz, of a sine that reaches a share of the speed limit."""
         return share * self.speed_deg_s / (2.0 * math.pi * amplitude_deg)
 
 
@@ -135,9 +133,7 @@ def recipes(room: Room) -> Mapping[Separation, Sequence[_Stage]]:
 
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
-    """Return a sequence file that splits an alias group on a bench, or None if no sequence can
-    split the group.
-    """
+    """Return a sequence file that splits an alias group, or None if none can."""
     kinds = [k for name in names if (k := EFFECTS[name].separation) is not None]
     room = Room.of(bench)
     if not kinds or room.travel_deg <= 0.0 or room.weight_kg <= 0.0:

@@ -272,9 +272,7 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
     present = Excitation(tones, stage.weight_kg, stage.duration_s)
 
     def render(e: Excitation) -> Array:
-        """Return the joint angles of all repeats; the phases of the tones in the sequence file
-        apply only to the tones of that file.
-        """
+        """Return the joint angles of all repeats; phases of the file are for its own tones only."""
         section = stage if e is present else _with(stage, e, stage.name)
         once = np.concatenate(
             [np.zeros(round(section.settle_s / cycle_s)), excitation(section, cycle_s)]
@@ -362,9 +360,7 @@ def _intervals_words(found: Intervals) -> str:
 
 
 def plan_document(experiment: Experiment) -> Page:
-    """Return the parameters that the given and the proposed sequence determine, and the stages of
-    the proposal.
-    """
+    """Return what the given and the proposed sequence determine, and the proposed stages."""
     title = f"Experiment in place of {experiment.sequence.name}"
     return Page(title, "", tuple(_summary(experiment)))
 

@@ -68,9 +68,7 @@ _MOVED = 4
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
-    """Return lines on trade-offs, active bounds, and the number of starts that reached the best
-    optimum.
-    """
+    """Return lines on trade-offs, active bounds, and starts that reached the best optimum."""
     lines = [pair.statement for pair in result.tradeoffs]
     if result.least_pinned:
         lines.append(result.least_pinned)

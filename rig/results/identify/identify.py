@@ -265,9 +265,7 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
 
 
 def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return the part of the record on trade-offs, bounds, starts, profiles, bootstrap, priors, and
-    constants with a stated uncertainty.
-    """
+    """Return trade-offs, bounds, starts, profiles, bootstrap, priors and known constants."""
     return {
         "tradeoffs": plain(result.tradeoffs),
         "least_pinned": result.least_pinned,
@@ -284,9 +282,7 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
 
 
 def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
-    """Return the record under the key ``ladder`` of ``rig identify --json``; errors of the angle
-    are in rad, or in m for a linear bench.
-    """
+    """Return the record under ``ladder``; errors of the angle in rad, or m if linear."""
     return [
         {
             "friction": rung.friction,
@@ -305,9 +301,7 @@ def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
 
 
 def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
-    """Return the record under the key ``simulated_ladder`` of ``rig identify --json``; errors of
-    the angle are in rad, or in m for a linear bench.
-    """
+    """Return the record under ``simulated_ladder``; errors of the angle in rad, or m if linear."""
     return [
         {
             "friction": rung.friction,

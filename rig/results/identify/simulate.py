@@ -50,9 +50,7 @@ class Prediction:
     parts: tuple[Predicted, ...]
 
     def error(self, equation: str, role: str) -> float | None:
-        """Return the rms error of one equation over the recordings of one role, or None if the
-        equation does not apply.
-        """
+        """Return the rms error of an equation over a role, or None if it does not apply."""
         return rms(p for p in self.parts if p.equation == equation and p.role == role)
 
 

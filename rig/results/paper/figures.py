@@ -75,16 +75,12 @@ class Exhibit:
 
 
 def columns(**named: Array) -> Rows:
-    """Return arrays of one length, shape (n,), as rows; each title is a ``name`` with its unit
-    (``time_s``).
-    """
+    """Return arrays of one length as rows; each title is a ``name`` with its unit (``time_s``)."""
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
 
 
 def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
-    """Return the CSV text with the numbers of every picture, by the name of its file relative to
-    the page.
-    """
+    """Return the numbers of every picture as CSV, by the file's name relative to the page."""
     return {
         _data_file(name): _csv(rows)
         for exhibit in exhibits
@@ -93,9 +89,7 @@ def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
 
 
 def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
-    """Return the paths of each picture and of its plotted data, relative to the page, by the name
-    of the picture.
-    """
+    """Return the files of each picture and its data, relative to the page."""
     files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
     for exhibit in exhibits:
         for name in exhibit.data or {}:
@@ -157,9 +151,7 @@ class RampStudy:
 
 
 def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
-    """Run the ramps with soft gains, without and with feed-forward; the noise differs from that of
-    the identification.
-    """
+    """Run the ramps with soft gains, without and with feed-forward, with noise of their own."""
     bench, sequence = load_bench(RAMP_BENCH), load_sequence(RAMP_SEQUENCE)
     return RampStudy(
         run_simulated(bench, sequence, seed + 1, scratch / "plain"),
@@ -168,9 +160,7 @@ def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
 
 
 def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
-    """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under
-    3000 N).
-    """
+    """Return Fig. 2 (angle, steady-state error) and Fig. 9 (speed, without and with load)."""
     plain, fed = study.plain.recordings, study.fed.recordings
     ramp = f"{RAMP_SEQUENCE} on {RAMP_BENCH}: 8 deg at 1 deg/s and back"
     fig_2 = Exhibit(
@@ -284,18 +274,14 @@ _SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
 
 
 def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
-    """Run the paper's two cases without and with feed-forward; the noise differs from that of the
-    identification.
-    """
+    """Run the paper's two cases without and with feed-forward, with noise of their own."""
     bench, sequence = load_bench(SINE_BENCH), load_sequence(SINE_SEQUENCE)
     plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
     return plain, run_simulated(bench, sequence, seed + 1, scratch / "sine-fed", model)
 
 
 def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
-    """Return the tracking error of both cases over two whole cycles, and the energy of one
-    cycle.
-    """
+    """Return the tracking error of both cases, and the energy of one cycle."""
     pairs = list(zip(plain.recordings, fed.recordings, strict=True))
     return Exhibit(
         "compensation",
@@ -416,9 +402,7 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
 
 
 def measure(scratch: Path, seed: int) -> UniformStudy:
-    """Run the ramps with both gain sets of the practical bench; return a point for each interval of
-    constant speed.
-    """
+    """Run the ramps with both gain sets; return a point for each interval of constant speed."""
     plan = sequence(scratch)
     points = {}
     for gains, name in GAINS.items():
@@ -431,9 +415,7 @@ def measure(scratch: Path, seed: int) -> UniformStudy:
 
 
 def uniform_exhibit(study: UniformStudy) -> Exhibit:
-    """Return the points with the true friction, and the parameters of a Stribeck curve fitted to
-    the points.
-    """
+    """Return the points with the true friction, and a Stribeck curve fitted to them."""
     sets = {
         "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],
         "stiff gains, all points": study.points["stiff"],
@@ -595,9 +577,7 @@ def fire(scratch: Path, seed: int) -> Firing:
 
 
 def loop_exhibit(scratch: Path, seed: int) -> Exhibit:
-    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
-    and load.
-    """
+    """Run the packaged hot firing and return its closed-loop stage."""
     found = fire(scratch, seed)
     caption = (
         "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured "
@@ -804,9 +784,7 @@ _ENDS_DEG = np.array([5.0, 29.0])
 
 
 def sweep_exhibit(seed: int) -> Exhibit:
-    """Return Fig. 4 at the speed of the paper, and at a lower speed, at which the pressure follows
-    the throat area.
-    """
+    """Return Fig. 4 at the paper's speed, and where the pressure follows the throat area."""
     machine = true_machine("practical_hot")
     sweeps = [sweep(machine, speed, seed) for speed in (PAPER_DEG_S, SLOW_DEG_S)]
     return Exhibit(

@@ -94,9 +94,7 @@ class Reproduction:
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 
     def errors(self, method: str, name: str) -> dict[int, float]:
-        """Return the error for each seed, percent of the true value; infinite without an
-        estimate.
-        """
+        """Return the error for each seed, percent; infinite without an estimate."""
         return {
             seed: math.inf if value is None else 100.0 * abs(value / self.truth[name] - 1.0)
             for seed, value in self.found(method, name).items()
@@ -120,9 +118,7 @@ class Reproduction:
 
 
 def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
-    """Simulate the literal bench without noise, and identify it by the paper's and by the default
-    method from every seed.
-    """
+    """Simulate the literal bench without noise, and identify it by both methods per seed."""
     progress("simulating the literal bench", 0.0)
     dataset, truth = simulate_cases()
     runs: dict[str, dict[int, Identification]] = {method: {} for method in METHODS}
@@ -136,9 +132,7 @@ def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> R
 
 
 def simulate_cases() -> tuple[Dataset, dict[str, float]]:
-    """Simulate Case 1 and Case 2 on the literal bench; return the recordings and the true
-    parameters.
-    """
+    """Return Case 1 and 2 on the literal bench as recordings, and the true parameters."""
     bench = load_bench("literal").value
     machine = bench.mock
     if machine is None:

@@ -73,9 +73,7 @@ class DaskCluster:
 
     @property
     def shares_files(self) -> bool:
-        """Return False: workers may be on other machines, and then cannot read the files of this
-        process.
-        """
+        """Return False: workers may be on other machines."""
         return False
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:

@@ -143,9 +143,7 @@ def unpacked(given: Path | Bundle) -> Iterator[Path]:
 
 
 def without_place(record: Any, folder: Path) -> Any:
-    """Return a record in which paths begin with the name of the folder, so that the bytes of the
-    record depend neither on the place of the folder nor on the place of this program.
-    """
+    """Return a record that does not depend on the places of its folder and of this program."""
     places = {folder.parent, folder.parent.absolute(), folder.parent.resolve()} - {Path(".")}
     homes = [str(p) for p in sorted(places, key=lambda p: -len(str(p)))]
     homes.append(str(Path(rig.__file__).parents[1]))

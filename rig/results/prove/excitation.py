@@ -58,9 +58,7 @@ class Experiment(NamedTuple):
 
 
 def tones(*parts: tuple[float, float, float]) -> Array:
-    """Return a sum of sines, each (amplitude in deg, frequency in Hz, phase in rad), with a smooth
-    start and end.
-    """
+    """Return a sum of sines (deg, Hz, rad) with a smooth start and end."""
     t = _time()
     swing = np.zeros_like(t)
     for amplitude_deg, frequency_Hz, phase in parts:
@@ -193,9 +191,7 @@ _FIXED = {
 
 @cache
 def experiments(gravity: bool = False) -> tuple[Experiment, ...]:
-    """Return the experiments in the order in which they are made; the last experiment repeats the
-    first.
-    """
+    """Return the experiments in order; the last repeats the first."""
     plan = tuple(Experiment(name, role, weight, command()) for name, role, weight, command in _PLAN)
     if gravity:
         plan = tuple(e._replace(weight_kg=0.0, fixed=_FIXED[e.weight_kg]) for e in plan)

@@ -28,9 +28,7 @@ MOVE_S = 0.25
 
 
 class GasExperiment(NamedTuple):
-    """Plan of one firing: name of the file, role as in the campaign file, and valve angle commanded
-    in each cycle, rad, shape (n,).
-    """
+    """Plan of one firing; ``command`` is the valve angle in each cycle, rad, shape (n,)."""
 
     name: str
     role: Literal["fit", "validate"]
@@ -38,9 +36,7 @@ class GasExperiment(NamedTuple):
 
 
 def steps(levels_deg: Sequence[float]) -> Array:
-    """Return valve angles with a pause of equal length at each level, starting with the closed
-    valve.
-    """
+    """Return valve angles with equal pauses at each level, starting with the closed valve."""
     n, move = round(BURN_S / CYCLE_S), round(MOVE_S / CYCLE_S)
     rise = raised_cosine(np.arange(1, move + 1) * CYCLE_S, MOVE_S)
     out = np.zeros(n)
@@ -53,9 +49,7 @@ def steps(levels_deg: Sequence[float]) -> Array:
 
 
 def sweep(centre_deg: float, amplitude_deg: float, first_Hz: float, last_Hz: float) -> Array:
-    """Return a sine whose frequency rises linearly, around an angle, with ramps to and from this
-    angle.
-    """
+    """Return a sine whose frequency rises linearly, around an angle, with ramps."""
     t = np.arange(round(BURN_S / CYCLE_S)) * CYCLE_S
     phase = 2.0 * np.pi * (first_Hz * t + 0.5 * (last_Hz - first_Hz) * t**2 / BURN_S)
     window = raised_cosine(t, 1.0)
@@ -141,9 +135,7 @@ class GasRig(NamedTuple):
 
 
 def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
-    """Return kind and effect of each trial, in random order; every effect occurs about equally
-    often.
-    """
+    """Return kind and effect of each trial, in random order, effects about equally often."""
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs, GAS_SHARES)
     drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]

@@ -346,9 +346,7 @@ def _store(proof: Proof, proved: Proved) -> None:
 
 
 def diagnosis_seed(seed: int, number: int) -> int:
-    """Return the seed of a trial's diagnosis, from which the draws of the truth cannot be
-    reproduced.
-    """
+    """Return the seed of a diagnosis, from which no truth can be drawn again."""
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])
 
 
@@ -651,9 +649,7 @@ class ToScore(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """Fits with the truth of a rig: errors of the true structure, and residuals of the nominal
-    model on the rig without effects; None if the fit is not made.
-    """
+    """Errors of the true structure, residuals without effects; None if not fitted."""
 
     name: str
     oracle: Mapping[str, Any] | None

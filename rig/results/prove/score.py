@@ -61,9 +61,7 @@ def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def reliability(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the share of right names for each bin of confidence; bins without names are left
-    out.
-    """
+    """Return the share of right names for each bin of confidence that has names."""
     binned: dict[int, list[dict[str, Any]]] = defaultdict(list)
     for name in names_given(rows):
         binned[min(int(BINS * name["confidence"] + 1e-9), BINS - 1)].append(name)
@@ -85,10 +83,7 @@ def wrong_names(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def right(row: Row) -> bool:
-    """Return whether a trial's verdict is right: the first identified effects are the injected
-    effects; without an injected effect, the verdict is "nothing missing"; for an injected effect
-    that is not in the catalogue, the verdict is "outside the catalogue".
-    """
+    """Return whether a verdict is right for the injected effects, or for their absence."""
     if row["kind"] == "outside":
         return bool(row["verdict"] == "outside_catalogue")
     if row["kind"] == "nothing":
@@ -249,9 +244,7 @@ def _method(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return the shares, of the trials with a located mismatch, in which the diagnosis located the
-    mismatch where the catalogue locates the effect.
-    """
+    """Return how many located mismatches are where the catalogue locates the effect."""
     found = [
         row["location"]
         for row in rows
@@ -261,17 +254,13 @@ def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
 
 
 def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
-    """Return the median of the values under ``key`` that are not null, and the number of these
-    values.
-    """
+    """Return the median of the values under ``key`` that are not null, and their number."""
     known = [row[key] for row in rows if row[key] is not None]
     return {"median": statistics.median(known) if known else None, "of": len(known)}
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return the number of trials by true effect and by first identified effect (or by verdict if
-    no effect was identified).
-    """
+    """Return the number of trials by true effect and by first name, or else verdict."""
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
         called = row["named"][0]["name"] if row["named"] else row["verdict"]
@@ -280,9 +269,7 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 
 def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rates of detection and identification against strength, one entry for each band
-    with trials.
-    """
+    """Return the rates of detection and naming against strength, by band."""
     bands = []
     for low, high in pairwise(EDGES):
         mine = [row for row in rows if low <= row["strength"] < high]
@@ -294,9 +281,7 @@ def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the number of trials on which the correction increased the held-out error by more than
-    the noise floor.
-    """
+    """Return the trials whose held-out error grew by more than the noise floor."""
     known = [
         row
         for row in rows

@@ -39,9 +39,7 @@ CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "tem
 
 
 class Recorded(NamedTuple):
-    """One recording of a campaign; ``start_s`` is the time from the start of the campaign to the
-    start of the recording.
-    """
+    """One recording; ``start_s`` is its start since the start of the campaign."""
 
     experiment: Experiment
     start_s: float
@@ -49,9 +47,7 @@ class Recorded(NamedTuple):
 
 
 def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Simulate all experiments, one after another on one plant that keeps its temperature, wear and
-    state.
-    """
+    """Simulate all experiments on one plant that keeps temperature, wear and state."""
     machine = SimulatedMachine(rig.machine, np.random.default_rng(rig.seed))
     done = []
     clock_s, turning = 0.0, None
@@ -154,9 +150,7 @@ def write(
 
 
 def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any]:
-    """Return the content of the campaign file: constants that an engineer knows, recordings and
-    channels.
-    """
+    """Return the content of the campaign file: what an engineer knows of the bench."""
     motor, joint = machine.motor, machine.joint
     channels: dict[str, Any] = {name: name for name in ("time", "command", *CHANNELS)}
     channels |= {name: {"column": name, "average": True} for name in AVERAGED}
@@ -235,9 +229,7 @@ def floors_of(campaign: Path) -> dict[str, float]:
 
 
 def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return the remaining strength for each equation: the part of the residual that exceeds the
-    noise floor, over the noise floor.
-    """
+    """Return what exceeds the noise floor, over the noise floor, for each equation."""
     return {
         name: math.sqrt(max(left[name] ** 2 - floor[name] ** 2, 0.0)) / floor[name]
         for name in left
@@ -261,10 +253,7 @@ def truth_of(rig: Rig) -> dict[str, Any]:
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return the injected effects with times counted from the start of a recording, as in the
-    catalogue; the plant counts them from power-on, because a recording begins only after the
-    machine has come to rest under power.
-    """
+    """Return the effects with times from the start of a recording, not from power-on."""
     out = {name: dict(parameters) for name, parameters in effects.items()}
     if "encoder_slip" in out:
         out["encoder_slip"]["at_s"] -= SETTLE_S

@@ -79,9 +79,7 @@ class Truth(Schema):
 
     @property
     def kind(self) -> Kind:
-        """Return the kind of trial: the number of scored effects, and whether they are in the
-        catalogue; ``unscored`` if there are effects and none is scored.
-        """
+        """Return the kind by the scored effects; ``unscored`` if there are others only."""
         if self.effects and not self.scored:
             return "unscored"
         if any(name in self.outside for name in self.scored):
@@ -203,9 +201,7 @@ _SALT = 2
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
-    """Write the truth with a salt, so that the truth cannot be guessed from the digest; return the
-    SHA-256.
-    """
+    """Write the truth with a salt, so that it cannot be guessed; return the SHA-256."""
     text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
     write_text(path, text)
     return sha256(text.encode())

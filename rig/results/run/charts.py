@@ -371,9 +371,7 @@ def _tick_label(value: float, step: float) -> str:
 
 @dataclass(frozen=True)
 class Shade:
-    """A named time interval; ``kind`` is 0 or 1 alternately for phases, 2 for braking, 3 for no
-    power.
-    """
+    """A time interval; ``kind`` 0 and 1 are phases in turn, 2 braking, 3 no power."""
 
     start: float
     stop: float
@@ -491,9 +489,7 @@ def _stairs(limit: Limit, axis: TimeAxis) -> Iterator[tuple[float, float, float]
 
 
 def last_seconds(recorded: Recorded, plots: Plots) -> Iterator[str]:
-    """Yield the section of the last seconds before a run ended, the tripped channel first, with a
-    close-up in which single samples are visible.
-    """
+    """Yield the last seconds of a run, the tripped channel first, with a close-up."""
     moment, traces = recorded.moment, recorded.traces
     if moment is None:
         yield f'<p class="note">{NEVER_MOVED}</p>'
@@ -566,9 +562,7 @@ def whole(recorded: Recorded, plots: Plots) -> Iterator[str]:
 
 
 def result(recorded: Recorded, plots: Plots) -> Iterator[str]:
-    """Yield the figure at the top of a page: the tripped channel, tracking error, current and
-    temperature over the whole last recording.
-    """
+    """Yield the top of a page: trip, tracking error, current and temperature."""
     traces = recorded.traces
     if traces.reduced is None:
         yield f'<p class="note">{NEVER_MOVED}</p>'

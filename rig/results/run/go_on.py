@@ -29,9 +29,7 @@ _BY_FILE = frozenset(
 
 
 def first_words(record: RunRecord) -> list[str]:
-    """Return the steps that are required before the run can continue, in order, without a step that
-    the run's message states already; empty if none are known.
-    """
+    """Return the steps before the run can go on that its message does not state."""
     words = [] if record.de_energised else [NOT_READ_BACK]
     check, trip = _tripped(record), record.trip or {}
     found = "" if check is None else remedy(check, trip)
@@ -48,9 +46,7 @@ def go_on_notes(record: RunRecord) -> list[str]:
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
-    """Return the command that continues a run, quoted for the shell, or None if every stage is
-    done.
-    """
+    """Return the command that continues a run, or None if every stage is done."""
     if all(stage.state == "done" for stage in record.stages):
         return None
     place = f"./{folder}" if str(folder).startswith("-") else str(folder)

@@ -307,9 +307,7 @@ class Traces:
         return self.powered[-1][1]
 
     def samples(self, first_s: float, last_s: float) -> Series:
-        """Return the samples of the tail between two times, reduced if they are too many to be told
-        apart in a chart.
-        """
+        """Return the tail between two times, reduced if too long for a chart."""
         assert self.tail is not None
         time, values, broken, _ = self.tail
         inside = (time >= first_s) & (time <= last_s)
@@ -524,9 +522,7 @@ _OFF = frozenset(
 
 @dataclass(frozen=True)
 class Span:
-    """A phase of a stage, from ``start`` to ``stop``, s; ``segment`` is the number of an
-    excitation, or 0.
-    """
+    """A phase of a stage, s; ``segment`` is the number of an excitation, or 0."""
 
     start: float
     stop: float
@@ -546,9 +542,7 @@ class Moment:
 def spans(
     events: Iterable[Mapping[str, Any]], segments: Sequence[SegmentRecord], last: float
 ) -> list[Span]:
-    """Return the phases of one recording in order of time; excitations are named as in
-    ``run.json``.
-    """
+    """Return the phases of one recording in order, named as in ``run.json``."""
     known = {segment.index: segment for segment in segments}
     found: list[Span] = []
     current: Span | None = None
@@ -668,9 +662,7 @@ class Recorded:
 
     @property
     def moment(self) -> Moment | None:
-        """Time of the end of the run, if the run stopped in this recording after a first sample;
-        else None.
-        """
+        """Time of the end of a run that stopped in this recording, else None."""
         tail = self.traces.tail
         if not self.is_last or self.record.state == "done" or tail is None:
             return None

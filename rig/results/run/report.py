@@ -32,9 +32,7 @@ SCRIPTS = ("uplot.js", "chart.js", "run.js")
 
 
 def inlined_script() -> str:
-    """Return the script of every page of a run, which draws the charts; the console permits this
-    script only, by its digest.
-    """
+    """Return the script of the page; the console permits it only, by its digest."""
     # Charts are drawn with at least two pixels a point, so that they are sharp on paper.
     sharp = "window.devicePixelRatio = Math.max(2, window.devicePixelRatio);"
     return "\n".join([sharp, *((STATIC / name).read_text("utf-8") for name in SCRIPTS)])

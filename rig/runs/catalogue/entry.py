@@ -91,9 +91,7 @@ class Constant:
 
     @property
     def half_width(self) -> float | None:
-        """Half the width of the interval, or None if value or interval is missing, or if the
-        estimate is at a bound.
-        """
+        """Half the width of the interval, or None without one or at a bound."""
         if self.value is None or self.low is None or self.high is None or self.at_bound:
             return None
         return 0.5 * (self.high - self.low)
@@ -188,9 +186,7 @@ class Wanted:
     until: datetime | None = None
 
     def fits(self, root: Path, entry: Entry) -> bool:
-        """Return whether a run has the wanted properties; a run in which a wanted property is
-        unknown does not fit.
-        """
+        """Return whether a run has the wanted properties; an unknown one does not fit."""
         head = entry.head
         names = (
             (self.bench, (head.bench,)),
@@ -235,9 +231,7 @@ def latest(entries: Sequence[Entry], count: int | None) -> Sequence[Entry]:
 
 
 def state_of(root: Path, entry: Entry) -> str:
-    """Return the state of a run; if the record says `running`, return whether the program of the
-    run still runs or has died.
-    """
+    """Return the state of a run; of one `running`, whether its program has died."""
     if entry.head.kind != "run" or entry.head.state != "running":
         return entry.head.state
     return GOING_ON if is_held(root / entry.folder / OWNER_FILE) else DIED

@@ -357,9 +357,7 @@ def _details(record: RunRecord, identified: Mapping[str, Any]) -> Details:
 
 
 def constants_of(identified: Mapping[str, Any]) -> dict[str, Constant]:
-    """Return the parameters of a result of ``rig identify``; a value that is not a number becomes
-    None.
-    """
+    """Return the parameters of an identification; what is not a number becomes None."""
     parameters = identified.get("parameters")
     return {
         str(name): Constant(
@@ -414,9 +412,7 @@ def _not_a_run(path: Path, error: InputError | OSError) -> Head:
 
 
 def bench_name(folder: Path, record: RunRecord, benches: Benches | None = None) -> str:
-    """Return the bench's name from the bench file that is attached to the recording, else the name
-    of the file.
-    """
+    """Return the bench's name from the attached bench file, else the file's name."""
     benches = {} if benches is None else benches
     source = record.inputs[BENCH_ATTACHMENT]
     digest = source["sha256"]

@@ -69,9 +69,7 @@ class Verification:
 
 
 def verify(folder: Path) -> Verification:
-    """Verify the files of a run; a recording without a recorded digest is read, and the checksums
-    inside the recording are tested.
-    """
+    """Verify the files of a run; without a digest, a recording by its own checksums."""
     problems: list[str] = []
     try:
         record = read_record(folder)
