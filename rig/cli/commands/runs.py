@@ -89,7 +89,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 def command() -> None:
     """List, show, compare, accept and verify recorded runs.
 
-    An index beside the run folders (.runs.sqlite) makes a repeated command faster. The index can be
+    An index beside the run folders (.runs.index) makes a repeated command faster. The index can be
     deleted at any time; the output depends only on the folders.
 
     \b

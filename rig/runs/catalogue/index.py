@@ -1,25 +1,23 @@
-"""Keeps an index of run folders in SQLite; the index can be deleted at any time.
+"""Keeps an index of run folders; the index can be deleted at any time.
 
-Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
-made, and a checksum. A row is used only if its signature agrees with the present files and its
-checksum is right; all other folders are read again. Therefore a deleted, damaged or older index
-does not change the answers.
+Each row holds the entry of one folder, and the signature of the files from which the entry was
+made. A row is used only if its signature agrees with the present files; all other folders are read
+again, and so are all folders if the checksum of the index is wrong. Therefore a deleted, damaged or
+older index does not change the answers.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
-import sqlite3
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rig.common.errors import InputError
-from rig.common.places import is_file, read_json
+from rig.common.places import is_file, read_bytes, read_json, replacing
 from rig.common.provenance import IDENTIFY_SCHEMA, sha256_file
 from rig.common.yaml_tree import DocumentError, parse
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
@@ -98,64 +96,23 @@ def _stamp(path: str) -> str:
     return f"{found.st_ino}.{found.st_ctime_ns}.{found.st_size}"
 
 
-INDEX_FILE = ".runs.sqlite"
-"""Name of the index in the searched folder."""
-_FORMAT = 3
-"""Format number of the entries, which is increased when the content of entries changes, so that
-older rows are not used.
-"""
-_TABLE = (
-    "CREATE TABLE IF NOT EXISTS runs (folder TEXT PRIMARY KEY, signature TEXT NOT NULL, "
-    "head TEXT NOT NULL, details TEXT NOT NULL, checksum INTEGER NOT NULL)"
-)
-_WAIT_S = 5.0
-"""Time to wait for another program that writes the index, s."""
-
-
-_NOT_DAMAGED = frozenset(
-    {
-        sqlite3.SQLITE_BUSY,
-        sqlite3.SQLITE_LOCKED,
-        sqlite3.SQLITE_READONLY,
-        sqlite3.SQLITE_CANTOPEN,
-        sqlite3.SQLITE_FULL,
-        sqlite3.SQLITE_IOERR,
-    }
-)
-"""Errors after which the index is kept, because it is intact but cannot be written now; after other
-errors the index is created again.
-"""
+INDEX_FILE = ".runs.index"
+"""Name of the index in the searched folder: a checksum, and the rows as JSON."""
+_FORMAT = 4
+"""Format of the rows; the checksum begins with it, so that other formats are not used."""
 
 
 class _Row(NamedTuple):
-    """A row of the index, in the order of its columns."""
+    """A row of the index: a run folder, the signature of its files, and its entry."""
 
     folder: str
     signature: str
-    head: str
+    head: dict[str, Any]
     details: str
-    checksum: int
-
-    @classmethod
-    def of(cls, folder: str, signature: str, head: Head, details: Details) -> _Row:
-        """Return the row of a run folder."""
-        first, second = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
-        fields = (folder, signature, first, second)
-        return cls(*fields, _checksum(fields))
-
-    @property
-    def sound(self) -> bool:
-        """Whether the row is unchanged since it was written."""
-        return self.checksum == _checksum(self[:4])
 
     @property
     def entry(self) -> Entry:
-        """The entry of the run folder."""
-        return Entry(self.folder, Head.of(json.loads(self.head)), self.details)
-
-
-def _checksum(fields: Iterable[str]) -> int:
-    return zlib.crc32("\0".join(fields).encode("utf-8", "surrogateescape"))
+        return Entry(self.folder, Head.of(self.head), self.details)
 
 
 class Listing(NamedTuple):
@@ -178,82 +135,58 @@ def list_runs(root: Path, progress: Callable[[int, int], None] | None = None) ->
         raise InputError(f"{root}: cannot be searched: {error.strerror}") from error
     file = root / INDEX_FILE
     rows = _load(file)
-    kept: list[_Row] = []
-    fresh: list[Found] = []
-    for each in found:
-        row = rows.get(each.folder)
-        if row is not None and row.signature == each.signature and row.sound:
-            kept.append(row)
-        else:
-            fresh.append(each)
+    signed = {folder: row.signature for folder, row in rows.items()}
+    kept = [rows[each.folder] for each in found if signed.get(each.folder) == each.signature]
+    fresh = [each for each in found if signed.get(each.folder) != each.signature]
     made: list[_Row] = []
     benches: dict[str, str] = {}
     for each in fresh:
-        made.append(_read(root, each, benches))
+        path = root / each.folder
+        head, details = Head("unreadable", f"{path}: no permission to read"), Details()
+        if not each.signature.startswith("unreadable"):
+            head, details = _read_entry(path, benches)
+        first, second = (dataclasses.asdict(part) for part in (head, details))
+        made.append(_Row(*each, first, json.dumps(second)))
         if progress is not None:
             progress(len(made), len(fresh))
-    entries = [row.entry for row in (*kept, *made)]
-    entries.sort(key=lambda entry: (entry.head.created, entry.folder))
-    gone = rows.keys() - {each.folder for each in found}
-    is_run = any(each.folder == "." for each in found)
-    note = "" if is_run or not (made or gone) else _store(root, file, made, gone)
+    every = [*kept, *made]
+    note = ""
+    if len(kept) < max(len(every), len(rows)) and not any(each.folder == "." for each in found):
+        note = _store(root, file, every)
+    entries = sorted(
+        (row.entry for row in every), key=lambda entry: (entry.head.created, entry.folder)
+    )
     return Listing(entries, len(made), note)
-
-
-def _read(root: Path, found: Found, benches: Benches) -> _Row:
-    if found.signature.startswith("unreadable"):
-        problem = f"{root / found.folder}: no permission to read"
-        return _Row.of(*found, Head("unreadable", problem), Details())
-    return _Row.of(*found, *_read_entry(root / found.folder, benches))
 
 
 def _load(file: Path) -> Mapping[str, _Row]:
     """Return the rows of an index by folder; empty if it cannot be used."""
-    if not os.path.isfile(file):
-        return {}
     try:
-        with contextlib.closing(_open(file)) as database:
-            if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
-                return {}
-            columns = ", ".join(_Row._fields)
-            return {row[0]: _Row(*row) for row in database.execute(f"SELECT {columns} FROM runs")}
-    except (sqlite3.Error, UnicodeError, TypeError):
+        checksum, _, text = read_bytes(file).partition(b"\n")
+    except OSError:
         return {}
+    if checksum != _checksum(text):
+        return {}
+    return {row[0]: _Row(*row) for row in json.loads(text)}
 
 
-def _open(file: Path) -> sqlite3.Connection:
-    return sqlite3.connect(file, timeout=_WAIT_S, isolation_level=None)
+def _checksum(text: bytes) -> bytes:
+    return str(zlib.crc32(text, _FORMAT)).encode()
 
 
-def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str:
-    """Update the index with rows whose files are unchanged; return why that failed."""
-    kept = [row for row in made if signature_of(str(root / row.folder)) == row.signature]
-    for again in (False, True):
-        try:
-            with contextlib.closing(_open(file)) as database:
-                _write(database, kept, gone)
-            return ""
-        except (sqlite3.Error, UnicodeError) as error:
-            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
-            if again or code in _NOT_DAMAGED:
-                return (
-                    f"{file}: the index cannot be written ({error}); each list therefore "
-                    "reads all runs again"
-                )
-        with contextlib.suppress(OSError):
-            file.unlink()
+def _store(root: Path, file: Path, rows: Iterable[_Row]) -> str:
+    """Write the index with the rows whose files are unchanged; return why that failed."""
+    kept = [row for row in rows if signature_of(str(root / row.folder)) == row.signature]
+    text = json.dumps(kept).encode()
+    try:
+        with replacing(file) as draft:
+            draft.write_bytes(_checksum(text) + b"\n" + text)
+    except OSError as error:
+        return (
+            f"{file}: the index cannot be written ({error}); each list therefore reads all runs "
+            "again"
+        )
     return ""
-
-
-def _write(database: sqlite3.Connection, made: Iterable[_Row], gone: Iterable[str]) -> None:
-    database.execute("BEGIN IMMEDIATE")
-    if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
-        database.execute("DROP TABLE IF EXISTS runs")
-        database.execute(f"PRAGMA user_version = {_FORMAT}")
-    database.execute(_TABLE)
-    database.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", made)
-    database.executemany("DELETE FROM runs WHERE folder = ?", [(folder,) for folder in gone])
-    database.execute("COMMIT")
 
 
 IDENTIFY, DIAGNOSE, ACCEPTANCE = RESULTS
