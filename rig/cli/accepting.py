@@ -62,9 +62,11 @@ def limits_before(file: Path | None, sequence: SequenceFile) -> tuple[tuple[Limi
     Raises:
         InputError: The file is missing or not valid.
     """
-    if file is None:
-        return limits_of(sequence.acceptance), "the sequence"
-    return limits_of(load_acceptance(file).value.limits), str(file)
+    return _of_file(file) or (limits_of(sequence.acceptance), "the sequence")
+
+
+def _of_file(file: Path | None) -> tuple[tuple[Limit, ...], str] | None:
+    return None if file is None else (limits_of(load_acceptance(file).value.limits), str(file))
 
 
 def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
@@ -111,8 +113,8 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
 
 def _stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
     """Return limits and origin: this file, else the file or the sequence of the run."""
-    if file is not None:
-        return limits_of(load_acceptance(file).value.limits), str(file)
+    if (stated := _of_file(file)) is not None:
+        return stated
     given = recorded_acceptance(folder, read_record(folder))
     if given is None:
         return _limits_of_the_sequence(folder), _OF_THE_SEQUENCE

@@ -103,10 +103,9 @@ def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
     except InputError:
         return (("run", source.name),)
     kind = "simulated" if record.simulated else "REAL BENCH"
-    operators = [part.operator for part in record.parts if part.operator]
     return (
         ("bench", f"{bench_name(source, record)} ({kind})"),
         ("begun", record.created.replace("T", " ").replace("+00:00", " UTC")),
-        ("operator", ", ".join(dict.fromkeys(operators)) or record.operator or "not given"),
+        ("operator", record.operators_words),
         ("sequence", record.name),
     )

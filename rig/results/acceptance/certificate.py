@@ -104,11 +104,10 @@ def make_certificate(
 
 
 def _facts(folder: Path, bench: str, record: RunRecord) -> Iterator[tuple[str, str]]:
-    operators = [part.operator for part in record.parts if part.operator]
     yield "bench", f"{bench} ({'SIMULATED' if record.simulated else 'REAL BENCH'})"
     yield "sequence", record.name
     yield "begun", f"{_moment(record.created)} UTC"
-    yield "operator", ", ".join(dict.fromkeys(operators)) or record.operator or "not given"
+    yield "operator", record.operators_words
     yield "run folder", folder.resolve().name
     yield "recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"
     yield "ended", record.state

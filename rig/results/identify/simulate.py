@@ -40,6 +40,9 @@ from rig.results.document import (
 )
 from rig.sources import load_source
 
+FittedModel = tuple[Path, CorrectedModel]
+"""A result file and its model."""
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -55,7 +58,7 @@ class Prediction:
 
 
 def predict(
-    dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
+    dataset: Dataset, models: Sequence[FittedModel], bandwidth_Hz: float
 ) -> list[Prediction]:
     """Predict every recording with every model, and again without effects if the model has
     effects.
@@ -85,18 +88,10 @@ serve as references.
 
 
 @dataclass(frozen=True)
-class FittedModel:
-    """A model from a result file."""
-
-    file: Path
-    corrected: CorrectedModel
-
-
-@dataclass(frozen=True)
 class Case:
     """One model with one share of its friction, simulated on every recording."""
 
-    model: FittedModel
+    file: Path
     share: float
     sums: Mapping[str, Sums]
 
@@ -176,7 +171,7 @@ def simulate_source(
                 default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings
             )
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
-        predictions = predict(dataset, [(m.file, m.corrected) for m in models], bandwidth_Hz)
+        predictions = predict(dataset, models, bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
         cases, responses = _closed_loop(models if known else (), prepared, progress)
     except RecordingError as error:
@@ -204,7 +199,7 @@ def _models(
     for path, record in zip(files, records, strict=True):
         require_motion(record, dataset.recordings[0].bench.motion, str(path))
     return tuple(
-        FittedModel(path, model_of(record, names, str(path)))
+        (path, model_of(record, names, str(path)))
         for path, record in zip(files, records, strict=True)
     )
 
@@ -218,17 +213,17 @@ def _closed_loop(
     cases: list[Case] = []
     shown: list[Response] = []
     total = len(models) * len(SHARES) * len(prepared)
-    for model, share in product(models, SHARES):
+    for (file, model), share in product(models, SHARES):
         sums: dict[str, Sums] = {}
         for p in prepared:
             done = len(cases) * len(prepared) + len(sums)
             progress(f"simulating {p.recording.name}", done / total)
-            values = with_friction(model.corrected.parameters, share)
-            response = replay(p.recording, values, model.corrected.alpha)
+            values = with_friction(model.parameters, share)
+            response = replay(p.recording, values, model.alpha)
             sums[p.recording.name] = compare(p, response)
             if not cases:
                 shown.append(response)
-        cases.append(Case(model, share, sums))
+        cases.append(Case(file, share, sums))
     return cases, shown
 
 
@@ -239,7 +234,7 @@ def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]
     """
     try:
         constants = found.dataset.recordings[0].bench
-        bench, left_out = model_bench(base_bench(source), found.models[0].corrected, constants)
+        bench, left_out = model_bench(base_bench(source), found.models[0][1], constants)
         said = f"{BENCH_FILE} beside this page is the model as a simulated bench."
         return {BENCH_FILE: bench_text(bench, left_out)}, [said, *left_out]
     except InputError as error:
@@ -300,7 +295,7 @@ def _left_out(found: Simulation) -> list[str]:
             "no closed loop: the controller of these recordings is not declared (`controller:` in "
             "a campaign)"
         ]
-    if any(case.model.corrected.effects for case in found.cases):
+    if any(model.effects for _, model in found.models):
         return [
             "the closed loop is simulated without the effects; a simulated bench made from the "
             "result contains the effects"
@@ -329,7 +324,7 @@ def _pooled(found: Simulation) -> Table:
     """Return one row for each model, share of friction and role."""
     rows = [
         (
-            case.model.file.stem,
+            case.file.stem,
             _FRICTION[case.share],
             role,
             str(len(names)),
@@ -432,7 +427,7 @@ def _record_errors(found: Simulation) -> list[dict[str, object]]:
 def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
     roles = {role: names for role in ("fit", "validate") if (names := found.names(role))}
     return {
-        "result": str(case.model.file),
+        "result": str(case.file),
         "friction_share": case.share,
         **{role: _sums_record(case.over(names)) for role, names in roles.items()},
         "recordings": {name: _sums_record(sums) for name, sums in case.sums.items()},

@@ -202,13 +202,10 @@ def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
         if record.simulated
         else '<span class="badge real">REAL BENCH</span>'
     )
-    names = [part.operator for part in record.parts if part.operator] or [
-        record.operator or "not given"
-    ]
     facts = (
         ("bench", f"{escape(bench.name if bench else file)} {kind}"),
         ("begun", escape(_date(record.created))),
-        ("operator", escape(", ".join(dict.fromkeys(names)))),
+        ("operator", escape(record.operators_words)),
     )
     cells = "".join(f"<span><i>{name}</i> {value}</span>" for name, value in facts)
     yield f'<p class="who">{cells}</p>'

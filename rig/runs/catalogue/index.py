@@ -255,14 +255,13 @@ def _without_record(folder: Path) -> Head:
 
 
 def _head(folder: Path, record: RunRecord, benches: Benches) -> Head:
-    operators = [part.operator for part in record.parts if part.operator]
     masses = [s.confirmed_kg for s in record.stages if s.confirmed_kg is not None]
     return Head(
         sequence=record.name,
         created=record.created,
         bench=bench_name(folder, record, benches),
         simulated=record.simulated,
-        operators=tuple(dict.fromkeys(operators or filter(None, [record.operator]))),
+        operators=tuple(record.operators),
         masses_kg=tuple(sorted(set(masses or [s.weight_kg for s in record.stages]))),
         state=record.state,
         message=record.message,
