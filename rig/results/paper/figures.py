@@ -79,6 +79,10 @@ def columns(**named: Array) -> Rows:
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
 
 
+def _thinned(**named: Array) -> Rows:
+    return columns(**{name: values[::_THIN] for name, values in named.items()})
+
+
 def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
     """Return the numbers of every picture as CSV, by the file's name relative to the page."""
     return {
@@ -142,26 +146,22 @@ _SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
 _THIN = 10  # the data files contain every tenth sample
 
 
-@dataclass(frozen=True)
-class RampStudy:
-    """Ramps at low speed, unloaded and loaded, each without and with feed-forward."""
-
-    plain: Dataset
-    fed: Dataset
-
-
-def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
-    """Run the ramps with soft gains, without and with feed-forward, with noise of their own."""
-    bench, sequence = load_bench(RAMP_BENCH), load_sequence(RAMP_SEQUENCE)
-    return RampStudy(
-        run_simulated(bench, sequence, seed + 1, scratch / "plain"),
-        run_simulated(bench, sequence, seed + 1, scratch / "fed", model),
-    )
+def run_both(
+    bench: str, sequence: str, scratch: Path, model: Feedforward, seed: int
+) -> tuple[Dataset, Dataset]:
+    """Run a sequence without and with feed-forward, with noise that no identification has had."""
+    loaded, plan = load_bench(bench), load_sequence(sequence)
+    plain = run_simulated(loaded, plan, seed + 1, scratch / f"{bench}-plain")
+    return plain, run_simulated(loaded, plan, seed + 1, scratch / f"{bench}-fed", model)
 
 
-def ramp_exhibits(study: RampStudy) -> list[Exhibit]:
+def _both(of: Callable[[Recording], Array], plain: Recording, fed: Recording) -> dict[str, Array]:
+    return {"without feed-forward": of(plain), "with it": of(fed)}
+
+
+def ramp_exhibits(without: Dataset, with_it: Dataset) -> list[Exhibit]:
     """Return Fig. 2 (angle, steady-state error) and Fig. 9 (speed, without and with load)."""
-    plain, fed = study.plain.recordings, study.fed.recordings
+    plain, fed = without.recordings, with_it.recordings
     ramp = f"{RAMP_SEQUENCE} on {RAMP_BENCH}: 8 deg at 1 deg/s and back"
     fig_2 = Exhibit(
         "fig_2",
@@ -220,18 +220,14 @@ def _time(recording: Recording) -> Array:
 
 
 def _angle_figure(plain: Recording, fed: Recording) -> regulator.Figure:
-    time = _time(plain)
-    return regulator.tracking(
-        time,
-        plain.channels["command"],
-        {"without feed-forward": plain.channels["angle"], "with it": fed.channels["angle"]},
-        {"without feed-forward": tracking_error(plain), "with it": tracking_error(fed)},
-    )
+    command = plain.channels["command"]
+    angles = _both(lambda recording: recording.channels["angle"], plain, fed)
+    return regulator.tracking(_time(plain), command, angles, _both(tracking_error, plain, fed))
 
 
 def _speeds(plain: Recording, fed: Recording) -> tuple[Array, Array, dict[str, Array]]:
     commanded = np.gradient(plain.channels["command"], plain.period)
-    return _time(plain), commanded, {"without feed-forward": _speed(plain), "with it": _speed(fed)}
+    return _time(plain), commanded, _both(_speed, plain, fed)
 
 
 def _speed(recording: Recording) -> Array:
@@ -241,28 +237,26 @@ def _speed(recording: Recording) -> Array:
 
 
 def _data(plain: Recording, fed: Recording) -> Rows:
-    few = slice(None, None, _THIN)
-    return columns(
-        time_s=_time(plain)[few],
-        command_rad=plain.channels["command"][few],
-        angle_rad=plain.channels["angle"][few],
-        angle_fed_rad=fed.channels["angle"][few],
-        current_A=plain.channels["current"][few],
-        current_fed_A=fed.channels["current"][few],
+    return _thinned(
+        time_s=_time(plain),
+        command_rad=plain.channels["command"],
+        angle_rad=plain.channels["angle"],
+        angle_fed_rad=fed.channels["angle"],
+        current_A=plain.channels["current"],
+        current_fed_A=fed.channels["current"],
     )
 
 
 def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    few = slice(None, None, _THIN)
     first = pairs[0][0]
     named = {
-        "time_s": _time(first)[few],
-        "command_rad_s": np.gradient(first.channels["command"], first.period)[few],
+        "time_s": _time(first),
+        "command_rad_s": np.gradient(first.channels["command"], first.period),
     }
     for plain, fed in pairs:
-        named[f"{plain.stage}_rad_s"] = _speed(plain)[few]
-        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)[few]
-    return columns(**named)
+        named[f"{plain.stage}_rad_s"] = _speed(plain)
+        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)
+    return _thinned(**named)
 
 
 SINE_BENCH, SINE_SEQUENCE = "practical", "figure10"
@@ -270,14 +264,6 @@ PERIOD_S = 5.0
 FIRST_S = 2.0
 CYCLES = 2
 _SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
-# the data file contains every tenth sample
-
-
-def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
-    """Run the paper's two cases without and with feed-forward, with noise of their own."""
-    bench, sequence = load_bench(SINE_BENCH), load_sequence(SINE_SEQUENCE)
-    plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
-    return plain, run_simulated(bench, sequence, seed + 1, scratch / "sine-fed", model)
 
 
 def compensation_exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
@@ -316,26 +302,22 @@ def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
 
 def _panel(before: Recording, after: Recording) -> tuple[str, Array, dict[str, Array]]:
     time, part = _part(before)
-    errors = {
-        "without feed-forward": tracking_error(before)[part],
-        "with it": tracking_error(after)[part],
-    }
+    errors = _both(lambda recording: tracking_error(recording)[part], before, after)
     return _load(before), time[part], errors
 
 
 def _sine_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
-    few = slice(None, None, _THIN)
     named: dict[str, Array] = {}
     for before, after in pairs:
         time, part = _part(before)
-        named["time_s"] = time[part][few]
+        named["time_s"] = time[part]
         both = ((before, before.stage), (after, f"{before.stage}_fed"))
         for recording, name in both:
-            named[f"error_{name}_rad"] = tracking_error(recording)[part][few]
+            named[f"error_{name}_rad"] = tracking_error(recording)[part]
         for recording, name in both:
             power = recording.channels["voltage"] * recording.channels["current"]
-            named[f"power_{name}_W"] = power[part][few]
-    return columns(**named)
+            named[f"power_{name}_W"] = power[part]
+    return _thinned(**named)
 
 
 def _table(pairs: Sequence[tuple[Recording, Recording]]) -> Table:
@@ -521,7 +503,6 @@ SETTLED = 0.02
 _SMOOTHING_S = (
     0.05  # settling is judged on means over this time, so that sensor noise has little influence
 )
-# the data file contains every tenth sample
 
 
 @dataclass(frozen=True)
@@ -617,17 +598,16 @@ def _loop_figure(found: Firing) -> regulator.Figure:
 
 
 def _loop_data(found: Firing) -> Rows:
-    few = slice(None, None, _THIN)
-    return columns(
-        time_s=found.time[few],
-        flow_command_kg_s=found.flows[0][few],
-        flow_kg_s=found.flows[1][few],
-        pressure_command_Pa=found.pressures[0][few],
-        pressure_Pa=found.pressures[1][few],
-        angle_command_rad=found.angles[0][few],
-        angle_rad=found.angles[1][few],
-        current_A=found.current[few],
-        contact_force_N=found.force[few],
+    return _thinned(
+        time_s=found.time,
+        flow_command_kg_s=found.flows[0],
+        flow_kg_s=found.flows[1],
+        pressure_command_Pa=found.pressures[0],
+        pressure_Pa=found.pressures[1],
+        angle_command_rad=found.angles[0],
+        angle_rad=found.angles[1],
+        current_A=found.current,
+        contact_force_N=found.force,
     )
 
 

@@ -496,13 +496,17 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
         progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
-        model = identified(figures.RAMP_BENCH, scratch, seed, _silent)
+        model = identified(figures.RAMP_BENCH, scratch, seed, lambda what, share: None)
         progress("Fig. 2 and 9: slow ramps", 0.2)
-        fig_2, fig_9 = figures.ramp_exhibits(figures.run_ramps(scratch, model, seed))
+        fig_2, fig_9 = figures.ramp_exhibits(
+            *figures.run_both(figures.RAMP_BENCH, figures.RAMP_SEQUENCE, scratch, model, seed)
+        )
         progress("compensation: identifying the bench from a separate run", 0.25)
-        model = identified(figures.SINE_BENCH, scratch, seed, _silent)
+        model = identified(figures.SINE_BENCH, scratch, seed, lambda what, share: None)
         progress("compensation: the sine of both cases", 0.4)
-        compensation = figures.compensation_exhibit(*figures.run_sines(scratch, model, seed))
+        compensation = figures.compensation_exhibit(
+            *figures.run_both(figures.SINE_BENCH, figures.SINE_SEQUENCE, scratch, model, seed)
+        )
         progress("eq. 14: uniform motion on two gain sets", 0.45)
         eq_14 = figures.uniform_exhibit(figures.measure(scratch, seed))
         progress("Fig. 4: the opening valve", 0.85)
@@ -510,7 +514,3 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
         progress("Fig. 5 and 11: the closed loop", 0.9)
         fig_11 = figures.loop_exhibit(scratch, seed)
     return [fig_2, figures.valve_exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
-
-
-def _silent(what: str, share: float) -> None:
-    pass
