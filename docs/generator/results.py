@@ -130,12 +130,12 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.prove.score:reliability",
         "rig.results.prove.score:_parts",
         "rig.results.prove.run:_row",
-        "rig.results.prove.row:row_of",
-        "rig.results.prove.row:_hits",
-        "rig.results.prove.row:_parameters",
-        "rig.results.prove.row:_nominal",
-        "rig.results.prove.row:_held_out",
-        "rig.results.prove.row:located",
+        "rig.results.prove.score:row_of",
+        "rig.results.prove.score:_hits",
+        "rig.results.prove.score:_parameters",
+        "rig.results.prove.score:_nominal",
+        "rig.results.prove.score:_held_out",
+        "rig.results.prove.score:located",
     ),
 }
 """Section of the table to the functions whose dictionaries are written."""

@@ -21,9 +21,8 @@ from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
 from rig.results.prove.engine import Processes
 from rig.results.prove.judge import Judgement
-from rig.results.prove.row import row_of
 from rig.results.prove.run import FAMILIES
-from rig.results.prove.score import confusion, power, rate, score, worse
+from rig.results.prove.score import confusion, power, rate, row_of, score, worse
 from rig.results.prove.truth import unseal
 
 SEED = 3

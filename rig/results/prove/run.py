@@ -34,7 +34,7 @@ from rig.results.prove.engine import (
 from rig.results.prove.excitation import experiments
 from rig.results.prove.gas_simulate import gas_assignment, seal_gas, simulate_gas
 from rig.results.prove.judge import Judge, Judgement
-from rig.results.prove.row import REFUSED, VERSION, row_of
+from rig.results.prove.score import REFUSED, VERSION, row_of
 from rig.results.prove.simulate import (
     FLOOR_SUFFIX,
     campaign,
