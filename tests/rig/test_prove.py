@@ -397,4 +397,4 @@ def test_a_truth_changed_between_seal_and_score_stops_the_proof(tmp_path: Path) 
     path.write_text(path.read_text().replace('"rig": 1', '"rig": 9'))
     with pytest.raises(InputError, match="the truth was changed"):
         proving.work(proof, clairvoyant, Processes(1), False, lambda what, share: None)
-    assert not proof.row_file(1).exists()
+    assert not proof.file("rows", proof.rigs[0]).exists()

@@ -60,7 +60,9 @@ _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
 
-def _effect_table(found: Diagnosis, motion: str) -> Table:
+def _effect_table(outcome: Outcome) -> Table:
+    """Return one row for each parameter of each effect, named as for the motion of the bench."""
+    found, motion = outcome.diagnosis, outcome.dataset.recordings[0].bench.motion
     rows = []
     for effect in found.effects:
         lead = (effect.name, number(effect.confidence, 3))
@@ -233,10 +235,6 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
     notes = (*map(Note, reading_notes(outcome.dataset.recordings)), *_warnings(found))
     if notes:
         yield Section("", notes)
-
-
-def _effect_table(outcome: Outcome) -> Table:
-    return _effect_table(outcome.diagnosis, outcome.dataset.recordings[0].bench.motion)
 
 
 def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
