@@ -1,6 +1,4 @@
-"""Performs the steps after a run has ended, common to ``rig run`` and ``rig resume``: label check,
-page, status.
-"""
+"""The steps after ``rig run`` and ``rig resume``: label check, page, seal, status."""
 
 from __future__ import annotations
 

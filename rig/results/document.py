@@ -158,6 +158,11 @@ def _pictures(blocks: Iterable[Block]) -> Iterator[Picture]:
 
 def page(document: Document) -> str:
     """Return a document as HTML; all text is escaped, an undefined name is an error."""
+    return filled("page.html.j2", document)
+
+
+def filled(template: str, document: Document) -> str:
+    """Return a document in a template of this package."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,
@@ -165,13 +170,8 @@ def page(document: Document) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["form"] = _form
-    return environment.get_template("page.html.j2").render(document=document)
-
-
-def _form(block: Block) -> str:
-    """Return the kind of a block for the template."""
-    return type(block).__name__
+    environment.filters["form"] = lambda block: type(block).__name__
+    return environment.get_template(template).render(document=document)
 
 
 Drawn = TypeVar("Drawn")

@@ -1,6 +1,4 @@
-"""Writes samples, events and raw frames of a run into an MCAP recording; if the writer is killed,
-only the last data are lost.
-"""
+"""Writes a run into an MCAP recording; a killed writer loses only the last data."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Repairs a run whose writer died: writes a clean recording of all readable records, and completes
-``run.json`` from this recording. Finds the stage with which a stopped run continues.
-"""
+"""Repairs a run whose writer died, and finds the stage with which a stopped run continues."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from rig.common.locks import OWNER_FILE, Lock, hold_folder
 from rig.common.places import is_file, write_json
 from rig.common.provenance import sha256_file
 from rig.runs.alignment import aligned
-from rig.runs.mcap.reader import DamageError, Log, NotARecordingError, read_run, sample_blocks
+from rig.runs.mcap.reader import Block, DamageError, Log, NotARecordingError, read_run, run_items
 from rig.runs.recorder import remedy
 from rig.runs.run_file import read_record, recorded_bench
 from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
@@ -135,7 +135,9 @@ def by_segment(
     if whole:
         try:
             wanted = sorted({name for names in fields.values() for name in names})
-            return _gather(sample_blocks(path, ["segment", *wanted]), fields, expected), None
+            items = run_items(path, ["segment", *wanted], only_samples=True)
+            blocks = (item.samples for item in items if isinstance(item, Block))
+            return _gather(blocks, fields, expected), None
         except (DamageError, OSError):
             pass  # read_log reports the damage in full
     log = read_log(path)

@@ -1,6 +1,4 @@
-"""Reads and fully validates ``run.json`` of this or an older version; the validation is needed
-because users may edit the file.
-"""
+"""Reads ``run.json`` of this or an older version, and validates it: users may edit the file."""
 
 from __future__ import annotations
 

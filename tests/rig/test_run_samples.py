@@ -15,7 +15,7 @@ from rig.common.errors import InputError
 from rig.common.sample import Sample
 from rig.runs import run
 from rig.runs.mcap import reader as mcap_stream
-from rig.runs.mcap.reader import DamageError, read_run, sample_blocks
+from rig.runs.mcap.reader import Block, DamageError, read_run, run_items
 from rig.runs.recorder import open_recorder
 from rig.runs.run_record import Load, SegmentRecord
 
@@ -55,7 +55,8 @@ def segment(index: int, samples: int, stage: Load = "unloaded") -> SegmentRecord
 
 def test_blocks_are_the_whole(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 10_000)
-    blocks = list(sample_blocks(recording, ["time", "current", "segment"]))
+    items = run_items(recording, ["time", "current", "segment"], only_samples=True)
+    blocks = [item.samples for item in items if isinstance(item, Block)]
     assert len(blocks) > 20
     whole = read_run(recording).samples
     for name in ("time", "current", "segment"):
@@ -91,7 +92,7 @@ def test_a_file_cut_short_is_damage_and_read_at_once(recording: Path, cut: float
     data = recording.read_bytes()
     recording.write_bytes(data[: int(cut * len(data))])
     with pytest.raises(DamageError):
-        list(sample_blocks(recording, ["time"]))
+        list(run_items(recording, ["time"], only_samples=True))
     found, damage = run.by_segment(recording, [segment(1, 1000)], whole=True)
     assert damage is not None
     assert len(found[1]["time"]) == min(

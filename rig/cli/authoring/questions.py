@@ -1,6 +1,4 @@
-"""Questions whose answers fill a template; the answers come from the terminal, from options or from
-defaults.
-"""
+"""Questions whose answers, typed, given as options or default, fill a template."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Writes a new file from its template: the file is validated before it gets its name, and never
-replaces an existing file.
-"""
+"""Writes a new file from its template: validated before it is named, never over another."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""``rig diagnose``: locates the mismatch, identifies the missing physics, adds this physics to the
-model, and shows the errors before and after.
-"""
+"""``rig diagnose`` and ``rig effects``: the missing physics, and the catalogue of effects."""
 
 from __future__ import annotations
 

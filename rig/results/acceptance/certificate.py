@@ -1,6 +1,4 @@
-"""Makes the certificate of a run: its content as a document, as one HTML page that prints on one
-sheet, and as a PDF of one page.
-"""
+"""The certificate of a run: as a document, as an HTML page for one sheet, and as a PDF page."""
 
 from __future__ import annotations
 
@@ -14,7 +12,6 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import matplotlib.image
 import numpy as np
 from matplotlib import rc_context
@@ -49,6 +46,7 @@ from rig.results.document import (
     SideBySide,
     Table,
     Verdict,
+    filled,
     write_record,
     write_texts,
 )
@@ -233,17 +231,6 @@ def _overview(dataset: Dataset) -> Figure:
     lower.set_ylabel("motor current (A)")
     lower.set_xlabel("time of the excitations (s)")
     return made
-
-
-def _certificate_html(certificate: Document) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.results"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("certificate.html.j2").render(it=certificate)
 
 
 _WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210.0, 297.0, 15.0
@@ -447,7 +434,7 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
     digests = {**inputs, RESULT_FILE: sha256_file(folder / RESULT_FILE)}
     made = f"loadrig {result['version']}, {result['created'].replace('+00:00', ' UTC')}"
     certificate = make_certificate(folder, bench, evidence, checks, digests, made)
-    write_texts({CERTIFICATE_PAGE: _certificate_html(certificate)}, folder)
+    write_texts({CERTIFICATE_PAGE: filled("certificate.html.j2", certificate)}, folder)
     write_bytes(folder / CERTIFICATE_PDF, certificate_pdf(certificate))
     seal_run(folder, record)
     seal(folder, [*digests, CERTIFICATE_PAGE, CERTIFICATE_PDF])

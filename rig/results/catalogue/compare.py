@@ -1,6 +1,4 @@
-"""Output of ``rig runs compare`` and ``rig runs trend``: measured values of several runs, the
-identified parameters that differ, and those that change over the runs.
-"""
+"""Output of ``rig runs compare`` and ``rig runs trend``."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Files of a diagnosis next to its report: the corrected model for other tools, and the
-experiment that splits an alias group.
-"""
+"""Files beside a diagnosis: the corrected model, and the experiment that splits a group."""
 
 from __future__ import annotations
 

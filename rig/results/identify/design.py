@@ -200,24 +200,16 @@ def plan_experiment(
 
 def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
     """Raise InputError unless an experiment can be planned from every stage."""
-    sequence.require(
-        (
-            ("stages", k, "ramp"),
-            "an experiment is planned from tones, not from ramps; leave this stage out of the "
-            "sequence",
+    remedy = "leave this stage out of the sequence"
+    for key, wrong, words in (
+        ("ramp", lambda stage: stage.ramp is not None, "from tones, not from ramps"),
+        ("stage", lambda stage: stage.stage == "hot_fire", "with weights, not with hot firings"),
+    ):
+        sequence.require(
+            (("stages", k, key), f"an experiment is planned {words}; {remedy}")
+            for k, stage in enumerate(sequence.value.stages)
+            if wrong(stage)
         )
-        for k, stage in enumerate(sequence.value.stages)
-        if stage.ramp is not None
-    )
-    sequence.require(
-        (
-            ("stages", k, "stage"),
-            "an experiment is planned with weights, not with hot firings; leave this stage out of "
-            "the sequence",
-        )
-        for k, stage in enumerate(sequence.value.stages)
-        if stage.stage == "hot_fire"
-    )
 
 
 def _torque(bench: Bench, limits: Limits) -> float:

@@ -1,6 +1,4 @@
-"""Figures of the paper, each with our result: Fig. 2, 9 (slow ramps), eq. 14 (uniform motion),
-Fig. 3, 4 (valve), Fig. 5, 11 (closed loop), and compensation on a sine.
-"""
+"""The paper's Fig. 2 to 5, 9 and 11, eq. 14 and compensation, each with our result."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Makes a blind gas trial: seals its truth, simulates and writes its firings, and computes the
-strength of its effect.
-"""
+"""Makes a blind gas trial: seals its truth, simulates and writes its firings."""
 
 from __future__ import annotations
 

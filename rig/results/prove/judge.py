@@ -1,6 +1,4 @@
-"""Evaluates one blind trial by the diagnosis, by the baseline methods and, after the truth is
-opened, by the oracle.
-"""
+"""Evaluates a blind trial by diagnosis and baselines and, once it is opened, by the oracle."""
 
 from __future__ import annotations
 

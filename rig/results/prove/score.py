@@ -1,6 +1,4 @@
-"""Scores a proof: the row of each trial, from its injected effects and its diagnosis, and the
-figures of all rows.
-"""
+"""Scores a proof: the row of each trial, and the figures of all rows."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The sealed truth of one rig: names and values of the injected effects, and the effects that are
-not scored.
-"""
+"""The sealed truth of one rig: names and values of the injected effects."""
 
 from __future__ import annotations
 

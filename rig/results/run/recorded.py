@@ -1,6 +1,4 @@
-"""Reads a recording for its page: channels of every sample, limits and phases over time, and the
-time of the end.
-"""
+"""Reads a recording for its page: channels, limits and phases over time, and its end."""
 
 from __future__ import annotations
 

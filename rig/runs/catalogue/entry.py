@@ -1,6 +1,4 @@
-"""Records of a run in a list of runs: the head for lists, the identified parameters for
-comparisons.
-"""
+"""Records of a run in a list of runs: the head for lists, the details for comparisons."""
 
 from __future__ import annotations
 

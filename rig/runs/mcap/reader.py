@@ -1,6 +1,4 @@
-"""Reads an intact or damaged recording: returns all undamaged records, and a message on the lost
-records.
-"""
+"""Reads an intact or damaged recording: all undamaged records, and what was lost."""
 
 from __future__ import annotations
 
@@ -491,35 +489,47 @@ class Attached(NamedTuple):
     content: bytes
 
 
-def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
-    """Yield the samples in order, in blocks of about :data:`BLOCK_BYTES`.
+def run_items(
+    path: Path, fields: Sequence[str], *, only_samples: bool = False
+) -> Iterator[Block | Happening | Attached]:
+    """Yield the content of a recording except its frames, in blocks of about :data:`BLOCK_BYTES`.
+
+    Events come before the block with the samples of the same time.
 
     Args:
         path: The recording.
-        fields: Fields of :class:`rig.common.sample.Sample` to read.
-
-        Yields:
-            Arrays of shape (n,), by field.
-
-    Raises:
-        DamageError: The recording is not complete; all samples yielded so far are valid.
-        OSError: The file cannot be read.
-    """
-    for item in _items(path, fields, frozenset({_SAMPLES})):
-        if isinstance(item, Block):
-            yield dict(item.samples)
-
-
-def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening | Attached]:
-    """Yield the content of a recording except its frames.
-
-    Events come before the block with the samples of the same time.
+        fields: Fields of :class:`rig.common.sample.Sample` in the blocks.
+        only_samples: Whether to yield blocks of samples only.
 
     Raises:
         DamageError: The recording is not complete; all items yielded so far are valid.
         OSError: The file cannot be read.
     """
-    return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
+    wanted = frozenset({_SAMPLES} if only_samples else {_SAMPLES, _EVENTS, _ATTACHMENTS})
+    pending: list[bytes] = []
+    size = waiting = 0
+    require_plain(path)
+    with open(path, "rb") as stream:
+        for kind, contents in _contents(stream, wanted):
+            if kind == _EVENTS:
+                yield from (Happening(json.loads(content)) for content in contents)
+            elif kind == _ATTACHMENTS:
+                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
+            else:
+                size = size or len(contents[0])
+                wrong = next((len(content) for content in contents if len(content) != size), None)
+                if wrong is not None or size not in SAMPLE_SIZES:
+                    raise DamageError(
+                        f"a sample has {wrong or size} bytes, a size that this program does "
+                        "not write: another program wrote this recording"
+                    )
+                pending += contents
+                waiting += size * len(contents)
+                if waiting >= BLOCK_BYTES:
+                    yield _block(pending, size, fields)
+                    pending, waiting = [], 0
+    if pending:
+        yield _block(pending, size, fields)
 
 
 def first_attachment(path: Path, name: str) -> bytes:
@@ -563,35 +573,6 @@ def _before_messages(path: Path) -> Iterator[tuple[int, bytes]]:
             if opcode in (Opcode.CHUNK, Opcode.DATA_END) or length > MAX_ATTACHMENT:
                 break
             yield opcode, stream.read(length)
-
-
-def _items(
-    path: Path, fields: Sequence[str], wanted: frozenset[int]
-) -> Iterator[Block | Happening | Attached]:
-    pending: list[bytes] = []
-    size = waiting = 0
-    require_plain(path)
-    with open(path, "rb") as stream:
-        for kind, contents in _contents(stream, wanted):
-            if kind == _EVENTS:
-                yield from (Happening(json.loads(content)) for content in contents)
-            elif kind == _ATTACHMENTS:
-                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
-            else:
-                size = size or len(contents[0])
-                wrong = next((len(content) for content in contents if len(content) != size), None)
-                if wrong is not None or size not in SAMPLE_SIZES:
-                    raise DamageError(
-                        f"a sample has {wrong or size} bytes, a size that this program does "
-                        "not write: another program wrote this recording"
-                    )
-                pending += contents
-                waiting += size * len(contents)
-                if waiting >= BLOCK_BYTES:
-                    yield _block(pending, size, fields)
-                    pending, waiting = [], 0
-    if pending:
-        yield _block(pending, size, fields)
 
 
 def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block:
